@@ -1,0 +1,9 @@
+"""The clocks of a robot. Cores get `now` as an argument; only shells read it here."""
+
+import time
+
+now = time.monotonic
+"""Seconds of the robot's monotonic clock: common to all its processes, never set back. All deadlines use it."""
+
+wall = time.time
+"""Seconds since 1970, for file names and recordings only: it jumps when somebody sets it."""

@@ -1,0 +1,174 @@
+"""What one `swarm.toml` says about the whole swarm, as frozen types. The same file is on every robot.
+
+Loading and checking is `swarm.config.load`, the commented example `swarm.config.example`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from swarm.codec import Value
+
+MAX_RFCOMM_LINKS = 7
+"""A Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 part B, 8.6: 3-bit LT_ADDR)."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """One robot of the swarm."""
+
+    name: str
+    board: str = "zero2w"
+    """zero2w or pi4: sets the body's mass."""
+    bluetooth: str | None = None
+    """Address of the Bluetooth adapter, B8:27:EB:12:34:56."""
+    link: str | None = None
+    """How the others reach it where that is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
+
+
+@dataclass(frozen=True)
+class RelayRule:
+    """Which keys of the own robot's bus the mesh carries to others."""
+
+    keys: str
+    """Key expression; `{self}` stands for the own name and `{peer}` (one whole chunk) for the neighbour it goes to."""
+    overlay: str = "neighbours"
+    priority: str = "bulk"
+    """control, sync or bulk."""
+    queue: str = "latest"
+    """latest (a newer value replaces a waiting one of its key) or all (in order, none replaced)."""
+    max_rate: float | None = None
+    """Hz for each key, for `latest`; None = as published."""
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A UWB module at a known place."""
+
+    address: str
+    """Short address as printed, four hex digits: C933."""
+    x: float
+    y: float
+    z: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Mesh settings; `facts` of the timing are in docs/frames.md."""
+
+    insecure: bool = False
+    """True = frames are not authenticated: anyone in radio reach can join. There is no other way in this version."""
+    listen: str | None = None
+    """Where to listen for `tcp:` neighbours, HOST:PORT; nothing listens on the network without it."""
+    heartbeat: float = 0.5
+    """s between heartbeats."""
+    suspect: float = 1.5
+    """s of silence until a link is suspect."""
+    dead: float = 3.0
+    """s of silence until it is closed and dialled anew."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """Parameters of the robots' bodies and the balancer."""
+
+    wheel_radius: float = 0.040
+    gear_ratio: float = 110.25
+    """Motor turns for one wheel turn: 50:1 motor (51.45) with 45:21 gears."""
+    trim: float = 0.0
+    """Tilt of the balance point from the IMU's upright, rad."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Calibrated distance = gain * measured + offset (thesis eq. 2.8)."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+    """m."""
+
+
+@dataclass(frozen=True)
+class Affine:
+    """Calibrated position = matrix * measured + offset (thesis eq. 2.10)."""
+
+    matrix: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
+    offset: tuple[float, float] = (0.0, 0.0)
+    """m."""
+
+
+@dataclass(frozen=True)
+class Dwm:
+    """UWB module, calibration and filter."""
+
+    source: str = "serial:/dev/serial0"
+    """serial:PATH (a DWM1001 in generic mode) or replay:DIR (a recording); `{robot}` stands for the own name."""
+    target: str | None = None
+    """Address of the module that is the target."""
+    rate: float = 10.0
+    """Hz; the module's maximum is 10."""
+    window: int = 5
+    """Length of the moving average; 1 = off."""
+    distance: Linear = field(default_factory=Linear)
+    position: Affine = field(default_factory=Affine)
+
+
+@dataclass(frozen=True)
+class App:
+    """Parameters of one app: common ones, and those of single robots on top."""
+
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    robots: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
+
+    def of(self, robot: str) -> dict[str, Value]:
+        """The parameters that hold on `robot`."""
+        return {**self.parameters, **self.robots.get(robot, {})}
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Where simulated robots and the target start; only `swarm sim` reads it."""
+
+    target: tuple[float, float] = (0.5, 1.0)
+    """m."""
+    places: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    """x, y in m and heading in rad, by robot."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """The whole swarm."""
+
+    path: Path
+    network: str
+    """Robots of another network are refused."""
+    robots: tuple[Robot, ...]
+    edges: tuple[tuple[str, str], ...]
+    """The topology: each link once, as (name, name) in the order of `robots`."""
+    relay: tuple[RelayRule, ...]
+    anchors: tuple[Anchor, ...] = ()
+    mesh: Mesh = field(default_factory=Mesh)
+    body: Body = field(default_factory=Body)
+    dwm: Dwm = field(default_factory=Dwm)
+    apps: Mapping[str, App] = field(default_factory=dict)
+    simulation: Simulation = field(default_factory=Simulation)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Robots' names in the order of the file."""
+        return tuple(robot.name for robot in self.robots)
+
+    def robot(self, name: str) -> Robot:
+        """The robot called `name`; KeyError where there is none."""
+        for robot in self.robots:
+            if robot.name == name:
+                return robot
+        raise KeyError(name)
+
+    def neighbours(self, name: str) -> tuple[str, ...]:
+        """Names of the robots linked to `name`, sorted."""
+        return tuple(sorted((b if a == name else a) for a, b in self.edges if name in (a, b)))
+
+    def app(self, name: str) -> App:
+        """Parameters of an app; empty ones where the file says nothing of it."""
+        return self.apps.get(name, App())

@@ -1,0 +1,42 @@
+"""Errors of the whole project: who was wrong decides what to do.
+
+`LocalError`: our side misused something (a wrong config, a wrong argument); the message says what, where and how to
+mend it, and a command ends with it. `RemoteError`: bytes from elsewhere were wrong (a frame, a payload, a recording);
+the receiver drops and counts them and goes on.
+"""
+
+
+class SwarmError(Exception):
+    """Base of all errors a caller may want to catch; never raised itself."""
+
+
+class LocalError(SwarmError):
+    """We did something wrong: mend the call, the config or the command."""
+
+
+class RemoteError(SwarmError):
+    """The other side sent something wrong: drop it, count it, go on."""
+
+
+class ConfigError(LocalError):
+    """An entry of swarm.toml is wrong; names file, table, key and what was expected."""
+
+
+class AppError(LocalError):
+    """An application file is wrong: no app class, a state of a wrong type, a state too large."""
+
+
+class BusError(LocalError):
+    """The local bus cannot be used: no socket, path too long, socket held by another process."""
+
+
+class PayloadError(RemoteError):
+    """A bus payload is not what its key demands; names key and field."""
+
+
+class FrameError(RemoteError):
+    """Bytes from a mesh peer are not a valid frame."""
+
+
+class RecordingError(LocalError):
+    """A recording is missing, truncated or not numeric; names file and line."""

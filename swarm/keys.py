@@ -1,0 +1,62 @@
+"""The key space of the bus: `swarm/<robot>/<service>/<topic...>` (docs/keys.md lists every key).
+
+What a robot publishes carries its own name. Commands to a robot go to `swarm/<robot>/<service>/set/<what>`.
+`swarm/stop` stops every robot.
+"""
+
+import re
+from typing import NamedTuple
+
+from swarm.errors import LocalError, PayloadError
+
+ROOT = "swarm"
+STOP = "swarm/stop"
+EVERYTHING = "swarm/**"
+
+MAX_KEY_LENGTH = 255
+"""Longest key taken from outside, in bytes. Zenoh accepts a 65 536 character key and then panics in put, which poisons
+the session; 255 is the length its own documentation recommends."""
+
+_NAME = re.compile(r"[a-z][a-z0-9_-]{0,15}")
+_CHUNK = re.compile(r"[A-Za-z0-9_.:-]+")
+
+
+class Key(NamedTuple):
+    """A key taken apart. `topic` keeps its slashes, e.g. `set/mode`."""
+
+    robot: str
+    service: str
+    topic: str
+
+    def __str__(self) -> str:
+        return f"{ROOT}/{self.robot}/{self.service}/{self.topic}"
+
+
+def key(robot: str, service: str, *topic: str) -> str:
+    """Build a key; raises `LocalError` where a part would not be a valid chunk. Wildcards are allowed as parts."""
+    parts = (ROOT, robot, service, *topic)
+    for part in "/".join(parts).split("/"):
+        if part not in ("*", "**") and not _CHUNK.fullmatch(part):
+            raise LocalError(f"key part {part!r} of {'/'.join(parts)!r}: use letters, digits and _ . : -")
+    return "/".join(parts)
+
+
+def parse(text: str) -> Key:
+    """Take a concrete key from the bus or from a peer apart.
+
+    Raises `PayloadError` for a key that is too long, is not below `swarm/`, or holds wildcards or odd characters.
+    """
+    if len(text.encode("utf-8", "surrogatepass")) > MAX_KEY_LENGTH:
+        raise PayloadError(f"key {text[:40]!r}...: longer than {MAX_KEY_LENGTH} bytes")
+    parts = text.split("/")
+    if len(parts) < 4 or parts[0] != ROOT:
+        raise PayloadError(f"key {text!r}: expected swarm/<robot>/<service>/<topic>")
+    for part in parts:
+        if not _CHUNK.fullmatch(part):
+            raise PayloadError(f"key {text!r}: chunk {part!r} is not of letters, digits and _ . : -")
+    return Key(parts[1], parts[2], "/".join(parts[3:]))
+
+
+def is_name(text: str) -> bool:
+    """Whether `text` may name a robot or an app: a lower-case letter, then up to 15 letters, digits, _ or -."""
+    return _NAME.fullmatch(text) is not None

@@ -1,0 +1,258 @@
+"""Every message on the bus and the key it travels under. One place, so that no two services can disagree.
+
+Payloads are msgpack maps with these field names (`swarm.codec`). SI units: m, rad, s, V. `t` is the sender's
+monotonic clock in seconds, common to all processes of one robot; the mesh relates the clocks of different robots.
+The only binary payloads are the app-to-app frames of the synchronous overlay (`swarm.core.lockstep`).
+"""
+
+from dataclasses import dataclass
+
+from swarm.codec import Value, decode
+from swarm.errors import PayloadError
+from swarm.keys import STOP, parse
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Life cycle of one service, on `swarm/<robot>/<service>/status`: published on change and answered to queries."""
+
+    t: float
+    service: str
+    state: str
+    """starting, ready, degraded or stopping."""
+    reason: str
+    """Why it is degraded or not yet ready; empty when ready."""
+    pid: int
+    since: float
+    """Time of the last change of state."""
+    counters: dict[str, int]
+    """What was dropped, refused or retried since the start, by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """One mesh link as its own robot sees it."""
+
+    peer: str
+    state: str
+    """down, connecting, up or suspect."""
+    connection: int
+    """Counts the connections so far: a change tells a subscriber that the link was renewed, even between samples."""
+    rtt: float | None
+    """Smoothed round-trip time, s; None before the first heartbeat came back."""
+    sent: int
+    """Frames sent since the service started."""
+    received: int
+    reason: str
+    """Why it is down; empty otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """All mesh links of a robot, on `swarm/<robot>/mesh/links`: on change and once a second."""
+
+    t: float
+    links: tuple[LinkState, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BalancerState:
+    """The body, on `swarm/<robot>/balancer/state` at 25 Hz."""
+
+    t: float
+    mode: str
+    """idle, standing_up, balancing or fault."""
+    tilt: float
+    """From upright, rad; positive = falling forward."""
+    tilt_rate: float
+    """rad/s."""
+    speed: float
+    """Forward speed of the axle, m/s."""
+    duty_left: float
+    """Motor command, -1..1."""
+    duty_right: float
+    battery: float | None
+    """V; None before it was read."""
+    ticks: int
+    """Control steps since the loop started."""
+    late_p99: float
+    """99th percentile of the loop's lateness over the last second, s."""
+    late_max: float
+    fault: str
+    """Why the motors are off; empty when there is no fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """Wheel travel, on `swarm/<robot>/balancer/odometry` at 25 Hz. Integrated at 100 Hz, so no increment is lost."""
+
+    t: float
+    sequence: int
+    left: float
+    """Distance rolled by the left wheel since the loop started, corrected by body pitch, m."""
+    right: float
+    heading: float
+    """Integrated from the wheels, rad, counter-clockwise positive, 0 at the start of the loop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leds:
+    """LEDs as they are (`balancer/leds`) or shall be (`balancer/set/leds`)."""
+
+    red: bool
+    yellow: bool
+    green: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Command on `balancer/set/mode`."""
+
+    mode: str
+    """stand (stand up and balance) or rest (motors off)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """On `swarm/stop`: every robot switches its motors off."""
+
+    t: float
+    origin: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The distance to one anchor (or to the target, which is a module like any other)."""
+
+    anchor: str
+    """Short UWB address as printed on the module and in shell output, e.g. C933."""
+    distance: float
+    """m, calibrated and filtered as the service is configured."""
+    raw: float
+    """m, as the module reported it."""
+    quality: int
+    """0-100 as the module reported it."""
+    age: float
+    """s since it was measured, at `t` of the message."""
+    sequence: int
+    """Counts new measurements of this anchor; a repeat keeps its number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """All ranges of one module report, on `swarm/<robot>/dwm/ranges` at 10 Hz."""
+
+    t: float
+    sequence: int
+    ranges: tuple[Range, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the robot is, on `swarm/<robot>/dwm/pose` at 10 Hz."""
+
+    t: float
+    sequence: int
+    """The number of the module report it comes from, as in `Ranges`."""
+    x: float
+    """m, in the frame of the anchors."""
+    y: float
+    heading: float | None
+    """rad, counter-clockwise from x; None where the filter does not estimate it."""
+    quality: int
+    """0-100; 0 = no fix, the numbers are not to be used."""
+    source: str
+    """Which filter made it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One row of a replayed recording, answered by `dwm/measurement?sequence=k`: range to the target and own place."""
+
+    t: float
+    sequence: int
+    distance: float
+    """Range to the target, m."""
+    x: float
+    """Own position, m."""
+    y: float
+
+
+@dataclass(frozen=True, slots=True)
+class AppState:
+    """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 25 Hz and at the end."""
+
+    t: float
+    k: int
+    """Iteration."""
+    state: dict[str, Value]
+    result: dict[str, Value]
+    """What the app reports as its result so far (units in docs of the app)."""
+
+
+@dataclass(frozen=True, slots=True)
+class AppProgress:
+    """What an app is doing, on `swarm/<robot>/app/<app>/progress`: on change and once a second."""
+
+    t: float
+    phase: str
+    """starting, waiting, running, done or fault."""
+    k: int
+    waiting_for: tuple[str, ...]
+    """Neighbours whose value is missing (named within 3 s)."""
+    reason: str
+    """Why it is in fault or waits; empty otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """True pose of a simulated robot, on `swarm/<robot>/sim/truth` at 10 Hz."""
+
+    t: float
+    x: float
+    y: float
+    heading: float
+    tilt: float
+
+
+TOPICS: dict[tuple[str, str], type] = {
+    ("*", "status"): Status,
+    ("mesh", "links"): Links,
+    ("balancer", "state"): BalancerState,
+    ("balancer", "odometry"): Odometry,
+    ("balancer", "leds"): Leds,
+    ("balancer", "set/leds"): Leds,
+    ("balancer", "set/mode"): SetMode,
+    ("dwm", "ranges"): Ranges,
+    ("dwm", "pose"): Pose,
+    ("dwm", "measurement"): Measurement,
+    ("app", "*/status"): Status,
+    ("app", "*/state"): AppState,
+    ("app", "*/progress"): AppProgress,
+    ("sim", "truth"): Truth,
+}
+"""Message type of each key, by (service, topic); `*` stands for one chunk. docs/keys.md is checked against it."""
+
+
+def type_of(key: str) -> type | None:
+    """The message type that travels under `key`, None where the key is none of ours.
+
+    Raises `PayloadError` on a key that is not even well formed.
+    """
+    if key == STOP:
+        return Stop
+    _, service, topic = parse(key)
+    _, _, tail = topic.partition("/")
+    for candidate in ((service, topic), (service, f"*/{tail}"), ("*", topic)):
+        if candidate in TOPICS:
+            return TOPICS[candidate]
+    return None
+
+
+def read(key: str, payload: bytes) -> object:
+    """Decode a payload by its key. Raises `PayloadError` where the key is unknown or the payload is not of its type."""
+    kind = type_of(key)
+    if kind is None:
+        raise PayloadError(f"{key}: no message travels under this key (docs/keys.md lists them)")
+    return decode(kind, payload, key)

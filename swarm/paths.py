@@ -1,0 +1,38 @@
+"""Where a robot's processes meet: the runtime directory and the names in it.
+
+On a robot it is /run/swarm (systemd's RuntimeDirectory); a simulation gives each robot one of its own through
+SWARM_RUNTIME. Everything in it may vanish at a reboot.
+"""
+
+import os
+from pathlib import Path
+
+from swarm.errors import BusError
+
+DEFAULT_RUNTIME = Path("/run/swarm")
+
+MAX_SOCKET_PATH = 107
+"""Bytes of a Unix socket's path without the closing zero: sun_path of unix(7) has 108."""
+
+BUS_SOCKET = "bus.sock"
+
+
+def runtime_dir() -> Path:
+    """The runtime directory of the robot this process belongs to."""
+    return Path(os.environ.get("SWARM_RUNTIME", DEFAULT_RUNTIME))
+
+
+def socket_path(directory: Path, name: str) -> Path:
+    """`directory/name`, checked to fit a Unix socket address; raises `BusError` with what to do where it does not."""
+    path = directory / name
+    length = len(os.fsencode(path))
+    if length > MAX_SOCKET_PATH:
+        raise BusError(
+            f"{path}: {length} bytes, but a Unix socket's path holds at most {MAX_SOCKET_PATH}; use a shorter directory"
+        )
+    return path
+
+
+def bus_endpoint(directory: Path) -> str:
+    """The Zenoh endpoint of the router whose runtime directory is `directory`."""
+    return f"unixsock-stream/{socket_path(directory, BUS_SOCKET)}"

@@ -1,0 +1,142 @@
+"""Life cycle of a service process: starting, ready, degraded, stopping.
+
+    starting --ready()--> ready <--degraded(reason)/ready()--> degraded
+        any --SIGTERM, SIGINT or stop()--> stopping
+
+State goes to systemd (sd_notify), to the bus (`swarm/<robot>/<service>/status`, published on change and answered to
+queries) and to a liveliness token `swarm/<robot>/<service>/alive`. A service of a simulation dies with its parent.
+"""
+
+import ctypes
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from swarm import clock, log
+from swarm.bus import Bus
+from swarm.codec import encode
+from swarm.config import Config, load, who_am_i
+from swarm.errors import SwarmError
+from swarm.keys import key
+from swarm.messages import Status
+from swarm.paths import runtime_dir
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def die_with_parent() -> None:
+    """End with SIGKILL when the process named by SWARM_PARENT dies, however it dies. Does nothing without it.
+
+    The kernel ties the signal to the parent *thread* that started us, so simulations start services from their main
+    thread. The parent may be gone before the call takes effect: hence the look afterwards.
+    """
+    parent = os.environ.get("SWARM_PARENT")
+    if parent is None:
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != int(parent):
+        os._exit(1)
+
+
+class Service:
+    """What every service process has: config, own name, bus, log, state, counters, and a wish to stop.
+
+    `stopping` is set by SIGTERM, SIGINT or `stop()`; main threads wait on it.
+    """
+
+    def __init__(self, name: str, *, on_bus: Callable[[bool], None] | None = None) -> None:
+        """Reads the config and who we are; raises `ConfigError`. `on_bus(connected)` runs on Zenoh's thread."""
+        die_with_parent()
+        self.name = name
+        self.log = log.setup(name)
+        self.config: Config = load()
+        self.robot: str = who_am_i(self.config)
+        self.runtime: Path = runtime_dir()
+        self.stopping = threading.Event()
+        self.counters: Counter[str] = Counter()
+        self._on_bus = on_bus
+        self._lock = threading.Lock()
+        self._state, self._reason, self._since = "starting", "", clock.now()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self.stop())
+        self.bus = Bus.of(self.runtime, on_change=self._bus_changed)
+        self.bus.announce(key(self.robot, name, "alive"))
+        self.bus.serve(key(self.robot, name, "status"), lambda *_: encode(self.status()))
+
+    def ready(self) -> None:
+        """Say that the service does its work."""
+        self._change("ready", "")
+
+    def degraded(self, reason: str) -> None:
+        """Say that it runs but cannot do all of its work, and why."""
+        self._change("degraded", reason)
+
+    def stop(self) -> None:
+        """Wish the service to end; its main thread sees `stopping`."""
+        self.stopping.set()
+
+    def watchdog(self) -> None:
+        """Tell systemd of real progress; call it where work was done, not from a timer."""
+        notify("WATCHDOG=1")
+
+    def status(self) -> Status:
+        """The state as it is now."""
+        with self._lock:
+            counters = {name: count for name, count in self.counters.items() if count}
+            return Status(clock.now(), self.name, self._state, self._reason, os.getpid(), self._since, counters)
+
+    def close(self) -> None:
+        """Announce the end and leave the bus."""
+        self._change("stopping", "")
+        self.bus.close()
+
+    def __enter__(self) -> "Service":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _change(self, state: str, reason: str) -> None:
+        with self._lock:
+            if (state, reason) == (self._state, self._reason):
+                return
+            self._state, self._reason, self._since = state, reason, clock.now()
+        if state == "degraded":
+            self.log.warning("degraded: %s", reason)
+        notify({"ready": "READY=1\n", "stopping": "STOPPING=1\n"}.get(state, "") + f"STATUS={state} {reason}".rstrip())
+        self.bus.publish(key(self.robot, self.name, "status"), self.status())
+
+    def _bus_changed(self, connected: bool) -> None:
+        self.log.debug("bus connected=%s", connected)
+        if connected:
+            self.bus.publish(key(self.robot, self.name, "status"), self.status())
+        if self._on_bus is not None:
+            self._on_bus(connected)
+
+
+def notify(message: str) -> None:
+    """Send a message to systemd (sd_notify(3)): one datagram to NOTIFY_SOCKET; nothing where there is none."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.sendto(message.encode(), "\0" + address[1:] if address.startswith("@") else address)
+        except OSError as error:
+            logging.getLogger("service").warning("systemd was not notified: %s", error)
+
+
+def run(main: Callable[[], int | None]) -> None:
+    """Run a process' main function: our own errors become one line on stderr and exit code 2, never a traceback."""
+    try:
+        code = main()
+    except SwarmError as error:
+        sys.stderr.write(f"{Path(sys.argv[0]).name}: {error}\n")
+        code = 2
+    sys.exit(code or 0)
