@@ -1,0 +1,370 @@
+"""Lockstep: every robot computes x(k+1) from its own x(k) and all its neighbours' x(k), equal bit for bit.
+
+One message per neighbour and iteration; no acknowledgement, no poll, no leader. Whatever is lost, cut, killed
+or duplicated, the trajectory stays that of the undisturbed synchronous run, or the core says `Fault`:
+it never forks in silence. `docs/lockstep.md` has the rules R1-R9 that the comments name, and why they are so.
+
+Why two values suffice. A robot at k has used every neighbour's x(k-1), so each of them is at k-1 or later and
+wants our x(k-1) or a later one; and it cannot pass k+1 without our x(k+1). A frame with x(k) and x(k-1) thus
+serves every neighbour wherever it is, and k and k+1 are the only slots a neighbour's value can fall into.
+
+The core is pure: bytes and `now` (seconds on any monotonic clock) go in, `actions()` come out and are to be
+carried out in that order. It is not thread-safe: the host holds one lock around it, or uses one thread.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+
+from swarm.core.lockstep_actions import Action, Advanced, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep_frames import (
+    MAX_ITERATION,
+    Channel,
+    Heard,
+    Snapshot,
+    Step,
+    Want,
+    decode_frame,
+    encode_step,
+    encode_want,
+)
+from swarm.errors import FrameError, LocalError
+
+__all__ = [
+    "Action",
+    "Advanced",
+    "Channel",
+    "Compute",
+    "Fault",
+    "Finished",
+    "Lockstep",
+    "Save",
+    "Send",
+    "Waiting",
+]
+
+WANT_AFTER_RTTS = 4.0
+"""A missing value is asked for after so many round-trip times without progress ..."""
+WANT_AFTER = 0.1
+"""... but not before this, in seconds: a loaded Pi is late by tens of milliseconds without any loss."""
+WANT_AFTER_MOST = 1.0
+"""The interval between two questions doubles up to this, in seconds, and is kept for ever."""
+NAME_AFTER = 2.5
+"""Who is waited for is named after so many seconds without progress; 3 s are promised, the bus takes some."""
+LINGER = 10.0
+"""At its last iteration a robot stays at most so long for neighbours that may lack its values, in seconds."""
+RTT = 0.06
+"""Round trip assumed where the host knows no better, in seconds: twice the latency of an RFCOMM link."""
+
+
+class Lockstep:
+    """The synchronous overlay of one robot in one epoch of one run.
+
+    Make it, call `start()` or `resume()` once, then feed it. `counters` tells what was dropped and asked for.
+    """
+
+    def __init__(
+        self,
+        me: str,
+        neighbours: Iterable[str],
+        channel: Channel,
+        size: int,
+        *,
+        last: int | None = None,
+        rtt: float = RTT,
+        linger: float = LINGER,
+    ) -> None:
+        self.me = me
+        self.channel = channel
+        self.rtt = rtt
+        self.k = -1
+        self.fault: str | None = None
+        self.done = False
+        self.counters: Counter[str] = Counter()
+        self._peers = {name: Heard() for name in sorted(neighbours)}
+        self._size = size
+        self._last = MAX_ITERATION if last is None else last
+        self._linger = linger
+        self._value = b""
+        self._previous: bytes | None = None
+        self._computing = False
+        self._named: tuple[str, ...] = ()
+        self._name_at = 0.0
+        self._patience = 0.0
+        self._want_at = 0.0
+        self._wanted_at = float("-inf")
+        self._leave_at = 0.0
+        self._answered: dict[str, tuple[int, float]] = {}
+        self._actions: list[Action] = []
+        if me in self._peers:
+            raise LocalError(f"lockstep: {me} cannot be its own neighbour")
+        if len(self._peers) > 255:
+            raise LocalError(f"lockstep: {len(self._peers)} neighbours, at most 255 are possible")
+        if not 0 <= self._last <= MAX_ITERATION:
+            raise LocalError(f"lockstep: last iteration {last}, expected 0 to {MAX_ITERATION}")
+
+    # What the host asks
+
+    @property
+    def waiting_for(self) -> tuple[str, ...]:
+        """Neighbours whose value is missing for the next step, sorted."""
+        return () if self.k == self._last else self._lacking()
+
+    def actions(self) -> list[Action]:
+        """What is to be done now, in this order; each is handed out once."""
+        actions, self._actions = self._actions, []
+        return actions
+
+    def next_deadline(self) -> float | None:
+        """When `handle_timer` wants to be called, on the clock of `now`; None: no timer runs."""
+        if self.k < 0 or self.fault is not None or self.done:
+            return None
+        deadlines = []
+        if self._lacking():
+            deadlines.append(self._want_at)
+        if self.k == self._last:
+            deadlines.append(self._leave_at)
+        elif self.waiting_for and not self._named:
+            deadlines.append(self._name_at)
+        return min(deadlines, default=None)
+
+    # What the host tells
+
+    def start(self, x0: bytes, now: float, private: bytes = b"") -> None:
+        """Begin at iteration 0 with the packed state `x0`; `private` comes back after a restart."""
+        self._check_fresh()
+        self._check_size(x0)
+        self._enter(0, x0, None, now)
+        self._actions.append(Save(self._snapshot(private)))
+        self._broadcast()
+        self._settle(now)
+
+    def resume(self, saved: bytes, now: float) -> bytes:
+        """Go on from the last `Save` of an earlier incarnation; returns the private bytes in it.
+
+        `LocalError` where the snapshot is not whole or belongs to another run, epoch, app or topology.
+        """
+        self._check_fresh()
+        snapshot = Snapshot.decode(saved)
+        for what, found, expected in (
+            ("run", f"{snapshot.run:016x}", f"{self.channel.run:016x}"),
+            ("epoch", snapshot.epoch, self.channel.epoch),
+            ("schema", f"{snapshot.schema:08x}", f"{self.channel.schema:08x}"),
+            ("state size", snapshot.size, self._size),
+            ("neighbours", " ".join(snapshot.heard), " ".join(self._peers)),
+        ):
+            if found != expected:
+                raise LocalError(f"snapshot: {what} {found}, this is {what} {expected}")
+        if snapshot.k > self._last:
+            raise LocalError(f"snapshot: at iteration {snapshot.k}, beyond the last one, {self._last}")
+        self._peers = snapshot.heard
+        self._enter(snapshot.k, snapshot.value, snapshot.previous, now)
+        self._broadcast()
+        self._ask(self._lacking(), now)
+        self._settle(now)
+        return snapshot.private
+
+    def computed(self, x_next: bytes, private: bytes, now: float) -> None:
+        """Answer a `Compute` with the packed x(k+1) and the private state that belongs to it."""
+        self._check_size(x_next)
+        if self.fault is not None:
+            return  # The fault came while the step was running: its value must not get out.
+        if not self._computing:
+            raise LocalError("lockstep: computed() without a Compute to answer")
+        self._computing = False
+        self._enter(self.k + 1, x_next, self._value, now)
+        for peer in self._peers.values():
+            peer.slots.pop(self.k - 2, None)
+        self._actions.append(Save(self._snapshot(private)))
+        self._broadcast()
+        self._settle(now)
+
+    def nudge(self, now: float) -> None:
+        """A link or the bus came up: what is missing is asked for now, not when the patience ends (R4)."""
+        # Six links that come up together are one reason to ask, not six.
+        self._want_at = min(self._want_at, max(now, self._wanted_at + self.rtt))
+
+    def handle_timer(self, now: float) -> None:
+        """Do what is due at `now`; may be called at any time."""
+        if self.k < 0 or self.fault is not None or self.done:
+            return
+        if (lacking := self._lacking()) and now >= self._want_at:
+            # With the own frame beside the question: the peer may be waiting for just that (R4).
+            self._actions += [Send(self._frame(), name) for name in lacking]
+            self._ask(lacking, now)
+        waiting = self.waiting_for
+        if waiting and now >= self._name_at:
+            self._name(waiting)
+        if self.k == self._last and now >= self._leave_at:
+            self.done = True
+
+    def receive(self, sender: str, channel: Channel, data: bytes, now: float) -> None:
+        """Take a frame of `sender` from `channel`. What is of no use is dropped and counted, never raised."""
+        if self.k < 0:
+            raise LocalError("lockstep: start() or resume() comes first")
+        if channel.run != self.channel.run:
+            self.counters["other run"] += 1
+        elif channel.epoch != self.channel.epoch:
+            self.counters["other epoch"] += 1
+        elif sender == self.me:
+            self._receive_own(channel)
+        elif (peer := self._peers.get(sender)) is None:
+            self.counters["unknown sender"] += 1
+        elif channel.incarnation >= peer.incarnation and channel.schema != self.channel.schema:
+            self._fail(f"{sender} runs another version of this app or its state")
+        else:
+            try:
+                frame = decode_frame(data, self._size)
+            except FrameError:
+                self.counters["malformed"] += 1
+                return
+            if channel.incarnation < peer.incarnation:
+                self.counters["old incarnation"] += 1
+            elif self.fault is None:
+                self._accept(sender, peer, channel.incarnation, frame)
+            if isinstance(frame, Want) and frame.k < self.k - 1:
+                # A late copy, or a robot that lost its state and perhaps its incarnation with it. Our frame
+                # does nothing to the former and tells the latter that it is lost: so this one answer goes to
+                # an old incarnation too, and even after a fault.
+                self._answer(sender, frame.k, now)
+            elif isinstance(frame, Want) and self.fault is None and channel.incarnation == peer.incarnation:
+                if frame.k <= self.k:
+                    self._answer(sender, frame.k, now)
+                else:
+                    self.counters["want of the next"] += 1
+            self._settle(now)
+
+    # How it works
+
+    def _receive_own(self, channel: Channel) -> None:
+        """A frame of this robot: an echo of the bus, or a second process of the same app (R6)."""
+        if channel.incarnation > self.channel.incarnation:
+            self._fail(
+                f"another process runs this app on {self.me} "
+                f"(incarnation {channel.incarnation}, this one is {self.channel.incarnation})"
+            )
+        else:
+            self.counters["own frame"] += 1
+
+    def _accept(self, sender: str, peer: Heard, incarnation: int, frame: Step | Want) -> None:
+        """Learn from a frame of the newest incarnation (R3)."""
+        restarted = incarnation > peer.incarnation
+        peer.incarnation = incarnation
+        peer.reached = max(peer.reached, frame.k)
+        if frame.k > self.k + 1:
+            # To get there it must have had our x(k+1): we have forgotten that we sent it.
+            self._fail(f"state lost at {self.me}: {sender} is at iteration {frame.k}, this robot at {self.k}")
+        elif frame.k < self.k - 1:
+            # We used its x(k-1), which it wrote down before it sent it. An older frame is a late copy, unless
+            # it is the first one of a process that should have read that file.
+            if restarted:
+                self._fail(
+                    f"state lost at {sender}: it came back at iteration {frame.k} "
+                    f"(incarnation {incarnation}), this robot is at {self.k}"
+                )
+            self.counters["late"] += 1
+        elif isinstance(frame, Step):
+            before = len(peer.slots)
+            if frame.previous is not None:
+                self._fill(sender, peer, frame.k - 1, frame.previous)
+            self._fill(sender, peer, frame.k, frame.value)
+            if len(peer.slots) == before:
+                self.counters["duplicate"] += 1
+
+    def _fill(self, sender: str, peer: Heard, k: int, value: bytes) -> None:
+        held = peer.slots.get(k)
+        if held is None:
+            if k >= self.k:
+                peer.slots[k] = value
+        elif held != value:
+            self._fail(f"two values for one iteration: {sender} sent two different states for iteration {k}")
+
+    def _fail(self, reason: str) -> None:
+        if self.fault is None:
+            self.fault = reason
+            self._computing = False
+            self._actions.append(Fault(reason))
+
+    def _enter(self, k: int, value: bytes, previous: bytes | None, now: float) -> None:
+        """Be at iteration k; all clocks run from here: progress of the own k alone winds them (hole 1)."""
+        self.k, self._value, self._previous = k, value, previous
+        self._patience = max(WANT_AFTER_RTTS * self.rtt, WANT_AFTER)
+        self._want_at = now + self._patience
+        self._name_at = now + NAME_AFTER
+        self._leave_at = now + self._linger
+
+    def _broadcast(self) -> None:
+        if self._peers:
+            self._actions.append(Send(self._frame(), None))
+        self._actions.append(Advanced(self.k, self._value))
+        if self.k == self._last:
+            self._actions.append(Finished(self.k))
+
+    def _settle(self, now: float) -> None:
+        """After any change: say that a wait is over or has fewer robots, compute, or be done."""
+        if self.fault is not None:
+            return
+        lacking = self._lacking()
+        if self.k == self._last:
+            if not lacking:
+                self.done = True
+            return
+        if self._named:
+            self._name(lacking)
+        if not lacking and not self._computing:
+            self._computing = True
+            values = {name: peer.slots[self.k] for name, peer in self._peers.items()}
+            self._actions.append(Compute(self.k, self._value, values))
+
+    def _lacking(self) -> tuple[str, ...]:
+        """Neighbours whose x(k) is missing; at the last iteration those not known to be there (R7)."""
+        if self.k == self._last:
+            return tuple(name for name, peer in self._peers.items() if peer.reached < self.k)
+        return tuple(name for name, peer in self._peers.items() if self.k not in peer.slots)
+
+    def _ask(self, peers: tuple[str, ...], now: float) -> None:
+        """Ask each of `peers` for its x(k); ask again later and later, for ever (R4)."""
+        self._actions += [Send(encode_want(self.k), name) for name in peers]
+        self.counters["want sent"] += len(peers)
+        self._wanted_at = now
+        self._want_at = now + self._patience
+        self._patience = max(min(2 * self._patience, WANT_AFTER_MOST), WANT_AFTER_RTTS * self.rtt)
+
+    def _answer(self, sender: str, k: int, now: float) -> None:
+        """Send the own frame to who asked, at most once per (peer, k) and round trip (R4)."""
+        asked, at = self._answered.get(sender, (-1, 0.0))
+        if asked == k and now - at < self.rtt:
+            self.counters["want suppressed"] += 1
+            return
+        self._answered[sender] = (k, now)
+        self.counters["want answered"] += 1
+        self._actions.append(Send(self._frame(), sender))
+
+    def _name(self, peers: tuple[str, ...]) -> None:
+        if peers != self._named:
+            self._named = peers
+            self._actions.append(Waiting(self.k, peers))
+
+    def _frame(self) -> bytes:
+        return encode_step(self.k, self._value, self._previous)
+
+    def _snapshot(self, private: bytes) -> bytes:
+        channel = self.channel
+        return Snapshot(
+            run=channel.run,
+            epoch=channel.epoch,
+            schema=channel.schema,
+            size=self._size,
+            k=self.k,
+            value=self._value,
+            previous=self._previous,
+            heard=self._peers,
+            private=private,
+        ).encode()
+
+    def _check_fresh(self) -> None:
+        if self.k >= 0:
+            raise LocalError("lockstep: start() and resume() are for a new core, this one runs")
+
+    def _check_size(self, value: bytes) -> None:
+        if len(value) != self._size:
+            raise LocalError(f"lockstep: a state of {len(value)} bytes, expected {self._size}")

@@ -1,0 +1,63 @@
+"""What a `Lockstep` asks its host to do or to tell, to be carried out in the order given."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Compute:
+    """Run the app's step and answer with `computed()`. One at a time."""
+
+    k: int
+    """Iteration of the values: the step gives x(k+1)."""
+    own: bytes
+    values: dict[str, bytes]
+    """The neighbours' x(k), sorted by name: sums in this order are the same on every run (R8)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Save:
+    """Write this atomically in place of the last one, before the `Send` that follows (R5)."""
+
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Publish a frame."""
+
+    data: bytes
+    to: str | None
+    """One neighbour, or None for all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Advanced:
+    """This robot is at iteration k with `value`. A restarted robot says the one it goes on from again."""
+
+    k: int
+    value: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """Iteration k waits for these robots; no robots: the wait is over."""
+
+    k: int
+    peers: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Going on could fork the trajectory, so this robot stops here. The reason names the robot at fault."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """The last iteration is reached; the process stays until `Lockstep.done` (R7)."""
+
+    k: int
+
+
+Action = Compute | Save | Send | Advanced | Waiting | Fault | Finished
