@@ -1,0 +1,1 @@
+"""What the dwm service does, without IO."""

@@ -1,0 +1,73 @@
+"""A recording in place of a module: row k is answered to whoever asks, and published when first asked for.
+
+The app asks `dwm/measurement?sequence=k` for the row that takes it from iteration k to k+1. An answer depends
+on the recording alone, so it is the same however often and by whomever it is asked. Past the end there is none.
+"""
+
+import queue
+from dataclasses import dataclass
+
+from swarm import clock
+from swarm.codec import encode
+from swarm.keys import key
+from swarm.messages import Measurement, Pose, Range, Ranges
+from swarm.recordings import Recording
+from swarm.service import Service
+
+NOBODY = "0000"
+"""Address under which the target is published where the config names none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Row `k` of a recording as messages."""
+
+    recording: Recording
+    k: int
+
+    def measurement(self) -> Measurement:
+        """What the app asks for; its `t` is the recording's own time: a row has one answer for ever."""
+        distance, x, y = self.recording.rows[self.k]
+        return Measurement(self.recording.times[self.k], self.k, distance, x, y)
+
+    def published(self, target: str, now: float) -> tuple[Ranges, Pose]:
+        """The same as live data look. The recordings hold no quality factors: full quality is claimed."""
+        distance, x, y = self.recording.rows[self.k]
+        item = Range(target, distance, distance, 100, 0.0, self.k)
+        return Ranges(now, self.k, (item,)), Pose(now, self.k, x, y, None, 100, "recording")
+
+
+def serve(service: Service, recording: Recording) -> None:
+    """Answer and publish rows until the service is to stop."""
+    first_asked: queue.SimpleQueue[int] = queue.SimpleQueue()
+    newest = -1
+
+    def answer(_: str, parameters: dict[str, str]) -> bytes | None:
+        nonlocal newest
+        text = parameters.get("sequence", "")
+        if not (text.isascii() and text.isdigit() and len(text) < 10):
+            service.counters["wrong_queries"] += 1
+            return None
+        k = int(text)
+        if k >= recording.steps:
+            service.counters["past_end"] += 1
+            service.log.warning("row %d was asked for, the recording ends at row %d", k, recording.steps - 1)
+            return None
+        if k > newest:  # the bus calls us on one thread
+            newest = k
+            first_asked.put(k)
+        return encode(Row(recording, k).measurement())
+
+    robot, target = service.robot, service.config.dwm.target or NOBODY
+    service.bus.serve(key(robot, "dwm", "measurement"), answer)
+    service.log.info("replays %s rows=%d", recording.path, recording.steps)
+    service.ready()
+    while not service.stopping.is_set():
+        try:
+            k = first_asked.get(timeout=0.25)  # a signal does not wake a queue: this bounds the time to stop
+        except queue.Empty:
+            continue
+        ranges, pose = Row(recording, k).published(target, clock.now())
+        service.bus.publish(key(robot, "dwm", "ranges"), ranges)
+        service.bus.publish(key(robot, "dwm", "pose"), pose)
+        service.watchdog()

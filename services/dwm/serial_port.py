@@ -1,0 +1,82 @@
+"""A DWM1001 at a serial port: opens it, polls it, publishes, and tries for ever when either goes away."""
+
+import select
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from services.dwm.core.pipeline import Pipeline
+from services.dwm.core.poller import Health, Poller
+from swarm import clock
+from swarm.errors import LocalError
+from swarm.keys import key
+from swarm.service import Service
+
+if TYPE_CHECKING:
+    import serial
+
+BAUD = 115200
+_FIRST_PAUSE = 0.1
+_MAX_PAUSE = 2.0
+_WRITE_TIMEOUT = 0.1
+_MAX_WAIT = 0.2
+"""s between looks at whether to stop: a signal does not wake `select`."""
+
+
+def serve(service: Service, path: Path) -> None:
+    """Publish what the module measures until the service is to stop."""
+    try:
+        import serial
+    except ImportError:
+        raise LocalError(
+            "[dwm] source is a serial port, which needs pyserial: pip install balboa-swarm[robot]"
+        ) from None
+    pipeline = Pipeline(service.config.dwm)
+    pause = _FIRST_PAUSE
+    while not service.stopping.is_set():
+        before = service.counters["reports"]
+        try:
+            # exclusive: two processes polling one module would read each other's answers
+            with serial.Serial(
+                str(path), BAUD, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True
+            ) as port:
+                _poll(service, port, pipeline)
+        except OSError as error:  # pyserial's own errors are OSErrors too
+            service.counters["port_errors"] += 1
+            service.degraded(f"{path}: {error.strerror or error}")
+        if service.counters["reports"] > before:
+            pause = _FIRST_PAUSE
+        service.watchdog()
+        service.stopping.wait(pause)
+        pause = min(pause * 2, _MAX_PAUSE)
+
+
+def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline) -> None:
+    """Runs the poller until the service is to stop; raises `OSError` when the port goes away."""
+    poller = Poller(service.config.dwm.rate, clock.now())
+    port.reset_input_buffer()
+    while not service.stopping.is_set():
+        now = clock.now()
+        wait = min(max(0.0, poller.next_deadline() - now), _MAX_WAIT)
+        if select.select([port.fileno()], [], [], wait)[0]:
+            poller.receive(port.read(4096), clock.now())
+        now = clock.now()
+        if now >= poller.next_deadline():
+            poller.handle_timer(now)
+        if request := poller.to_send():
+            port.write(request)
+            service.watchdog()
+        for event in poller.events():
+            if isinstance(event, Health):
+                _tell(service, port.name, event)
+            else:
+                ranges, pose = pipeline.report(event.location, now)
+                service.counters["reports"] += 1
+                service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
+                service.bus.publish(key(service.robot, "dwm", "pose"), pose)
+
+
+def _tell(service: Service, name: str | None, health: Health) -> None:
+    if health.working:
+        service.ready()
+    else:
+        service.degraded(f"{name}: {health.reason}")

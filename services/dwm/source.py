@@ -1,0 +1,33 @@
+"""Where the measurements come from, as `[dwm] source` of swarm.toml says it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarm.config import Config
+from swarm.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Serial:
+    """`serial:PATH`: a DWM1001 in generic mode at a serial port."""
+
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """`replay:DIR`: a folder of recordings, one file for each robot by its number in the config."""
+
+    directory: Path
+
+
+def parse_source(config: Config, robot: str) -> Serial | Replay:
+    """The source of `robot`; `{robot}` stands for its name; a relative path starts at the config's folder."""
+    text = config.dwm.source
+    kind, _, rest = text.partition(":")
+    path = config.path.parent / rest.replace("{robot}", robot)
+    if rest and kind == "serial":
+        return Serial(path)
+    if rest and kind == "replay":
+        return Replay(path)
+    raise ConfigError(f"{config.path}: [dwm] source: expected serial:PATH or replay:DIR, got {text!r}")

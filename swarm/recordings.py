@@ -1,0 +1,124 @@
+"""Recordings of the original robots' localization runs, `<index>.csv` for each robot of a run (thesis 4.3.3).
+
+A file's lines, lengths in cm:
+
+    t, x, y, zx, zy, gx, gy                                       line 1: state 0, before any iteration
+    t, x, y, zx, zy, gx, gy, 1                                    that state was sent
+    t, x, y, zx, zy, gx, gy, 0, cost, distance, own_x, own_y      a new state was computed
+    t, x, y, zx, zy, gx, gy, 1, cost, distance, own_x, own_y      that state was sent
+
+The n-th line with flag 0 (n = 0, 1, ...) holds state n+1 and the measurement with which its gradient was
+computed. So measurement k, the pair (phi_k, p_k), takes state k to state k+1 (thesis eqs 4.4 to 4.6; w_ij are
+row-normalized weights with the robot itself among its neighbours, neighbours' values travel as float32, every
+state is zero at k = 0), and it enters only through the last line:
+
+    x_{k+1} = sum_j w_ij x_k^j - z_k - gamma g_k
+    z_{k+1} = sum_j w_ij (z_k^j + gamma g_k^j) - gamma g_k
+    g_{k+1} = 4 (phi_k^2 - |x_{k+1} - p_k|^2) (p_k - x_{k+1})
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from swarm.errors import RecordingError
+
+_CM = 100.0
+
+
+class Row(NamedTuple):
+    """One measurement of a robot, in m."""
+
+    distance: float
+    """To the target."""
+    x: float
+    """The robot's own place."""
+    y: float
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What one robot measured and estimated."""
+
+    path: Path
+    rows: tuple[Row, ...]
+    """Row k takes state k to state k+1."""
+    times: tuple[float, ...]
+    """When row k was written, s after the file's first line."""
+    estimates: tuple[tuple[float, float], ...]
+    """Estimated place of the target in state k, m: one more than there are rows, the first is the start."""
+
+    @property
+    def steps(self) -> int:
+        """How many iterations can be replayed: as many as there are rows."""
+        return len(self.rows)
+
+
+def read_folder(directory: Path) -> list[Recording]:
+    """The recordings of all robots of a run: 0.csv, 1.csv and so on. Raises `RecordingError`."""
+    count = 1
+    while (directory / f"{count}.csv").exists():
+        count += 1
+    return [read_recording(directory, index) for index in range(count)]
+
+
+def read_recording(directory: Path, index: int) -> Recording:
+    """The recording of the robot that is number `index` in the config.
+
+    Raises `RecordingError`, with file and line, for anything that is not as described above.
+    """
+    if not directory.is_dir():
+        raise RecordingError(f"{directory}: there is no such folder of recordings")
+    path = directory / f"{index}.csv"
+    try:
+        lines = path.read_text("ascii", "replace").splitlines()
+    except FileNotFoundError:
+        raise RecordingError(
+            f"{path}: missing; a recording holds a file <index>.csv for each robot, from 0.csv"
+        ) from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    rows: list[Row] = []
+    times: list[float] = []
+    start: float | None = None
+    estimates: list[tuple[float, float]] = []
+    for number, line in enumerate(lines, 1):
+        try:
+            values = _numbers(line)
+            if start is None:
+                _expect(len(values) == 7, f"{len(values)} columns, the first line has 7 (t,x,y,zx,zy,gx,gy)")
+                start = values[0]
+                estimates.append((values[1] / _CM, values[2] / _CM))
+                continue
+            _expect(len(values) in (8, 12), f"{len(values)} columns, expected 12 (8 in line 2)")
+            flag = values[7]
+            _expect(flag in (0, 1), f"column 8 is {flag:g}, expected the flag 0 or 1")
+            if flag == 0:
+                _expect(len(values) == 12, "a new state without cost, distance and own place (12 columns)")
+                _expect(values[9] >= 0, f"a distance of {values[9]:g} cm")
+                rows.append(Row(values[9] / _CM, values[10] / _CM, values[11] / _CM))
+                times.append(values[0] - start)
+                estimates.append((values[1] / _CM, values[2] / _CM))
+        except ValueError as error:
+            raise RecordingError(f"{path}:{number}: {error}") from None
+    if not rows:
+        raise RecordingError(f"{path}:{len(lines) + 1}: the file ends before the first measurement")
+    return Recording(path, tuple(rows), tuple(times), tuple(estimates))
+
+
+def _numbers(line: str) -> list[float]:
+    values = []
+    for column, text in enumerate(line.split(","), 1):
+        try:
+            value = float(text) if "_" not in text else math.nan
+        except ValueError:
+            value = math.nan
+        _expect(math.isfinite(value), f"column {column} is {text[:40]!r}, expected a number")
+        values.append(value)
+    return values
+
+
+def _expect(right: bool, message: str) -> None:
+    if not right:
+        raise ValueError(message)
