@@ -1,7 +1,7 @@
 """A recording in place of a module: row k is answered to whoever asks, and published when first asked for.
 
 The app asks `dwm/measurement?sequence=k` for the row that takes it from iteration k to k+1. An answer depends
-on the recording alone, so it is the same however often and by whomever it is asked. Past the end there is none.
+on the recording alone: the same however often and by whomever it is asked. Past the end there is none.
 """
 
 import queue

@@ -26,8 +26,8 @@ class Pipeline:
     """One robot's UWB data.
 
     A repeat is an answer equal to the one before in every number, position and ranges: with noise of
-    centimetres and a resolution of millimetres two measurements do not agree in all of them by chance. It is no
-    new sample: it enters no filter and keeps its sequence; the ranges' age grows, the pose's `t` stays.
+    centimetres and a resolution of millimetres two measurements do not agree in all of them by chance. It is
+    no new sample: it enters no filter and keeps its sequence; the ranges' age grows, the pose's `t` stays.
     """
 
     def __init__(self, settings: Dwm) -> None:

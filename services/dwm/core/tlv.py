@@ -8,8 +8,8 @@ data parts of that call follow. For `dwm_loc_get`, request `0C 00`:
                           address (u16), distance (u32, mm), quality (u8), position (13 bytes as above)
 
 All integers are little-endian. There is no checksum and no frame mark, so that a receiver has to lean on what
-must hold (types, lengths, counts, percentages); what does not is dropped up to the next thing that looks like an
-answer.
+must hold (types, lengths, counts, percentages); what does not is dropped up to the next thing that looks like
+an answer.
 """
 
 import struct
