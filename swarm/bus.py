@@ -1,9 +1,11 @@
 """The one door to Zenoh. Every rule here was measured (docs/architecture.md, section Bus).
 
-Publishing never blocks longer than a millisecond and never raises: while the router is away messages are lost, so
-whoever needs an answer asks again. Subscribers' callbacks run on Zenoh's own receive thread: they may only enqueue or
-do a short step under a lock, since a slow one holds up every other key of the process. The session opens in the
-background, waits for a router that is not there yet, and survives its restart.
+Publishing never blocks longer than a millisecond and never fails for reasons outside this process: while the
+router is away messages are lost, so whoever needs an answer asks again. Callbacks run on Zenoh's own receive
+thread: they may only enqueue or do a short step under a lock, since a slow one holds up every other key of
+the process; publishing, asking and declaring from within them is fine. The session opens in the background,
+waits for a router that is not there yet, and survives its restart. Never fork with a session open: in the
+child everything hangs.
 """
 
 import json
@@ -14,12 +16,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from swarm.codec import encode
-from swarm.errors import BusError
-from swarm.paths import MAX_SOCKET_PATH, bus_endpoint
+from swarm.codec import MAX_PAYLOAD, encode
+from swarm.errors import BusError, LocalError
+from swarm.keys import MAX_KEY_LENGTH
+from swarm.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
-# One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round trip from
-# 305 to 157 us on the measuring machine. Must be set before the library is loaded.
+# One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round
+# trip from 305 to 157 us on the measuring machine. Must be set before the library is loaded.
 os.environ.setdefault(
     "ZENOH_RUNTIME",
     "(rx:(worker_threads:1),acc:(handover:rx),app:(handover:rx),tx:(handover:rx),net:(handover:rx))",
@@ -35,6 +38,7 @@ OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
 _log = logging.getLogger("bus")
 _MAX_MESSAGE = 1024 * 1024
+"""Bytes at which Zenoh gives a connection up: far above `MAX_PAYLOAD`, only a broken sender meets it."""
 
 
 def router_config(endpoint: str) -> str:
@@ -44,7 +48,9 @@ def router_config(endpoint: str) -> str:
             "mode": "router",
             "listen": {"endpoints": [endpoint], "exit_on_failure": True},
             "connect": {"endpoints": []},
-            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            # Without the delay of 0 Zenoh waits 0.5 s at the start for neighbours that it may not look for
+            # anyway.
+            "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
             "timestamping": {"enabled": {"router": True, "peer": False, "client": False}},
             "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
             "transport": {
@@ -70,7 +76,7 @@ def router_config(endpoint: str) -> str:
 
 
 def client_config(endpoint: str) -> str:
-    """Zenoh configuration (JSON) of a service: a client of one router, retrying for ever with short periods."""
+    """Zenoh configuration (JSON) of a service: a client of one router, retrying for ever."""
     return json.dumps(
         {
             "mode": "client",
@@ -96,43 +102,52 @@ def client_config(endpoint: str) -> str:
 
 
 class Router:
-    """The Zenoh router of one robot, in this process, until closed. Raises `BusError` where it cannot listen."""
+    """The Zenoh router of one robot, in this process, until closed. Raises `BusError` where it cannot listen.
+
+    Zenoh removes the socket a killed router left behind, and refuses one in use by a lock file beside it.
+    """
 
     def __init__(self, endpoint: str) -> None:
         try:
-            self._session = zenoh.open(zenoh.Config.from_json5(router_config(endpoint)))
+            self._session = zenoh.open(zenoh.Config.from_json5(router_config(_checked_endpoint(endpoint))))
         except zenoh.ZError as error:
-            raise BusError(f"the bus cannot listen on {endpoint}: {error}") from None
+            raise BusError(f"the bus cannot listen on {endpoint}: {_text(error)}") from None
 
     def close(self) -> None:
-        """Stop routing; the socket file is Zenoh's to remove."""
-        self._session.close()
+        """Stop routing; Zenoh removes the socket file."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> "Router":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 class Bus:
     """A client session of one robot's router.
 
-    Subscriptions, servers and tokens may be declared at once; they take effect when the router is found. Close it
-    before the process ends (or use it as a context): an open subscriber would hang the interpreter's exit.
+    Subscriptions, servers and tokens may be declared at once; they take effect when the router is found.
+    Close it before the process ends (or use it as a context): an open subscriber would hang the interpreter's
+    exit.
     """
 
-    def __init__(self, endpoint: str, *, on_change: Callable[[bool], None] | None = None) -> None:
-        """`endpoint` as of `swarm.paths.bus_endpoint`; `on_change(connected)` is called from Zenoh's thread."""
-        self._endpoint = endpoint
-        self._on_change = on_change
+    def __init__(self, endpoint: str) -> None:
+        """`endpoint` as of `swarm.paths.bus_endpoint`; raises `BusError` where it is none."""
+        self._endpoint = _checked_endpoint(endpoint)
         self._session: zenoh.Session | None = None
         self._lock = threading.Lock()
         self._pending: list[Callable[[zenoh.Session], object]] = []
         self._kept: list[object] = []
+        self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
         self._connected = threading.Event()
-        self._opener = threading.Thread(target=self._open, name="bus-open", daemon=True)
-        self._opener.start()
+        threading.Thread(target=self._open, name="bus-open", daemon=True).start()
 
     @classmethod
-    def of(cls, directory: Path, *, on_change: Callable[[bool], None] | None = None) -> "Bus":
+    def of(cls, directory: Path) -> "Bus":
         """The bus of the robot whose runtime directory is `directory`."""
-        return cls(bus_endpoint(directory), on_change=on_change)
+        return cls(bus_endpoint(directory))
 
     @property
     def connected(self) -> bool:
@@ -143,41 +158,60 @@ class Bus:
         """Wait for the router; False when it did not come in time."""
         return self._connected.wait(timeout_s)
 
+    def on_change(self, callback: Callable[[bool], None]) -> None:
+        """Call `callback(connected)` whenever the router comes or goes; at once where it is there."""
+        callback = _guard(callback)
+        with self._lock:
+            self._watchers.append(callback)
+            connected = self._connected.is_set()
+        if connected:
+            callback(True)
+
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """Send a message dataclass (as msgpack) or raw bytes; silently lost while the router is away.
 
-        `urgent` puts it ahead of the queue that a flood of other messages fills.
+        `urgent` puts it ahead of the queue that a flood of other messages fills. Raises `LocalError` only for
+        a key or message that the bus does not take at all, router or not.
         """
-        raw = isinstance(message, bytes | bytearray)
-        payload = bytes(message) if isinstance(message, bytes | bytearray) else encode(message)
+        if len(key) > MAX_KEY_LENGTH:
+            raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
+        if isinstance(message, bytes | bytearray):
+            payload, encoding = bytes(message), BINARY
+            if len(payload) > MAX_PAYLOAD:
+                raise LocalError(f"{key}: {len(payload)} bytes, the bus takes at most {MAX_PAYLOAD}")
+        else:
+            payload, encoding = encode(message), MSGPACK
         session = self._session
-        if session is None or self._closed:
+        if session is None:
             return
         try:
             session.put(
                 key,
                 payload,
-                encoding=BINARY if raw else MSGPACK,
+                encoding=encoding,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
             )
         except zenoh.ZError as error:
             if not self._closed:
-                _log.warning("put failed key=%s error=%s", key, error)
+                _log.warning("put failed key=%s error=%s", key, _text(error))
 
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> None:
-        """Call `callback(key, payload)` for every sample from other sessions. See the module's rule on callbacks."""
-        for key in (keys,) if isinstance(keys, str) else keys:
+        """Call `callback(key, payload)` for every sample of other sessions; see above for callbacks."""
+
+        def handle(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), sample.payload.to_bytes())
+
+        for key in map(_checked_key, (keys,) if isinstance(keys, str) else keys):
             self._declare(
                 lambda session, key=key: session.declare_subscriber(  # type: ignore[misc]
-                    key,
-                    zenoh.handlers.Callback(_guard(lambda s: callback(str(s.key_expr), s.payload.to_bytes())), indirect=False),
-                    allowed_origin=zenoh.Locality.REMOTE,
+                    key, _direct(handle), allowed_origin=zenoh.Locality.REMOTE
                 )
             )
 
     def serve(self, key: str, answer: OnQuery) -> None:
-        """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered. Same rule on callbacks."""
+        """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""
+        key = _checked_key(key)
 
         def handle(query: zenoh.Query) -> None:
             pairs = (pair.partition("=") for pair in str(query.parameters).split(";") if pair)
@@ -185,41 +219,44 @@ class Bus:
             if payload is not None:
                 query.reply(key, payload, encoding=MSGPACK)
 
-        self._declare(
-            lambda session: session.declare_queryable(key, zenoh.handlers.Callback(_guard(handle), indirect=False))
-        )
+        self._declare(lambda session: session.declare_queryable(key, _direct(handle)))
 
     def ask(self, key: str, on_reply: OnSample, *, timeout_s: float = 1.0, **parameters: object) -> None:
-        """Send a query; `on_reply(key, payload)` is called for each answer on Zenoh's thread. No answer, no call."""
+        """Send a query; `on_reply(key, payload)` is called for each answer. No answer, no call."""
+        selector = _checked_key(key)
+        if parameters:
+            selector += "?" + ";".join(f"{name}={value}" for name, value in parameters.items())
         session = self._session
-        if session is None or self._closed:
+        if session is None:
             return
-        selector = key + ("?" + ";".join(f"{name}={value}" for name, value in parameters.items()) if parameters else "")
 
         def handle(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 on_reply(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
 
         try:
-            session.get(selector, zenoh.handlers.Callback(_guard(handle), indirect=False), timeout=timeout_s)
+            session.get(selector, _direct(handle), timeout=timeout_s)
         except zenoh.ZError as error:
             if not self._closed:
-                _log.warning("query failed key=%s error=%s", key, error)
+                _log.warning("query failed key=%s error=%s", key, _text(error))
 
     def announce(self, key: str) -> None:
         """Declare a liveliness token: others see `key` alive until this process ends."""
+        key = _checked_key(key)
         self._declare(lambda session: session.liveliness().declare_token(key))
 
     def watch(self, key: str, callback: Callable[[str, bool], None]) -> None:
-        """Call `callback(key, alive)` when tokens matching `key` come and go. A router's restart makes all go: debounce."""
+        """Call `callback(key, alive)` when tokens matching `key` come and go.
+
+        The end of the router makes all of them go for a moment: wait a little before believing it.
+        """
+        key = _checked_key(key)
 
         def handle(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         self._declare(
-            lambda session: session.liveliness().declare_subscriber(
-                key, zenoh.handlers.Callback(_guard(handle), indirect=False), history=True
-            )
+            lambda session: session.liveliness().declare_subscriber(key, _direct(handle), history=True)
         )
 
     def close(self) -> None:
@@ -227,9 +264,10 @@ class Bus:
         with self._lock:
             self._closed = True
             session, self._session = self._session, None
-            self._kept.clear()
+        self._connected.clear()
         if session is not None:
-            session.close()
+            session.close()  # type: ignore[no-untyped-call]
+        self._kept.clear()
 
     def __enter__(self) -> "Bus":
         return self
@@ -239,36 +277,62 @@ class Bus:
 
     def _declare(self, declaration: Callable[[zenoh.Session], object]) -> None:
         with self._lock:
-            if self._session is None:
+            session = self._session
+            if session is None:
                 self._pending.append(declaration)
-            else:
-                self._kept.append(declaration(self._session))
+        # Outside the lock: what is declared may call back at once, and the callback may declare in its turn.
+        if session is not None:
+            self._keep(session, declaration)
+
+    def _keep(self, session: zenoh.Session, declaration: Callable[[zenoh.Session], object]) -> None:
+        try:
+            self._kept.append(declaration(session))
+        except zenoh.ZError as error:
+            if not self._closed:
+                _log.error("the bus refused a declaration: %s", _text(error))
 
     def _open(self) -> None:
-        """Runs in its own thread: `zenoh.open` waits without end, and a signal could not interrupt it in the main one."""
+        """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it."""
         try:
             session = zenoh.open(zenoh.Config.from_json5(client_config(self._endpoint)))
         except zenoh.ZError as error:
-            _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, error)  # noqa: TRY400
+            _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, _text(error))
             return
-        with self._lock:
-            if self._closed:
-                session.close()
-                return
-            self._kept.extend(declaration(session) for declaration in self._pending)
-            self._pending.clear()
-            self._session = session
-            self._kept.append(
-                session.info.declare_transport_events_listener(
-                    zenoh.handlers.Callback(_guard(self._on_transport), indirect=False), history=True
-                )
-            )
+        while True:
+            with self._lock:
+                pending, self._pending = self._pending, []
+                if self._closed:
+                    break
+                if not pending:
+                    self._session = session
+                    break
+            for declaration in pending:
+                self._keep(session, declaration)
+        if self._closed:
+            session.close()  # type: ignore[no-untyped-call]
+            return
+        # Last, so that whoever is told of the connection can publish over it.
+        self._keep(
+            session,
+            lambda session: session.info.declare_transport_events_listener(
+                _direct(self._on_transport), history=True
+            ),
+        )
 
     def _on_transport(self, event: Any) -> None:
         up = event.kind == zenoh.SampleKind.PUT
-        (self._connected.set if up else self._connected.clear)()
-        if self._on_change is not None and not self._closed:
-            self._on_change(up)
+        with self._lock:
+            if self._closed:
+                return
+            (self._connected.set if up else self._connected.clear)()
+            watchers = tuple(self._watchers)
+        for watcher in watchers:
+            watcher(up)
+
+
+def _direct(callback: Callable[[Any], None]) -> "zenoh.handlers.Callback[Any]":
+    """A callback on Zenoh's own thread; the default would be a queue and a further thread for each."""
+    return zenoh.handlers.Callback(_guard(callback), indirect=False)
 
 
 def _guard(callback: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -277,10 +341,32 @@ def _guard(callback: Callable[[Any], None]) -> Callable[[Any], None]:
     def guarded(argument: Any) -> None:
         try:
             callback(argument)
-        except Exception:
+        except Exception:  # noqa: BLE001 - whatever it is, it is a defect of the callback and goes to the log
             _log.exception("a bus callback failed")
 
     return guarded
 
 
-__all__ = ["BINARY", "MAX_SOCKET_PATH", "MSGPACK", "Bus", "Router", "client_config", "router_config"]
+def _checked_key(key: str) -> str:
+    """`key`, if Zenoh can take it: a too long one makes it panic later, a malformed one fails in a thread."""
+    if len(key) > MAX_KEY_LENGTH:
+        raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
+    try:
+        zenoh.KeyExpr(key)
+    except zenoh.ZError as error:
+        raise LocalError(f"key {key!r}: {_text(error)}") from None
+    return key
+
+
+def _checked_endpoint(endpoint: str) -> str:
+    if not endpoint.startswith(ENDPOINT_PROTOCOL + "/"):
+        raise BusError(f"bus endpoint {endpoint!r}: expected {ENDPOINT_PROTOCOL}/PATH")
+    return endpoint
+
+
+def _text(error: Exception) -> str:
+    """Zenoh's message without the place in its sources."""
+    return str(error).partition(" at /")[0]
+
+
+__all__ = ["BINARY", "MSGPACK", "Bus", "Router", "client_config", "router_config"]

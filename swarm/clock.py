@@ -3,7 +3,7 @@
 import time
 
 now = time.monotonic
-"""Seconds of the robot's monotonic clock: common to all its processes, never set back. All deadlines use it."""
+"""Seconds of the robot's monotonic clock: common to all its processes, never set back; for all deadlines."""
 
 wall = time.time
 """Seconds since 1970, for file names and recordings only: it jumps when somebody sets it."""

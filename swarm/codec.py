@@ -1,7 +1,7 @@
 """Messages as msgpack maps: typed dataclasses in, bytes out, and back with every field checked.
 
-A decoder is compiled once for each type, so that checking costs a few microseconds and an unknown, missing or wrong
-field is refused at the edge with an error that names key and field.
+A decoder is compiled once for each type, so that checking costs a few microseconds and an unknown, missing or
+wrong field is refused at the edge with an error that names key and field.
 """
 
 import dataclasses
@@ -9,7 +9,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import cache
 from typing import Any, TypeVar
 
 import msgpack
@@ -22,13 +22,19 @@ MAX_PAYLOAD = 64 * 1024
 Value = float | int | bool | str | tuple[float, ...]
 """What a free-form map on the bus (an app's state, say) may hold."""
 
+_SHOWN = 60
+"""Characters of a wrong value or name that an error shows."""
+
 T = TypeVar("T")
 _Check = Callable[[object, str], Any]
 
 
 def encode(message: object) -> bytes:
     """Pack a message dataclass into a msgpack map of its fields, nested dataclasses too."""
-    data: bytes = msgpack.packb(_plain(message))
+    try:
+        data: bytes = msgpack.packb(_plain(message))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise LocalError(f"{type(message).__name__}: {error}") from None
     if len(data) > MAX_PAYLOAD:
         raise LocalError(f"{type(message).__name__}: {len(data)} bytes, the bus takes at most {MAX_PAYLOAD}")
     return data
@@ -37,7 +43,7 @@ def encode(message: object) -> bytes:
 def decode(kind: type[T], payload: bytes, key: str) -> T:
     """Unpack `payload` into the dataclass `kind`; `PayloadError` names `key` and the field at fault."""
     try:
-        return typing.cast(T, _checker(kind)(unpack(payload), ""))
+        return typing.cast(T, _checker(typing.cast(Any, kind))(unpack(payload), ""))
     except PayloadError as error:
         raise PayloadError(f"{key}: {error}") from None
 
@@ -48,7 +54,7 @@ def unpack(payload: bytes) -> Any:
         raise PayloadError(f"payload of {len(payload)} bytes, at most {MAX_PAYLOAD} are accepted")
     try:
         return msgpack.unpackb(payload, strict_map_key=True)
-    except (ValueError, msgpack.UnpackException, msgpack.StackError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
         raise PayloadError(f"payload is not msgpack: {str(error) or type(error).__name__}") from None
 
 
@@ -62,15 +68,15 @@ def _plain(value: object) -> object:
     return value
 
 
-@lru_cache(maxsize=None)
+@cache
 def _checker(kind: Any) -> _Check:
-    """Compile the check of one type: a function of (value, path) that returns the checked value or raises."""
+    """Compile the check of one type: a function of (value, path) that returns the value or raises."""
     origin = typing.get_origin(kind)
     if origin in (typing.Union, types.UnionType):
-        return _check_union(tuple(_checker(option) for option in typing.get_args(kind)), str(kind))
-    if origin is tuple:
+        return _check_union(kind)
+    if origin is tuple and typing.get_args(kind)[1:] == (...,):
         return _check_tuple(_checker(typing.get_args(kind)[0]))
-    if origin is dict:
+    if origin is dict and typing.get_args(kind)[0] is str:
         return _check_dict(_checker(typing.get_args(kind)[1]))
     if dataclasses.is_dataclass(kind):
         return _check_dataclass(typing.cast(type, kind))
@@ -80,8 +86,19 @@ def _checker(kind: Any) -> _Check:
 
 
 def _wrong(value: object, path: str, wanted: str) -> PayloadError:
-    shown = repr(value)
-    return PayloadError(f"{path or 'payload'}: expected {wanted}, got {shown[:60]}{'...' if len(shown) > 60 else ''}")
+    # A map or list is only named: it may be nested deeper than repr can follow.
+    shown = (
+        "a map"
+        if isinstance(value, dict)
+        else "a list"
+        if isinstance(value, list)
+        else _shortened(repr(value))
+    )
+    return PayloadError(f"{path or 'payload'}: expected {wanted}, got {shown}")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
 
 
 def _check_float(value: object, path: str) -> float:
@@ -127,18 +144,28 @@ _PLAIN: dict[object, _Check] = {
 }
 
 
-def _check_union(options: tuple[_Check, ...], wanted: str) -> _Check:
+def _check_union(kind: Any) -> _Check:
+    """What msgpack unpacked to decides which option is meant, so that an int stays one beside a float."""
+    options: dict[type, _Check] = {}
+    for option in typing.get_args(kind):
+        wire = _WIRE.get(typing.get_origin(option) or option, dict)
+        if wire in options:
+            raise LocalError(f"messages cannot tell the options of {kind} apart")
+        options[wire] = _checker(option)
+    if float in options:
+        options.setdefault(int, options[float])
+
     def check(value: object, path: str) -> Any:
-        # An integer must stay one where both int and float are allowed: the exact type goes first.
-        exact = _PLAIN.get(type(value))
-        for option in sorted(options, key=lambda option: option is not exact):
-            try:
-                return option(value, path)
-            except PayloadError:
-                continue
-        raise _wrong(value, path, wanted)
+        option = options.get(type(value))
+        if option is None:
+            raise _wrong(value, path, str(kind))
+        return option(value, path)
 
     return check
+
+
+_WIRE: dict[object, type] = {**{kind: kind for kind in (float, int, bool, str, type(None))}, tuple: list}
+"""The type that msgpack unpacks each option of a union to; all others are maps."""
 
 
 def _check_tuple(item: _Check) -> _Check:
@@ -175,7 +202,7 @@ def _check_dataclass(kind: type) -> _Check:
         if missing := required - value.keys():
             raise PayloadError(f"{prefix}{min(missing)}: missing")
         if unknown := value.keys() - fields.keys():
-            name = min(map(str, unknown))
+            name = _shortened(min(str(name) for name in unknown))
             raise PayloadError(f"{prefix}{name}: unknown field, {kind.__name__} has {', '.join(fields)}")
         return kind(**{name: fields[name](entry, prefix + name) for name, entry in value.items()})
 

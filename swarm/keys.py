@@ -14,8 +14,8 @@ STOP = "swarm/stop"
 EVERYTHING = "swarm/**"
 
 MAX_KEY_LENGTH = 255
-"""Longest key taken from outside, in bytes. Zenoh accepts a 65 536 character key and then panics in put, which poisons
-the session; 255 is the length its own documentation recommends."""
+"""Longest key taken from outside, in bytes. Zenoh accepts a key of 65 536 characters and then panics in put,
+which poisons the session; 255 is the length its own documentation recommends."""
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,15}")
 _CHUNK = re.compile(r"[A-Za-z0-9_.:-]+")
@@ -33,7 +33,7 @@ class Key(NamedTuple):
 
 
 def key(robot: str, service: str, *topic: str) -> str:
-    """Build a key; raises `LocalError` where a part would not be a valid chunk. Wildcards are allowed as parts."""
+    """Build a key; raises `LocalError` where a part is not a valid chunk. Wildcards are allowed."""
     parts = (ROOT, robot, service, *topic)
     for part in "/".join(parts).split("/"):
         if part not in ("*", "**") and not _CHUNK.fullmatch(part):
@@ -44,7 +44,7 @@ def key(robot: str, service: str, *topic: str) -> str:
 def parse(text: str) -> Key:
     """Take a concrete key from the bus or from a peer apart.
 
-    Raises `PayloadError` for a key that is too long, is not below `swarm/`, or holds wildcards or odd characters.
+    Raises `PayloadError` for a key that is too long, is not below `swarm/`, or has wildcards or odd letters.
     """
     if len(text.encode("utf-8", "surrogatepass")) > MAX_KEY_LENGTH:
         raise PayloadError(f"key {text[:40]!r}...: longer than {MAX_KEY_LENGTH} bytes")
@@ -58,5 +58,5 @@ def parse(text: str) -> Key:
 
 
 def is_name(text: str) -> bool:
-    """Whether `text` may name a robot or an app: a lower-case letter, then up to 15 letters, digits, _ or -."""
+    """Whether `text` may name a robot or an app: a lower-case letter, then up to 15 of a-z, 0-9, _ and -."""
     return _NAME.fullmatch(text) is not None

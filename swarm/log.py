@@ -1,6 +1,6 @@
-"""Logging to stderr with the priority prefixes of sd-daemon(3), so that journald keeps the levels.
+"""Logging to stderr; where that is the journal, with the priority prefixes of sd-daemon(3) for the levels.
 
-Messages are a sentence followed by `key=value` pairs. Level by the variable SWARM_LOG (debug, info, warning, error).
+Messages are a sentence followed by `key=value` pairs. Level by SWARM_LOG (debug, info, warning, error).
 """
 
 import logging
@@ -10,24 +10,38 @@ import sys
 _PRIORITY = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
 
 
-class _JournalFormatter(logging.Formatter):
+class _Formatter(logging.Formatter):
+    def __init__(self, *, journal: bool) -> None:
+        super().__init__(
+            "%(name)s: %(message)s" if journal else "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+        )
+        self._journal = journal
+
     def format(self, record: logging.LogRecord) -> str:
         text = super().format(record)
-        # A multi-line record needs the prefix on each line, or journald splits it into unlabelled ones.
-        prefix = f"<{_PRIORITY.get(record.levelno, 6)}>" if self._journal else ""
+        if not self._journal:
+            return text
+        # A multi-line record needs the prefix on each line, or journald takes the rest for level info.
+        prefix = f"<{_PRIORITY.get(record.levelno, 6)}>"
         return "\n".join(prefix + line for line in text.splitlines())
-
-    def __init__(self, journal: bool) -> None:
-        super().__init__("%(name)s: %(message)s" if journal else "%(asctime)s %(levelname)-7s %(name)s: %(message)s")
-        self._journal = journal
 
 
 def setup(name: str) -> logging.Logger:
     """Configure the process' logging once and return the logger `name`."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_JournalFormatter(journal="JOURNAL_STREAM" in os.environ))
+    handler.setFormatter(_Formatter(journal=_is_journal()))
+    logging.raiseExceptions = False  # a stderr that went away must not end in a traceback on it
     level = os.environ.get("SWARM_LOG", "info").upper()
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level if level in logging.getLevelNamesMapping() else "INFO")
     return logging.getLogger(name)
+
+
+def _is_journal() -> bool:
+    """Whether stderr is the journal, as systemd names it; a child may inherit the name but not the pipe."""
+    try:
+        stream = os.fstat(sys.stderr.fileno())
+    except (OSError, ValueError):
+        return False
+    return os.environ.get("JOURNAL_STREAM") == f"{stream.st_dev}:{stream.st_ino}"

@@ -1,8 +1,8 @@
 """Every message on the bus and the key it travels under. One place, so that no two services can disagree.
 
 Payloads are msgpack maps with these field names (`swarm.codec`). SI units: m, rad, s, V. `t` is the sender's
-monotonic clock in seconds, common to all processes of one robot; the mesh relates the clocks of different robots.
-The only binary payloads are the app-to-app frames of the synchronous overlay (`swarm.core.lockstep`).
+monotonic clock in seconds, common to all processes of one robot; the mesh relates the robots' clocks. The
+only binary payloads are the app-to-app frames of the synchronous overlay (`swarm.core.lockstep`).
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from swarm.keys import STOP, parse
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Life cycle of one service, on `swarm/<robot>/<service>/status`: published on change and answered to queries."""
+    """Life cycle of a service, on `swarm/<robot>/<service>/status`: sent on change, answered to queries."""
 
     t: float
     service: str
@@ -37,7 +37,7 @@ class LinkState:
     state: str
     """down, connecting, up or suspect."""
     connection: int
-    """Counts the connections so far: a change tells a subscriber that the link was renewed, even between samples."""
+    """Counts the connections so far: a change tells that the link was renewed, even between two samples."""
     rtt: float | None
     """Smoothed round-trip time, s; None before the first heartbeat came back."""
     sent: int
@@ -84,7 +84,7 @@ class BalancerState:
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Wheel travel, on `swarm/<robot>/balancer/odometry` at 25 Hz. Integrated at 100 Hz, so no increment is lost."""
+    """Wheel travel, on `swarm/<robot>/balancer/odometry` at 25 Hz; integrated at 100 Hz, nothing is lost."""
 
     t: float
     sequence: int
@@ -168,7 +168,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One row of a replayed recording, answered by `dwm/measurement?sequence=k`: range to the target and own place."""
+    """Row k of a replayed recording, answered by `dwm/measurement?sequence=k`: range to target, own place."""
 
     t: float
     sequence: int
@@ -232,13 +232,13 @@ TOPICS: dict[tuple[str, str], type] = {
     ("app", "*/progress"): AppProgress,
     ("sim", "truth"): Truth,
 }
-"""Message type of each key, by (service, topic); `*` stands for one chunk. docs/keys.md is checked against it."""
+"""Message type of each key, by (service, topic); `*` is any one chunk. A test compares docs/keys.md to it."""
 
 
 def type_of(key: str) -> type | None:
     """The message type that travels under `key`, None where the key is none of ours.
 
-    Raises `PayloadError` on a key that is not even well formed.
+    Raises `PayloadError` for a key that is not even well formed.
     """
     if key == STOP:
         return Stop
@@ -251,7 +251,7 @@ def type_of(key: str) -> type | None:
 
 
 def read(key: str, payload: bytes) -> object:
-    """Decode a payload by its key. Raises `PayloadError` where the key is unknown or the payload is not of its type."""
+    """Decode a payload by its key; `PayloadError` where the key is unknown or the payload not of its type."""
     kind = type_of(key)
     if kind is None:
         raise PayloadError(f"{key}: no message travels under this key (docs/keys.md lists them)")

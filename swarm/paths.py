@@ -16,23 +16,33 @@ MAX_SOCKET_PATH = 107
 
 BUS_SOCKET = "bus.sock"
 
+ENDPOINT_PROTOCOL = "unixsock-stream"
+"""Zenoh's name for a Unix socket."""
+
 
 def runtime_dir() -> Path:
     """The runtime directory of the robot this process belongs to."""
-    return Path(os.environ.get("SWARM_RUNTIME", DEFAULT_RUNTIME))
+    return Path(os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME)
 
 
 def socket_path(directory: Path, name: str) -> Path:
-    """`directory/name`, checked to fit a Unix socket address; raises `BusError` with what to do where it does not."""
+    """`directory/name`, checked to fit a Unix socket's address; `BusError` says what to do if it does not."""
     path = directory / name
     length = len(os.fsencode(path))
     if length > MAX_SOCKET_PATH:
         raise BusError(
-            f"{path}: {length} bytes, but a Unix socket's path holds at most {MAX_SOCKET_PATH}; use a shorter directory"
+            f"{path}: {length} bytes, but a Unix socket's path holds at most {MAX_SOCKET_PATH}; "
+            "use a shorter directory"
         )
     return path
 
 
 def bus_endpoint(directory: Path) -> str:
-    """The Zenoh endpoint of the router whose runtime directory is `directory`."""
-    return f"unixsock-stream/{socket_path(directory, BUS_SOCKET)}"
+    """The Zenoh endpoint of the router with this runtime directory; `BusError` where it can be none."""
+    path = socket_path(directory, BUS_SOCKET)
+    if odd := set(str(path)) & set("?#"):
+        # Zenoh would cut the path there and listen somewhere else.
+        raise BusError(
+            f"{path}: a runtime directory cannot have {odd.pop()!r} in its path; use another directory"
+        )
+    return f"{ENDPOINT_PROTOCOL}/{path}"

@@ -3,10 +3,12 @@
     starting --ready()--> ready <--degraded(reason)/ready()--> degraded
         any --SIGTERM, SIGINT or stop()--> stopping
 
-State goes to systemd (sd_notify), to the bus (`swarm/<robot>/<service>/status`, published on change and answered to
-queries) and to a liveliness token `swarm/<robot>/<service>/alive`. A service of a simulation dies with its parent.
+State goes to systemd (sd_notify), to the bus (`swarm/<robot>/<service>/status`, published on change and
+answered to queries) and to a liveliness token `swarm/<robot>/<service>/alive`. A service of a simulation dies
+with its parent.
 """
 
+import _thread
 import ctypes
 import logging
 import os
@@ -22,7 +24,7 @@ from swarm import clock, log
 from swarm.bus import Bus
 from swarm.codec import encode
 from swarm.config import Config, load, who_am_i
-from swarm.errors import SwarmError
+from swarm.errors import LocalError, SwarmError
 from swarm.keys import key
 from swarm.messages import Status
 from swarm.paths import runtime_dir
@@ -33,13 +35,17 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 def die_with_parent() -> None:
     """End with SIGKILL when the process named by SWARM_PARENT dies, however it dies. Does nothing without it.
 
-    The kernel ties the signal to the parent *thread* that started us, so simulations start services from their main
-    thread. The parent may be gone before the call takes effect: hence the look afterwards.
+    The kernel ties the signal to the parent *thread* that started us, so simulations start services from
+    their main thread. The parent may be gone before the call takes effect: hence the look afterwards. A
+    service that starts a process of its own sets SWARM_PARENT to its own pid for it.
     """
     parent = os.environ.get("SWARM_PARENT")
-    if parent is None:
+    if not parent:
         return
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if not parent.isdecimal():
+        raise LocalError(f"SWARM_PARENT={parent!r}: expected the pid of the process that started this one")
+    if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL) != 0:
+        raise LocalError(f"prctl(PR_SET_PDEATHSIG): {os.strerror(ctypes.get_errno())}")
     if os.getppid() != int(parent):
         os._exit(1)
 
@@ -51,7 +57,11 @@ class Service:
     """
 
     def __init__(self, name: str, *, on_bus: Callable[[bool], None] | None = None) -> None:
-        """Reads the config and who we are; raises `ConfigError`. `on_bus(connected)` runs on Zenoh's thread."""
+        """Reads the config and who we are; raises `ConfigError`.
+
+        `on_bus(connected)` runs on Zenoh's thread, possibly before this returns; where it needs the finished
+        service, use `bus.on_change` afterwards.
+        """
         die_with_parent()
         self.name = name
         self.log = log.setup(name)
@@ -60,14 +70,18 @@ class Service:
         self.runtime: Path = runtime_dir()
         self.stopping = threading.Event()
         self.counters: Counter[str] = Counter()
-        self._on_bus = on_bus
         self._lock = threading.Lock()
         self._state, self._reason, self._since = "starting", "", clock.now()
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: self.stop())
-        self.bus = Bus.of(self.runtime, on_change=self._bus_changed)
+            # It interrupts the main thread, which may hold the event's own lock: so another one sets it.
+            signal.signal(number, lambda *_: _thread.start_new_thread(self.stop, ()))
+        self._status_key = key(self.robot, name, "status")
+        self.bus = Bus.of(self.runtime)
         self.bus.announce(key(self.robot, name, "alive"))
-        self.bus.serve(key(self.robot, name, "status"), lambda *_: encode(self.status()))
+        self.bus.serve(self._status_key, lambda *_: encode(self.status()))
+        self.bus.on_change(self._bus_changed)
+        if on_bus is not None:
+            self.bus.on_change(on_bus)
 
     def ready(self) -> None:
         """Say that the service does its work."""
@@ -88,8 +102,10 @@ class Service:
     def status(self) -> Status:
         """The state as it is now."""
         with self._lock:
-            counters = {name: count for name, count in self.counters.items() if count}
-            return Status(clock.now(), self.name, self._state, self._reason, os.getpid(), self._since, counters)
+            state, reason, since = self._state, self._reason, self._since
+        # The copy is one step of the interpreter: other threads may be counting a new name.
+        counters = {name: count for name, count in dict(self.counters).items() if count}
+        return Status(clock.now(), self.name, state, reason, os.getpid(), since, counters)
 
     def close(self) -> None:
         """Announce the end and leave the bus."""
@@ -104,24 +120,23 @@ class Service:
 
     def _change(self, state: str, reason: str) -> None:
         with self._lock:
-            if (state, reason) == (self._state, self._reason):
+            if self._state == "stopping" or (state, reason) == (self._state, self._reason):
                 return
             self._state, self._reason, self._since = state, reason, clock.now()
         if state == "degraded":
             self.log.warning("degraded: %s", reason)
-        notify({"ready": "READY=1\n", "stopping": "STOPPING=1\n"}.get(state, "") + f"STATUS={state} {reason}".rstrip())
-        self.bus.publish(key(self.robot, self.name, "status"), self.status())
+        first = {"ready": "READY=1\n", "stopping": "STOPPING=1\n"}.get(state, "")
+        notify(first + "STATUS=" + f"{state} {reason}".strip().replace("\n", " "))
+        self.bus.publish(self._status_key, self.status())
 
     def _bus_changed(self, connected: bool) -> None:
         self.log.debug("bus connected=%s", connected)
         if connected:
-            self.bus.publish(key(self.robot, self.name, "status"), self.status())
-        if self._on_bus is not None:
-            self._on_bus(connected)
+            self.bus.publish(self._status_key, self.status())
 
 
 def notify(message: str) -> None:
-    """Send a message to systemd (sd_notify(3)): one datagram to NOTIFY_SOCKET; nothing where there is none."""
+    """Send a message to systemd (sd_notify(3)): one datagram to NOTIFY_SOCKET, where there is one."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
@@ -133,10 +148,13 @@ def notify(message: str) -> None:
 
 
 def run(main: Callable[[], int | None]) -> None:
-    """Run a process' main function: our own errors become one line on stderr and exit code 2, never a traceback."""
+    """Run a process' main function: our own errors become one line on stderr and exit code 2."""
     try:
         code = main()
     except SwarmError as error:
-        sys.stderr.write(f"{Path(sys.argv[0]).name}: {error}\n")
+        path = Path(sys.argv[0])
+        sys.stderr.write(f"{path.parent.name if path.name == '__main__.py' else path.name}: {error}\n")
         code = 2
+    except KeyboardInterrupt:
+        code = 128 + signal.SIGINT
     sys.exit(code or 0)

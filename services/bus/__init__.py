@@ -1,0 +1,1 @@
+"""The Zenoh router of one robot: where its services meet."""

@@ -1,0 +1,31 @@
+"""The bus of one robot: a Zenoh router on the Unix socket RUNTIME/bus.sock, and nothing on the network.
+
+It listens before it joins its own bus as a service, so that systemd hears READY only when others can connect.
+"""
+
+import os
+from pathlib import Path
+
+from services.bus.claim import claim
+from swarm.bus import Router
+from swarm.paths import bus_endpoint, runtime_dir
+from swarm.service import Service, die_with_parent, run
+
+UMASK = 0o007
+"""Connecting takes write permission on the socket, which follows the umask: owner and group, nobody else."""
+
+
+def main() -> None:
+    """Route until SIGTERM or SIGINT."""
+    die_with_parent()
+    os.umask(UMASK)
+    directory: Path = runtime_dir()
+    endpoint = bus_endpoint(directory)
+    with claim(directory), Router(endpoint), Service("bus") as service:
+        service.ready()
+        service.log.info("routing endpoint=%s", endpoint)
+        service.stopping.wait()
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,130 @@
+"""Fixtures of all tests: a short runtime directory, processes that never outlive a test, a real router."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+CONFIG = """\
+network = "test"
+[[robots]]
+name = "r0"
+[[robots]]
+name = "r1"
+[topology]
+shape = "line"
+[mesh]
+insecure = true
+"""
+
+
+def wait_until(condition: Callable[[], object], timeout: float = 10.0, what: str = "") -> None:
+    """Poll until `condition()` is true; the deadline only bounds a failure."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > deadline:
+            pytest.fail(f"not within {timeout} s: {what or condition}")
+        time.sleep(0.01)
+
+
+class Processes:
+    """Starts Python processes of the project for a runtime directory and ends them with the test."""
+
+    def __init__(self, runtime: Path) -> None:
+        self.runtime = runtime
+        self.config = runtime / "swarm.toml"
+        self.config.write_text(CONFIG)
+        self._started: list[subprocess.Popen[str]] = []
+
+    def environment(self, **extra: str) -> dict[str, str]:
+        """The variables a service is started with; `extra` overrides."""
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("SWARM_")}
+        own = {"SWARM_CONFIG": str(self.config), "SWARM_ROBOT": "r0", "SWARM_RUNTIME": str(self.runtime)}
+        return inherited | own | {"XDG_RUNTIME_DIR": str(self.runtime)} | extra
+
+    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
+        """Start `python ARGUMENTS` with pipes for all three streams."""
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            env=self.environment(**environment),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._started.append(process)
+        return process
+
+    def start_ready(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
+        """Start a service and return when it has told systemd (us) that it is ready."""
+        address = str(self.runtime / f"notify{len(self._started)}")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+            sock.bind(address)
+            sock.settimeout(0.1)
+            process = self.start(*arguments, NOTIFY_SOCKET=address, **environment)
+            deadline = time.monotonic() + 20
+            while True:
+                try:
+                    if "READY=1" in sock.recv(4096).decode():
+                        break
+                except TimeoutError:
+                    if process.poll() is not None or time.monotonic() > deadline:
+                        process.kill()
+                        pytest.fail(f"{arguments} did not get ready:\n{process.communicate()[1]}")
+        Path(address).unlink()
+        return process
+
+    def router(self, **environment: str) -> subprocess.Popen[str]:
+        """Start the bus service of this runtime directory and wait until it listens."""
+        return self.start_ready("-m", "services.bus", **environment)
+
+    def end(self) -> None:
+        """Kill what still runs and close the pipes."""
+        for process in self._started:
+            if process.poll() is None:
+                process.kill()
+        for process in self._started:
+            process.communicate()
+
+
+@pytest.fixture
+def runtime() -> Iterator[Path]:
+    """A runtime directory with a path short enough for Unix sockets."""
+    path = Path(tempfile.mkdtemp(prefix="sw", dir="/tmp"))
+    yield path
+    shutil.rmtree(path)
+
+
+@pytest.fixture
+def processes(runtime: Path) -> Iterator[Processes]:
+    """Starts processes in `runtime`; all of them are gone after the test."""
+    started = Processes(runtime)
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def router(processes: Processes) -> subprocess.Popen[str]:
+    """A running bus service in `runtime`."""
+    return processes.router()
+
+
+@pytest.fixture(autouse=True)
+def _no_swarm_variables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests see no robot, config or run of the machine they run on."""
+    for name in [name for name in os.environ if name.startswith("SWARM_")]:
+        monkeypatch.delenv(name)
+
+
+def stop(process: subprocess.Popen[str], timeout: float = 10.0) -> int:
+    """End a service as systemd does, by SIGTERM, and return its exit code."""
+    process.send_signal(signal.SIGTERM)
+    return process.wait(timeout)
