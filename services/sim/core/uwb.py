@@ -57,9 +57,9 @@ class ErrorModel:
     missing: float = 0.02
     """Probability that a module gives no range."""
     engine_offset: float = -0.093
-    """What the module's location engine adds to a range before it positions itself. Fitted: with the ranges as they
-    are reported, positions would be off by 19 cm and still by 13 cm after eq. 2.10; the recordings have 7.4 and
-    5.4 cm, noise included. With this, eq. 2.10 leaves 2 to 3 cm at the recorded places."""
+    """What the module's location engine adds to a range before it positions itself. Fitted: from ranges as
+    reported, positions would be off by 19 cm, and still by 13 cm after eq. 2.10; the recordings have 7.4 and
+    5.4 cm, noise included. With this, eq. 2.10 leaves 2 to 3 cm of bias at the recorded places."""
 
 
 @dataclass(frozen=True, slots=True)
