@@ -1,7 +1,7 @@
 """Errors of the whole project: who was wrong decides what to do.
 
 `LocalError`: our side misused something (a wrong config, a wrong argument); the message says what, where and
-how to mend it, and a command ends with it. `RemoteError`: bytes from elsewhere were wrong (a frame, a payload);
+how to mend it; a command ends with it. `RemoteError`: bytes from elsewhere were wrong (a frame, a payload);
 the receiver drops and counts them and goes on.
 """
 

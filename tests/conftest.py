@@ -17,8 +17,10 @@ CONFIG = """\
 network = "test"
 [[robots]]
 name = "r0"
+link = "sim:{runtime}/r0.sock"
 [[robots]]
 name = "r1"
+link = "sim:{runtime}/r1.sock"
 [topology]
 shape = "line"
 [mesh]
@@ -41,7 +43,7 @@ class Processes:
     def __init__(self, runtime: Path) -> None:
         self.runtime = runtime
         self.config = runtime / "swarm.toml"
-        self.config.write_text(CONFIG)
+        self.config.write_text(CONFIG.format(runtime=runtime))
         self._started: list[subprocess.Popen[str]] = []
 
     def environment(self, **extra: str) -> dict[str, str]:

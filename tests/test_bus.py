@@ -1,0 +1,370 @@
+"""The bus adapter against a real router process: what holds over its death, its stop and its restart."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from conftest import Processes, wait_until
+
+from swarm.bus import Bus, Router
+from swarm.codec import MAX_PAYLOAD
+from swarm.errors import BusError, LocalError
+from swarm.messages import Leds, read
+from swarm.paths import bus_endpoint
+
+Open = Callable[[], Bus]
+
+
+@pytest.fixture
+def open_bus(runtime: Path) -> Iterator[Open]:
+    """Opens sessions that are closed with the test."""
+    opened: list[Bus] = []
+
+    def open_one() -> Bus:
+        opened.append(Bus.of(runtime))
+        return opened[-1]
+
+    yield open_one
+    for bus in opened:
+        bus.close()
+
+
+class Samples(list[tuple[str, bytes]]):
+    """A subscriber's callback that keeps what came."""
+
+    def __call__(self, key: str, payload: bytes) -> None:
+        self.append((key, payload))
+
+
+def talk(bus: Bus, key: str, samples: Samples, payload: bytes = b"hello") -> None:
+    """Publish until `samples` has it: a subscription takes effect a moment after it was declared."""
+
+    def arrived() -> bool:
+        bus.publish(key, payload)
+        return (key, payload) in samples
+
+    wait_until(arrived, what=f"{key} arrives")
+
+
+@pytest.mark.usefixtures("router")
+def test_a_message_travels_typed(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    alice.publish("swarm/r0/balancer/leds", Leds(red=True, yellow=False, green=True), urgent=True)
+    wait_until(lambda: samples[-1][0] == "swarm/r0/balancer/leds")
+    assert read(*samples[-1]) == Leds(red=True, yellow=False, green=True)
+
+
+@pytest.mark.usefixtures("router")
+def test_own_messages_do_not_come_back(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    own, other = Samples(), Samples()
+    alice.subscribe("swarm/r0/test/**", own)
+    bob.subscribe("swarm/r0/test/**", other)
+    talk(alice, "swarm/r0/test/x", other)
+    talk(bob, "swarm/r0/test/y", own)
+    assert {key for key, _ in own} == {"swarm/r0/test/y"}
+
+
+@pytest.mark.usefixtures("router")
+def test_several_keys_one_callback(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe(["swarm/r0/a/x", "swarm/r0/b/*"], samples)
+    for key in ("swarm/r0/a/x", "swarm/r0/b/y"):
+        talk(alice, key, samples)
+    alice.publish("swarm/r0/c/z", b"")
+    talk(alice, "swarm/r0/a/x", samples, b"last")
+    assert "swarm/r0/c/z" not in {key for key, _ in samples}
+
+
+@pytest.mark.usefixtures("router")
+def test_queries_carry_parameters_and_may_stay_unanswered(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    asked: list[dict[str, str]] = []
+
+    def answer(_: str, parameters: dict[str, str]) -> bytes | None:
+        asked.append(parameters)
+        return b"row 7" if parameters.get("sequence") == "7" else None
+
+    bob.serve("swarm/r0/dwm/measurement", answer)
+    replies = Samples()
+
+    def answered() -> bool:
+        alice.ask("swarm/r0/dwm/measurement", replies, sequence=8)
+        alice.ask("swarm/r0/dwm/measurement", replies, sequence=7)
+        return bool(replies)
+
+    wait_until(answered)
+    assert set(replies) == {("swarm/r0/dwm/measurement", b"row 7")}
+    assert {"sequence": "8"} in asked
+
+
+@pytest.mark.usefixtures("router")
+def test_tokens_come_and_go(open_bus: Open) -> None:
+    alice, bob, late = open_bus(), open_bus(), open_bus()
+    events = Samples()
+    alice.watch("swarm/*/*/alive", events)
+    bob.announce("swarm/r0/mesh/alive")
+    wait_until(lambda: ("swarm/r0/mesh/alive", True) in events)
+    history = Samples()
+    late.watch("swarm/*/*/alive", history)
+    wait_until(lambda: ("swarm/r0/mesh/alive", True) in history)
+    bob.close()
+    wait_until(lambda: ("swarm/r0/mesh/alive", False) in events)
+
+
+def test_declared_before_the_router_is_there(open_bus: Open, processes: Processes) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    alice.publish("swarm/r0/test/x", b"lost")
+    assert not alice.connected
+    assert not alice.wait_connected(0.0)
+    processes.router()
+    assert alice.wait_connected(10)
+    talk(alice, "swarm/r0/test/x", samples)
+
+
+def test_everything_works_again_after_the_router_was_killed(
+    open_bus: Open, processes: Processes, router: subprocess.Popen[str]
+) -> None:
+    alice, bob = open_bus(), open_bus()
+    changes: list[bool] = []
+    alice.on_change(changes.append)
+    samples, replies, tokens = Samples(), Samples(), Samples()
+    bob.subscribe("swarm/r0/test/**", samples)
+    bob.serve("swarm/r0/test/question", lambda *_: b"answer")
+    bob.announce("swarm/r0/test/alive")
+    alice.watch("swarm/*/*/alive", tokens)
+    for round_ in (1, 2):
+        talk(alice, "swarm/r0/test/x", samples)
+
+        def answered() -> bool:
+            alice.ask("swarm/r0/test/question", replies, timeout_s=0.2)
+            return bool(replies)
+
+        wait_until(answered)
+        wait_until(lambda: tokens and tokens[-1][1], what="token")
+        assert changes[-1] is True
+        router.kill()
+        router.wait()
+        wait_until(lambda: not alice.connected and not bob.connected)
+        wait_until(lambda: not tokens[-1][1], what="token gone")
+        assert changes[-1] is False
+        for _ in range(200):
+            alice.publish("swarm/r0/test/lost", b"lost")
+        samples.clear()
+        replies.clear()
+        router = processes.router()
+        wait_until(lambda: alice.connected and bob.connected, what=f"reconnect {round_}")
+    talk(alice, "swarm/r0/test/x", samples)
+    assert ("swarm/r0/test/lost", b"lost") not in samples
+
+
+def test_on_change_tells_the_present_state_once(open_bus: Open, router: subprocess.Popen[str]) -> None:
+    bus = open_bus()
+    assert bus.wait_connected(10)
+    changes: list[bool] = []
+    bus.on_change(changes.append)
+    assert changes == [True]
+    router.kill()
+    wait_until(lambda: changes == [True, False])
+
+
+SUBSCRIBER = """
+import sys
+from swarm.bus import Bus
+count = 0
+def callback(key, payload):
+    global count
+    count += 1
+with Bus(sys.argv[1]) as bus:
+    bus.subscribe("swarm/**", callback)
+    bus.wait_connected(None)
+    print("listening", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.usefixtures("router")
+def test_a_stopped_subscriber_does_not_hold_up_the_others(
+    open_bus: Open, processes: Processes, runtime: Path
+) -> None:
+    stopped = processes.start("-c", SUBSCRIBER, bus_endpoint(runtime))
+    assert stopped.stdout is not None
+    assert stopped.stdout.readline() == "listening\n"
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    stopped.send_signal(signal.SIGSTOP)
+    block = bytes(4096)
+    slowest = 0.0
+    for number in range(1000):  # 4 MB: more than its socket and the router's queue for it hold
+        started = time.monotonic()
+        alice.publish("swarm/r0/test/y", block)
+        slowest = max(slowest, time.monotonic() - started)
+        if number % 100 == 0:
+            talk(alice, "swarm/r0/test/x", samples, str(number).encode())
+    talk(alice, "swarm/r0/test/x", samples, b"last")
+    # Blocking congestion control holds a publisher for 5 s and more here; the bound is far from both.
+    assert slowest < 1.0
+    stopped.send_signal(signal.SIGCONT)
+    _, errors = stopped.communicate(timeout=10)
+    assert (stopped.returncode, errors) == (0, "")
+
+
+def test_a_stopped_router_does_not_hold_up_a_publisher(open_bus: Open, router: subprocess.Popen[str]) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    router.send_signal(signal.SIGSTOP)
+    started = time.monotonic()
+    for _ in range(300):
+        alice.publish("swarm/r0/test/y", bytes(60000))
+    assert time.monotonic() - started < 3.0
+    router.send_signal(signal.SIGCONT)
+    talk(alice, "swarm/r0/test/x", samples, b"again")
+
+
+def test_close_without_a_router(runtime: Path) -> None:
+    with Bus.of(runtime) as bus:
+        bus.subscribe("swarm/**", lambda *_: None)
+        started = time.monotonic()
+    bus.close()
+    assert time.monotonic() - started < 1.0
+    bus.publish("swarm/r0/test/x", b"after the end")
+    bus.ask("swarm/r0/test/x", lambda *_: None)
+
+
+def test_the_process_ends_while_no_router_is_there(processes: Processes, runtime: Path) -> None:
+    code = "import sys; from swarm.bus import Bus; b = Bus(sys.argv[1]); b.announce('swarm/a/b/c'); b.close()"
+    process = processes.start("-c", code, bus_endpoint(runtime))
+    _, errors = process.communicate(timeout=10)
+    assert (process.returncode, errors) == (0, "")
+
+
+@pytest.mark.usefixtures("router")
+def test_a_failing_callback_is_logged_and_the_session_lives(
+    open_bus: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    alice, bob = open_bus(), open_bus()
+
+    def fail(*_: object) -> bytes:
+        raise ValueError("broken callback")
+
+    samples = Samples()
+    bob.subscribe("swarm/r0/test/bad", fail)
+    bob.serve("swarm/r0/test/bad", fail)
+    bob.subscribe("swarm/r0/test/good", samples)
+    talk(alice, "swarm/r0/test/good", samples)
+    alice.publish("swarm/r0/test/bad", b"")
+    alice.ask("swarm/r0/test/bad", samples)
+    wait_until(lambda: caplog.text.count("ValueError: broken callback") == 2)
+    talk(alice, "swarm/r0/test/good", samples, b"still alive")
+
+
+@pytest.mark.usefixtures("router")
+def test_a_callback_may_publish_ask_and_declare(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples, later = Samples(), Samples()
+
+    def callback(_: str, payload: bytes) -> None:
+        bob.subscribe("swarm/r0/test/later", later)
+        bob.ask(
+            "swarm/r0/test/question", lambda _, answer: bob.publish("swarm/r0/test/reply", answer + payload)
+        )
+
+    alice.serve("swarm/r0/test/question", lambda *_: b"answer to ")
+    alice.subscribe("swarm/r0/test/reply", samples)
+    bob.subscribe("swarm/r0/test/start", callback)
+
+    def replied() -> bool:
+        alice.publish("swarm/r0/test/start", b"start")
+        return ("swarm/r0/test/reply", b"answer to start") in samples
+
+    wait_until(replied)
+    talk(alice, "swarm/r0/test/later", later)
+
+
+@pytest.mark.usefixtures("router")
+def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    long = "swarm/r0/test/" + "x" * 65536
+    nothing = Samples()
+    for attempt in (
+        lambda: alice.publish(long, b""),
+        lambda: alice.publish("swarm/r0/test/x", bytes(MAX_PAYLOAD + 1)),
+        lambda: alice.subscribe(long, nothing),
+        lambda: alice.ask(long, nothing),
+        lambda: alice.serve(long, lambda *_: None),
+        lambda: alice.announce(long),
+        lambda: alice.watch(long, nothing),
+    ):
+        with pytest.raises(LocalError):
+            attempt()
+    talk(alice, "swarm/r0/test/" + "x" * 200, samples, bytes(MAX_PAYLOAD))
+
+
+@pytest.mark.parametrize("key", ["", "/swarm", "swarm//x", "swarm/#", "swarm/x?y", "swarm/**/**/$", "swarm/"])
+def test_malformed_keys_are_refused_at_once(open_bus: Open, key: str) -> None:
+    bus = open_bus()
+    for attempt in (
+        bus.announce,
+        lambda key: bus.subscribe(key, Samples()),
+        lambda key: bus.ask(key, Samples()),
+    ):
+        with pytest.raises(LocalError, match="key"):
+            attempt(key)
+
+
+@pytest.mark.usefixtures("router")
+def test_publishing_under_a_malformed_key_is_logged(open_bus: Open, caplog: pytest.LogCaptureFixture) -> None:
+    bus = open_bus()
+    assert bus.wait_connected(10)
+    bus.publish("swarm//x", b"")
+    assert "put failed key=swarm//x" in caplog.text
+
+
+@pytest.mark.parametrize("endpoint", ["", "tcp/127.0.0.1:7447", "/run/swarm/bus.sock"])
+def test_other_endpoints_are_refused(endpoint: str) -> None:
+    for kind in (Bus, Router):
+        with pytest.raises(BusError, match="expected unixsock-stream/PATH"):
+            kind(endpoint)
+
+
+def test_runtime_directories_zenoh_would_misread_are_refused(runtime: Path) -> None:
+    with pytest.raises(BusError, match="cannot have '#' in its path"):
+        bus_endpoint(runtime / "a#b")
+    with pytest.raises(BusError, match="at most 107"):
+        bus_endpoint(runtime / ("x" * 100))
+    strange = runtime / "a b;c=ü"
+    strange.mkdir()
+    with Router(bus_endpoint(strange)):
+        assert (strange / "bus.sock").is_socket()
+
+
+def test_few_threads(processes: Processes, router: subprocess.Popen[str], runtime: Path) -> None:
+    """The one-worker runtime is in force: without it a client has 7 threads, a router 8."""
+    client = processes.start("-c", SUBSCRIBER, bus_endpoint(runtime))
+    assert client.stdout is not None
+    assert client.stdout.readline() == "listening\n"
+    assert len(list(Path(f"/proc/{client.pid}/task").iterdir())) <= 4
+    assert len(list(Path(f"/proc/{router.pid}/task").iterdir())) <= 5
+
+
+def test_importing_the_bus_pulls_in_nothing_heavy() -> None:
+    code = "import sys, swarm.bus, swarm.service; print(*sys.modules)"
+    loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
+    assert not {"numpy", "asyncio", "serial", "multiprocessing", "email", "http"} & set(loaded)
