@@ -1,0 +1,1 @@
+"""The mesh service: links to the neighbours, and what is relayed over them."""

@@ -1,0 +1,81 @@
+"""The mesh service: carries chosen keys between this robot's bus and its neighbours'."""
+
+import os
+import random
+import threading
+from functools import partial
+
+from services.mesh.core.dialler import dials
+from services.mesh.core.frames import NONCE_SIZE
+from services.mesh.core.node import Node
+from services.mesh.core.relay import Relay
+from services.mesh.core.session import Local
+from services.mesh.network import Network
+from services.mesh.runner import Runner
+from swarm import clock, service
+from swarm.bus import Bus
+from swarm.config import Config
+from swarm.keys import key
+from swarm.messages import Links
+from swarm.service import Service
+
+_REPORT_PERIOD = 1.0
+"""s between two publications of `mesh/links` when nothing changes."""
+
+
+def _local(config: Config, me: str) -> Local:
+    own, settings = config.robot(me), config.mesh
+    return Local(
+        robot=me,
+        network=config.network,
+        incarnation=int.from_bytes(os.urandom(8), "little"),
+        insecure=settings.insecure,
+        dials={peer: dials(own, config.robot(peer)) for peer in config.neighbours(me)},
+        robots=frozenset(config.names),
+        heartbeat=settings.heartbeat,
+        suspect=settings.suspect,
+        dead=settings.dead,
+    )
+
+
+class _Mesh(Runner):
+    """A runner that publishes its links; the newest state is always the last one published."""
+
+    def __init__(self, node: Node, network: Network, bus: Bus, robot: str) -> None:
+        super().__init__(
+            node, listeners=network.listeners, dial=network.dial, deliver=self._to_bus, changed=self.report
+        )
+        self._bus = bus
+        self._links_key = key(robot, "mesh", "links")
+        self._reporting = threading.Lock()
+
+    def report(self) -> None:
+        """Publish `mesh/links`."""
+        with self._reporting:
+            self._bus.publish(self._links_key, Links(clock.now(), self.links()))
+
+    def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
+        self._bus.publish(key, payload, urgent=urgent)
+
+
+def main() -> None:
+    """Run until SIGTERM."""
+    with Service("mesh") as this:
+        local = _local(this.config, this.robot)
+        relay = Relay(this.robot, tuple(local.dials), this.config.relay)
+        nonce = partial(os.urandom, NONCE_SIZE)
+        node = Node(local, relay, random=random.random, nonce=nonce, counters=this.counters)
+        network = Network(this.config, local, this.runtime)
+        mesh = _Mesh(node, network, this.bus, this.robot)
+        for source, expression in enumerate(relay.subscriptions):
+            this.bus.subscribe(expression, partial(mesh.publish, source))
+        mesh.start()
+        this.ready()
+        while not this.stopping.wait(_REPORT_PERIOD):
+            mesh.report()
+        mesh.stop()
+        network.close()
+
+
+if __name__ == "__main__":
+    service.run(main)

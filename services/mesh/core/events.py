@@ -1,0 +1,51 @@
+"""What a connection tells its owner."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+@dataclass(frozen=True, slots=True)
+class LinkUp:
+    """The handshake is over on both sides; messages pass."""
+
+    peer: str
+    incarnation: int
+    """Differs from the last one where the peer's process was started anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSuspect:
+    """Nothing was heard for a while."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkRecovered:
+    """A suspect link was heard again."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkDown:
+    """A link that was up has ended."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class HandshakeFailed:
+    """A connection ended before it was up."""
+
+    reason: str
+    code: int | None
+    """Why we refused it (codes of BYE); None where the other end or the transport ended it."""
+
+
+class Received(NamedTuple):
+    """A message of the peer that may go on our bus."""
+
+    key: str
+    payload: bytes
+    priority: int
+    """Its class, as in `frames`."""
+
+
+Event = LinkUp | LinkSuspect | LinkRecovered | LinkDown | HandshakeFailed | Received

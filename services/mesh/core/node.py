@@ -1,0 +1,328 @@
+"""The mesh of one robot: its links, what it relays over them, and what it tells about them.
+
+A node owns one `Link` for each neighbour and any number of sessions, of which at most one is a link's own.
+The shell moves bytes between sessions and transports, carries out `actions()`, and calls `handle_timer` at
+`next_deadline()`.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from services.mesh.core import frames
+from services.mesh.core.dialler import Dialler
+from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.relay import Relay, Send
+from services.mesh.core.session import CONNECTING, DOWN, REFUSED, Local, Session
+from swarm.messages import LinkState
+
+MAX_HALF_OPEN = 16
+"""Accepted connections that have not finished their handshake; more are closed at once."""
+
+_MAX_NOTED = 256
+"""Different problems logged; later new ones are only counted."""
+
+COUNTERS = (
+    *REFUSED.values(),
+    "byes",
+    "half_open",
+    "inbound_refused",
+    "no_link",
+    "overflowed",
+    "replaced",
+    "too_large",
+    "transport_lost",
+)
+"""Every counter a node keeps; docs/frames.md says what they count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dial:
+    """Make a connection to this neighbour, then call `dialled` or `dial_failed`."""
+
+    peer: str
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """Send what the session still has, as far as that needs no waiting, then close its transport."""
+
+    session: Session
+
+
+@dataclass(frozen=True, slots=True)
+class LinksChanged:
+    """`links()` has something new to publish."""
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A line for the log."""
+
+    text: str
+    problem: bool
+    """Whether it is worth a warning."""
+
+
+Action = Dial | Close | LinksChanged | Note | Received
+
+
+class Link:
+    """One configured neighbour."""
+
+    def __init__(self, peer: str, dialler: Dialler | None) -> None:
+        self.peer = peer
+        self.dialler = dialler
+        """None where the neighbour dials us."""
+        self.session: Session | None = None
+        """The connection in use, once it is up."""
+        self.attempt = False
+        """Whether our dialling, or the handshake after it, is under way."""
+        self.connection = 0
+        self.reason = "not connected yet"
+        self.sent = 0
+        """Frames of earlier connections."""
+        self.received = 0
+
+    def state(self) -> LinkState:
+        """For the key `mesh/links`."""
+        session = self.session
+        if session is None:
+            state, rtt, sent, received = CONNECTING if self.attempt else DOWN, None, self.sent, self.received
+        else:
+            state, rtt = session.state, session.rtt
+            sent, received = self.sent + session.sent, self.received + session.received
+        reason = self.reason if session is None else ""
+        return LinkState(self.peer, state, self.connection, rtt, sent, received, reason)
+
+
+class Node:
+    """The mesh of one robot. Calls with `now` must not go back in time; no call may overlap another."""
+
+    def __init__(
+        self,
+        local: Local,
+        relay: Relay,
+        *,
+        random: Callable[[], float],
+        nonce: Callable[[], bytes],
+        counters: Counter[str],
+    ) -> None:
+        """`random` gives uniform numbers from 0 up to 1, `nonce` 16 bytes nobody can foresee."""
+        self._local = local
+        self._relay = relay
+        self._nonce = nonce
+        self._counters = counters
+        counters.update(dict.fromkeys(COUNTERS, 0))
+        self._links = {
+            peer: Link(peer, Dialler(random) if dials else None)
+            for peer, dials in sorted(local.dials.items())
+        }
+        self._sessions: list[Session] = []
+        self._ready: list[Session] = []
+        self._actions: list[Action] = []
+        self._noted: set[str] = set()
+
+    # -- inputs ------------------------------------------------------------------------------------
+
+    def accepted(self, now: float) -> Session | None:
+        """Somebody connected; None = too many strangers at once, close it."""
+        if sum(not session.is_up for session in self._sessions if session.dialled is None) >= MAX_HALF_OPEN:
+            self._counters["half_open"] += 1
+            self._note(
+                "half-open connections", f"more than {MAX_HALF_OPEN} connections wait for their handshake"
+            )
+            return None
+        return self._open(None, now)
+
+    def dialled(self, peer: str, now: float) -> Session:
+        """The connection to `peer` that we asked for is there."""
+        return self._open(peer, now)
+
+    def dial_failed(self, peer: str, reason: str, now: float) -> None:
+        """The connection that we asked for could not be made."""
+        link = self._links[peer]
+        assert link.dialler is not None
+        link.dialler.ended(now)
+        link.attempt = False
+        link.reason = reason
+        self._actions.append(LinksChanged())
+
+    def receive(self, session: Session, data: bytes, now: float) -> None:
+        """Bytes arrived on a session's transport."""
+        session.receive(data, now)
+        self._digest(session, now)
+
+    def transport_down(self, session: Session, reason: str, now: float) -> None:
+        """A session's transport has ended; ignored where the session had ended before."""
+        if session.state != DOWN:
+            self._counters["transport_lost"] += 1
+            session.transport_down(reason)
+            self._digest(session, now)
+
+    def publish(self, source: int, key: str, payload: bytes, now: float) -> None:
+        """A sample of the own bus; `source` is the index of the subscription that delivered it."""
+        for send in self._relay.publish(source, key, payload, now):
+            self._send(send)
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due. Call it at `next_deadline` or any other time."""
+        for session in tuple(self._sessions):
+            session.handle_timer(now)
+            self._digest(session, now)
+        for link in self._links.values():
+            if link.session is None and link.dialler is not None and link.dialler.take(now):
+                link.attempt = True
+                self._actions += (Dial(link.peer), LinksChanged())
+        for send in self._relay.handle_timer(now):
+            self._send(send)
+
+    def close(self, now: float) -> None:
+        """End all connections: this robot's mesh stops."""
+        for session in tuple(self._sessions):
+            session.close(frames.CLOSING, "stopping")
+            self._digest(session, now)
+
+    # -- outputs -----------------------------------------------------------------------------------
+
+    def actions(self) -> list[Action]:
+        """What is to be done, in this order, since the last call."""
+        actions, self._actions = self._actions, []
+        return actions
+
+    def ready(self) -> list[Session]:
+        """Sessions that have had something to send since the last call."""
+        ready, self._ready = self._ready, []
+        return ready
+
+    def next_deadline(self) -> float | None:
+        """When `handle_timer` wants to be called. It may turn out to be early, never late."""
+        deadlines = [session.next_deadline() for session in self._sessions]
+        deadlines += [
+            link.dialler.next_deadline() for link in self._links.values() if link.dialler is not None
+        ]
+        deadlines.append(self._relay.next_deadline())
+        return min((deadline for deadline in deadlines if deadline is not None), default=None)
+
+    def links(self) -> tuple[LinkState, ...]:
+        """All links as they are, sorted by peer."""
+        return tuple(link.state() for link in self._links.values())
+
+    # -- inside ------------------------------------------------------------------------------------
+
+    def _open(self, peer: str | None, now: float) -> Session:
+        session = Session(
+            self._local,
+            self._nonce(),
+            now,
+            dialled=peer,
+            admit=self._admit,
+            counters=self._counters,
+        )
+        self._sessions.append(session)
+        self._ready.append(session)
+        return session
+
+    def _send(self, send: Send) -> None:
+        leg, payload = send
+        if len(payload) > frames.MAX_PAYLOAD:
+            self._counters["too_large"] += 1
+            self._note(
+                leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {frames.MAX_PAYLOAD}"
+            )
+            return
+        for peer in leg.peers:
+            session = self._links[peer].session
+            if session is None:
+                self._counters["no_link"] += 1
+                continue
+            session.send(leg.priority, leg.key, payload, latest=leg.latest)
+            self._ready.append(session)
+
+    def _admit(self, peer: str, key: str) -> bool:
+        if self._relay.admits(peer, key):
+            return True
+        self._note(f"key from {peer}", f"key refused peer={peer} key={key[:80]!r}: no relay rule lets it in")
+        return False
+
+    def _digest(self, session: Session, now: float) -> None:
+        """Turn a session's events into actions and into states of links."""
+        for event in session.events():
+            if type(event) is Received:
+                self._actions.append(event)
+            else:
+                self._on_event(session, event, now)
+        if session.state == DOWN:
+            self._remove(session)
+        elif session.wants_to_send:
+            self._ready.append(session)
+
+    def _on_event(
+        self,
+        session: Session,
+        event: LinkUp | LinkSuspect | LinkRecovered | LinkDown | HandshakeFailed | Received,
+        now: float,
+    ) -> None:
+        peer = session.peer
+        match event:
+            case LinkUp(name):
+                link = self._links[name]
+                if link.session is not None:
+                    self._replace(link, link.session, now)
+                link.session = session
+                link.attempt = False
+                link.connection += 1
+                if link.dialler is not None:
+                    link.dialler.up(now)
+                self._tell(f"link up peer={name} connection={link.connection}")
+            case LinkSuspect():
+                self._tell(f"link suspect peer={peer}")
+            case LinkRecovered():
+                self._tell(f"link heard again peer={peer}")
+            case LinkDown(reason):
+                assert peer is not None
+                link = self._links[peer]
+                if link.session is session:
+                    self._detach(link, session, reason, now)
+                    self._tell(f"link down peer={peer} reason={reason}")
+            case HandshakeFailed(reason, code):
+                self._on_failed(session, reason, code, now)
+
+    def _on_failed(self, session: Session, reason: str, code: int | None, now: float) -> None:
+        caller = session.dialled or "a caller"
+        if code is not None:
+            self._note(f"{caller} {code}", f"connection refused peer={caller} reason={reason}")
+        if session.dialled is not None:
+            self.dial_failed(session.dialled, reason, now)
+
+    def _replace(self, link: Link, old: Session, now: float) -> None:
+        """The peer has connected anew, perhaps since it was started anew: no need to wait for silence."""
+        self._detach(link, old, "replaced by a newer connection", now)
+        old.close(frames.REPLACED, "replaced by a newer connection")
+        old.events()
+        self._remove(old)
+
+    def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
+        link.session = None
+        link.reason = reason
+        link.sent += session.sent
+        link.received += session.received
+        if link.dialler is not None:
+            link.dialler.ended(now)
+
+    def _remove(self, session: Session) -> None:
+        if session in self._sessions:
+            self._sessions.remove(session)
+            overflowed, replaced = session.losses
+            self._counters["overflowed"] += overflowed
+            self._counters["replaced"] += replaced
+            self._actions.append(Close(session))
+
+    def _tell(self, text: str) -> None:
+        self._actions += (LinksChanged(), Note(text, problem=False))
+
+    def _note(self, problem: str, text: str) -> None:
+        """Log a problem the first time it is met."""
+        if problem not in self._noted and len(self._noted) < _MAX_NOTED:
+            self._noted.add(problem)
+            self._actions.append(Note(text, problem=True))

@@ -1,0 +1,323 @@
+"""One connection of two neighbours, from the moment bytes can flow until they cannot.
+
+    connecting --HELLO and CONFIRM of the other end--> up <--silence/bytes--> suspect
+        any --transport lost, bad frame, BYE, silence--> down (for good: the next connection is a new session)
+
+Both ends send HELLO at once. Who accepts the other's HELLO sends CONFIRM, and a link is up on one side when
+the other's CONFIRM arrived: so a peer that refuses us never looks up for a moment. Frames are made when they
+leave (`data_to_send`), not when they are queued: priorities act until the last moment, heartbeats carry the
+true time, and a counter for authentication tags will follow the order on the wire.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from services.mesh.core import frames
+from services.mesh.core.channels import Channels
+from services.mesh.core.events import (
+    Event,
+    HandshakeFailed,
+    LinkDown,
+    LinkRecovered,
+    LinkSuspect,
+    LinkUp,
+    Received,
+)
+from services.mesh.core.frames import BYE_TEXT, Frame, Heartbeat, Hello
+from services.mesh.core.outbox import Outbox
+from swarm.errors import FrameError, LocalError
+
+CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
+
+HANDSHAKE_TIMEOUT = 2.0
+"""s for HELLO and CONFIRM of the other end to arrive."""
+
+_RTT_GAIN = 0.125
+"""Weight of a new round-trip sample (Jacobson 1988, RFC 6298 section 2)."""
+
+_MAX_RTT = 60.0
+"""s; a longer sample comes from wrong stamps."""
+
+REFUSED = {
+    frames.BAD_FRAME: "bad_frames",
+    frames.BAD_VERSION: "refused_version",
+    frames.BAD_NETWORK: "refused_network",
+    frames.BAD_ROBOT: "refused_robot",
+    frames.NOT_NEIGHBOUR: "refused_not_neighbour",
+    frames.BAD_SECURITY: "refused_security",
+    frames.BAD_ROLE: "refused_role",
+    frames.SILENT: "silent",
+}
+"""Which counter counts what we end a connection for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Local:
+    """What a session must know of this robot."""
+
+    robot: str
+    network: str
+    incarnation: int
+    """u64, drawn anew at each start."""
+    insecure: bool
+    dials: Mapping[str, bool]
+    """The neighbours, and whether this robot dials them (the other end does otherwise)."""
+    robots: frozenset[str]
+    """All robots of the swarm."""
+    heartbeat: float = 0.5
+    """s between heartbeats, on a busy link too: they carry the clock."""
+    suspect: float = 1.5
+    dead: float = 3.0
+
+
+class Session:
+    """One connection. Calls with `now` must not go back in time."""
+
+    def __init__(
+        self,
+        local: Local,
+        nonce: bytes,
+        now: float,
+        *,
+        dialled: str | None,
+        admit: Callable[[str, str], bool],
+        counters: Counter[str],
+    ) -> None:
+        """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called.
+
+        `admit(peer, key)` says whether a key of that peer may come in.
+        """
+        self._local = local
+        self._admit = admit
+        self._counters = counters
+        self.dialled = dialled
+        self.peer = dialled
+        """Who is at the other end; None until an unknown caller's HELLO was accepted."""
+        self.state = CONNECTING
+        self.rtt: float | None = None
+        """Smoothed round-trip time, s."""
+        self.sent = 0
+        """Frames handed out to be sent."""
+        self.received = 0
+        self._incarnation: int | None = None
+        self._decoder = frames.Decoder()
+        self._events: list[Event] = []
+        self._outbox = Outbox()
+        self._channels = Channels()
+        self._keys: dict[int, str | None] = {}
+        self._urgent = [
+            frames.encode_hello(
+                Hello(
+                    local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure
+                )
+            )
+        ]
+        self._heard = now
+        self._heartbeat_at = now
+        self._heartbeat_due = False
+        self._peer_stamp = 0
+        self._peer_stamp_at = 0
+        self._deadline = now + HANDSHAKE_TIMEOUT
+
+    @property
+    def is_up(self) -> bool:
+        """Whether messages pass; a suspect link still carries them."""
+        return self.state in (UP, SUSPECT)
+
+    @property
+    def wants_to_send(self) -> bool:
+        """Whether `data_to_send` has something."""
+        return bool(self._urgent) or self._heartbeat_due or bool(self._outbox)
+
+    @property
+    def losses(self) -> tuple[int, int]:
+        """Messages dropped because a queue was full, and latest values replaced before they left."""
+        return self._outbox.overflowed, self._outbox.replaced
+
+    def events(self) -> list[Event]:
+        """What happened since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def next_deadline(self) -> float | None:
+        """When `handle_timer` wants to be called. It may turn out to be early, never late."""
+        return None if self.state == DOWN else self._deadline
+
+    # -- inputs ------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes from the transport, cut anyhow."""
+        if self.state == DOWN:
+            return
+        self._heard = now
+        if self.state == SUSPECT:
+            self.state = UP
+            self._events.append(LinkRecovered())
+        self._decoder.feed(data)
+        try:
+            while self.state != DOWN and (frame := self._decoder.next()) is not None:
+                self.received += 1
+                if frame.kind == frames.DATA and self.is_up:
+                    self._on_data(frame)
+                else:
+                    self._on_control(frame, now)
+        except frames.VersionError as error:
+            self._end(frames.BAD_VERSION, str(error))
+        except FrameError as error:
+            self._end(frames.BAD_FRAME, f"bad frame: {error}")
+
+    def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> None:
+        """Queue a message for the other end; the link must be up."""
+        if not self.is_up:
+            raise LocalError(f"the link to {self.peer} is {self.state}")
+        self._outbox.push(priority, key, payload, latest)
+
+    def transport_down(self, reason: str) -> None:
+        """The transport is gone; nothing can be sent any more."""
+        if self.state != DOWN:
+            self._close(reason, None)
+
+    def close(self, code: int, reason: str) -> None:
+        """End the connection from our side and say why to the other."""
+        if self.state != DOWN:
+            self._end(code, reason)
+
+    def handle_timer(self, now: float) -> None:
+        """Heartbeats, and what silence means. Call it at `next_deadline` or any other time."""
+        if self.state == CONNECTING:
+            if now >= self._deadline:
+                self._end(frames.SILENT, f"no handshake within {HANDSHAKE_TIMEOUT:g} s")
+        elif self.is_up:
+            # The same sums as in the deadline below: a difference could round to just short of it, for ever.
+            if now >= self._heard + self._local.dead:
+                self._end(frames.SILENT, f"silent for {self._local.dead:g} s")
+                return
+            if now >= self._heard + self._local.suspect and self.state == UP:
+                self.state = SUSPECT
+                self._events.append(LinkSuspect())
+            if now >= self._heartbeat_at:
+                self._heartbeat_due = True
+                self._heartbeat_at = now + self._local.heartbeat
+            patience = self._local.dead if self.state == SUSPECT else self._local.suspect
+            self._deadline = min(self._heartbeat_at, self._heard + patience)
+
+    def data_to_send(self, now: float, max_bytes: int) -> bytes:
+        """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
+        chunks, self._urgent = self._urgent, []
+        size = sum(map(len, chunks))
+        if self._heartbeat_due:
+            self._heartbeat_due = False
+            stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
+            chunks.append(frames.encode_heartbeat(stamps))
+        while size < max_bytes and (message := self._outbox.pop()) is not None:
+            channel, new = self._channels.handle(message.key)
+            if new:
+                chunks.append(frames.encode_bind(frames.Bind(channel, frames.NEIGHBOURS, message.key)))
+            chunks.append(frames.encode_data(message.priority, channel, message.payload))
+            size += len(chunks[-1])
+        self.sent += len(chunks)
+        return b"".join(chunks)
+
+    # -- frames of the other end -------------------------------------------------------------------
+
+    def _on_data(self, frame: Frame) -> None:
+        channel, payload = frames.decode_data(frame.body)
+        try:
+            key = self._keys[channel]
+        except KeyError:
+            raise FrameError(f"DATA on channel {channel}, which is not bound") from None
+        if key is None:
+            self._counters["inbound_refused"] += 1
+        else:
+            self._events.append(Received(key, payload, frame.priority))
+
+    def _on_control(self, frame: Frame, now: float) -> None:
+        if frame.kind == frames.BYE:
+            code = frames.decode_bye(frame.body)
+            self._counters["byes"] += 1
+            self._close(f"the other end says: {BYE_TEXT.get(code, f'code {code}')}", None)
+        elif self._incarnation is None:
+            if frame.kind != frames.HELLO:
+                raise FrameError(f"frame kind {frame.kind} before HELLO")
+            self._on_hello(frames.decode_hello(frame.body))
+        elif self.state == CONNECTING:
+            if frame.kind != frames.CONFIRM:
+                raise FrameError(f"frame kind {frame.kind} before CONFIRM")
+            frames.decode_confirm(frame.body)
+            self._on_up(now)
+        elif frame.kind == frames.HEARTBEAT:
+            self._on_heartbeat(frames.decode_heartbeat(frame.body), now)
+        elif frame.kind == frames.BIND:
+            self._on_bind(frames.decode_bind(frame.body))
+        else:
+            raise FrameError(f"frame kind {frame.kind} after the handshake")
+
+    def _on_hello(self, hello: Hello) -> None:
+        local, refusal = self._local, None
+        if hello.network != local.network:
+            refusal = frames.BAD_NETWORK, f"network {hello.network!r}, ours is {local.network!r}"
+        elif hello.insecure != local.insecure or hello.key_ids:
+            ends = ("it is", "we are not") if hello.insecure else ("we are", "it is not")
+            refusal = frames.BAD_SECURITY, f"{ends[0]} insecure and {ends[1]}"
+        elif hello.robot == local.robot:
+            refusal = frames.BAD_ROBOT, f"it calls itself {hello.robot}, which is our own name"
+        elif hello.robot not in local.robots:
+            refusal = frames.BAD_ROBOT, f"robot {hello.robot} is not in our configuration"
+        elif self.dialled is not None and hello.robot != self.dialled:
+            refusal = frames.BAD_ROBOT, f"robot {hello.robot} answers where {self.dialled} should be"
+        elif hello.robot not in local.dials:
+            refusal = frames.NOT_NEIGHBOUR, f"robot {hello.robot} is not our neighbour in the topology"
+        elif hello.dialler == (self.dialled is not None):
+            refusal = frames.BAD_ROLE, "both ends claim the same role"
+        elif hello.dialler and local.dials[hello.robot]:
+            refusal = frames.BAD_ROLE, f"{local.robot} is to dial {hello.robot}, not the other way round"
+        if refusal is not None:
+            self._end(*refusal)
+            return
+        self.peer = hello.robot
+        self._incarnation = hello.incarnation
+        self._urgent.append(frames.encode_confirm())
+
+    def _on_up(self, now: float) -> None:
+        assert self.peer is not None
+        assert self._incarnation is not None
+        self.state = UP
+        self._decoder.limit = frames.MAX_FRAME
+        self._events.append(LinkUp(self.peer, self._incarnation))
+        self._heartbeat_at = now
+        self._deadline = now
+        self.handle_timer(now)
+
+    def _on_heartbeat(self, stamps: Heartbeat, now: float) -> None:
+        arrival = _microseconds(now)
+        self._peer_stamp, self._peer_stamp_at = stamps.sent, arrival
+        if stamps.echo:
+            rtt = ((arrival - stamps.echo) - (stamps.sent - stamps.received)) * 1e-6
+            if 0.0 <= rtt <= _MAX_RTT:
+                self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
+
+    def _on_bind(self, bind: frames.Bind) -> None:
+        assert self.peer is not None
+        self._keys[bind.channel] = bind.key if self._admit(self.peer, bind.key) else None
+
+    # -- the end -----------------------------------------------------------------------------------
+
+    def _end(self, code: int, reason: str) -> None:
+        """We end it: BYE is the last thing to be sent."""
+        if code in REFUSED:
+            self._counters[REFUSED[code]] += 1
+        self._close(reason, code)
+        self._urgent = [frames.encode_bye(code)]
+
+    def _close(self, reason: str, code: int | None) -> None:
+        was_up = self.is_up
+        self.state = DOWN
+        self._urgent = []
+        self._heartbeat_due = False
+        self._outbox.clear()
+        self._events.append(LinkDown(reason) if was_up else HandshakeFailed(reason, code))
+
+
+def _microseconds(now: float) -> int:
+    return int(now * 1e6)

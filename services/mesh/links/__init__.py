@@ -1,0 +1,1 @@
+"""Transports of the mesh: ordered byte pipes that may die."""

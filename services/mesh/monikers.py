@@ -1,0 +1,66 @@
+"""Where a link leads, in one line of text: `type:parameters`.
+
+sim:PATH         a Unix socket with a simulated radio behind it
+tcp:HOST:PORT    Wi-Fi or Ethernet; HOST may be [IPv6]
+rfcomm:ADDRESS   Bluetooth; known, but not in this version
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarm.config.types import Robot
+from swarm.errors import ConfigError
+from swarm.paths import socket_path
+
+
+@dataclass(frozen=True)
+class Sim:
+    """A simulated link."""
+
+    path: Path
+
+
+@dataclass(frozen=True)
+class Tcp:
+    """A TCP address."""
+
+    host: str
+    port: int
+
+
+Moniker = Sim | Tcp
+
+
+def parse(text: str) -> Moniker:
+    """Read a moniker; raises `ConfigError` with what was expected."""
+    kind, _, rest = text.partition(":")
+    if kind == "sim" and rest:
+        path = Path(rest)
+        return Sim(socket_path(path.parent, path.name))
+    if kind == "tcp":
+        return parse_address(rest, text)
+    if kind == "rfcomm":
+        raise ConfigError(f"link {text!r}: Bluetooth links are not in this version; use tcp:HOST:PORT")
+    raise ConfigError(f"link {text!r}: expected sim:PATH or tcp:HOST:PORT")
+
+
+def parse_address(address: str, whole: str) -> Tcp:
+    """Read HOST:PORT; `whole` is what the error shows."""
+    host, _, port = address.rpartition(":")
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+    if not host or not port.isascii() or not port.isdigit() or not 1 <= int(port) <= 65535:
+        raise ConfigError(f"{whole!r}: expected HOST:PORT with a port from 1 to 65535")
+    return Tcp(host, int(port))
+
+
+def of_robot(robot: Robot) -> Moniker:
+    """How the others reach a robot; raises `ConfigError` naming the robot."""
+    if robot.link is None and robot.bluetooth is None:
+        raise ConfigError(
+            f"robot {robot.name}: it has neither a link nor a Bluetooth address to be reached at"
+        )
+    try:
+        return parse(robot.link or f"rfcomm:{robot.bluetooth}")
+    except ConfigError as error:
+        raise ConfigError(f"robot {robot.name}: {error}") from None
