@@ -10,7 +10,7 @@ from pathlib import Path
 from swarm.codec import Value
 
 MAX_RFCOMM_LINKS = 7
-"""A Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 part B, 8.6: 3-bit LT_ADDR)."""
+"""A Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6: LT_ADDR)."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Robot:
     bluetooth: str | None = None
     """Address of the Bluetooth adapter, B8:27:EB:12:34:56."""
     link: str | None = None
-    """How the others reach it where that is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
+    """How others reach it where that is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class RelayRule:
     """Which keys of the own robot's bus the mesh carries to others."""
 
     keys: str
-    """Key expression; `{self}` stands for the own name and `{peer}` (one whole chunk) for the neighbour it goes to."""
+    """Key expression; `{self}` is the own name, `{peer}` (a whole chunk) the neighbour it goes to."""
     overlay: str = "neighbours"
     priority: str = "bulk"
     """control, sync or bulk."""
@@ -39,6 +39,13 @@ class RelayRule:
     """latest (a newer value replaces a waiting one of its key) or all (in order, none replaced)."""
     max_rate: float | None = None
     """Hz for each key, for `latest`; None = as published."""
+
+
+DEFAULT_RELAY = (
+    RelayRule("swarm/{self}/app/*/sync/*", priority="sync", queue="all"),
+    RelayRule("swarm/{self}/app/*/sync/*/{peer}", priority="sync", queue="all"),
+)
+"""Always in force, before the rules of the file: what synchronous apps say to all neighbours, and to one."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,7 @@ class Mesh:
     """Mesh settings; `facts` of the timing are in docs/frames.md."""
 
     insecure: bool = False
-    """True = frames are not authenticated: anyone in radio reach can join. There is no other way in this version."""
+    """True = frames are not authenticated: anyone in reach can join. This version knows no other way."""
     listen: str | None = None
     """Where to listen for `tcp:` neighbours, HOST:PORT; nothing listens on the network without it."""
     heartbeat: float = 0.5
@@ -102,7 +109,7 @@ class Dwm:
     """UWB module, calibration and filter."""
 
     source: str = "serial:/dev/serial0"
-    """serial:PATH (a DWM1001 in generic mode) or replay:DIR (a recording); `{robot}` stands for the own name."""
+    """serial:PATH (a DWM1001 in generic mode) or replay:DIR (a recording); `{robot}` = the own name."""
     target: str | None = None
     """Address of the module that is the target."""
     rate: float = 10.0

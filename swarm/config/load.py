@@ -1,0 +1,263 @@
+"""From the text of a `swarm.toml` to a checked `Config`: the robots, their topology and the relay rules.
+
+The tables of single concerns are in `sections`. Nothing is guessed: an unknown table or entry, a wrong type
+or a topology that cannot work is a `ConfigError` naming file, table, entry and what was expected.
+"""
+
+import os
+import re
+import socket
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+from swarm.config import sections
+from swarm.config.reader import Table, shown
+from swarm.config.types import DEFAULT_RELAY, MAX_RFCOMM_LINKS, Config, RelayRule, Robot
+from swarm.core.graph import SHAPES, Graph
+from swarm.errors import ConfigError, LocalError
+from swarm.keys import MAX_KEY_LENGTH, ROOT, is_name
+from swarm.paths import MAX_SOCKET_PATH
+
+DEFAULT_PATH = Path("/etc/swarm/swarm.toml")
+
+_TABLES = (
+    "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "apps", "simulation",
+)  # fmt: skip
+
+_NAME = "a name: a lower-case letter, then up to 15 lower-case letters, digits, _ or -"
+_NETWORK = re.compile(r"[A-Za-z0-9._-]{1,32}")
+_ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
+_KEY_CHUNK = re.compile(r"[A-Za-z0-9_.:-]+|\*\*?")
+_LINK = "tcp:HOST:PORT, sim:SOCKET or rfcomm:ADDRESS"
+
+
+def load(path: Path | None = None) -> Config:
+    """Read the swarm's file: `path`, else the one SWARM_CONFIG names, else /etc/swarm/swarm.toml."""
+    if path is None:
+        path = Path(os.environ.get("SWARM_CONFIG") or DEFAULT_PATH)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(
+            f"{path}: there is no such file; name yours in the variable SWARM_CONFIG, "
+            f"or start from a commented one: swarm config --example > {path.name}"
+        ) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: byte {error.start} is not UTF-8, as TOML demands") from None
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    return parse(text, path)
+
+
+def parse(text: str, path: Path) -> Config:
+    """Check the text of a file; `path` is for the messages. Raises `ConfigError`."""
+    try:
+        data = tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, or int() refusing thousands of digits
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise ConfigError(f"{path}: not valid TOML: nested too deeply") from None
+    top = Table(str(path), "", data, _TABLES)
+    network = top.text("network", expected="1 to 32 letters, digits or . _ -", pattern=_NETWORK)
+    robots = _robots(top)
+    names = tuple(robot.name for robot in robots)
+    graph = _topology(top, robots)
+    mesh = sections.mesh(top)
+    if len(robots) > 1 and not mesh.insecure:
+        raise top.table("mesh", None).error(
+            "insecure",
+            "expected true: this version cannot authenticate links yet, so anyone in reach could join a "
+            "swarm of more than one robot; insecure = true says that you accept that",
+        )
+    return Config(
+        path=path,
+        network=network,
+        robots=robots,
+        edges=graph.edges,
+        relay=_relay(top),
+        anchors=sections.anchors(top),
+        mesh=mesh,
+        body=sections.body(top),
+        dwm=sections.dwm(top),
+        apps=sections.apps(top, names),
+        simulation=sections.simulation(top, names),
+    )
+
+
+def who_am_i(config: Config) -> str:
+    """The name of the robot this process belongs to: SWARM_ROBOT, else the host name up to its first dot."""
+    name = os.environ.get("SWARM_ROBOT")
+    source = "SWARM_ROBOT"
+    if not name:
+        name, source = socket.gethostname().partition(".")[0], "the host name"
+    if name not in config.names:
+        raise ConfigError(
+            f"{config.path}: {source} is {shown(name)}, none of its robots ({', '.join(config.names)}); set the "
+            "variable SWARM_ROBOT or the host name to the one this machine is"
+        )
+    return name
+
+
+def _robots(top: Table) -> tuple[Robot, ...]:
+    robots: list[Robot] = []
+    taken: dict[str, str] = {}
+    tables = top.tables("robots", ("name", "board", "bluetooth", "link"))
+    if not tables:
+        raise top.error("robots", 'missing; expected at least one robot, written [[robots]] with name = "r0"')
+    for table in tables:
+        robot = _robot(table)
+        for key, value in (("name", robot.name), ("bluetooth", robot.bluetooth), ("link", robot.link)):
+            # The prefix keeps the kinds apart: a robot may be called as another's socket.
+            if value is not None and taken.setdefault(f"{key} {value}", robot.name) is not robot.name:
+                raise table.error(key, f"{shown(value)} is already that of robot {taken[f'{key} {value}']}")
+        robots.append(robot)
+    return tuple(robots)
+
+
+def _robot(table: Table) -> Robot:
+    name = table.text("name", expected=_NAME)
+    if not is_name(name):
+        raise table.wrong("name", _NAME)
+    bluetooth = table.text("bluetooth", None, expected="an address like B8:27:EB:12:34:56", pattern=_ADDRESS)
+    link = table.text("link", None, expected=_LINK)
+    if link is not None:
+        kind, _, rest = link.partition(":")
+        if kind == "rfcomm" and _ADDRESS.fullmatch(rest):
+            # Another way to write `bluetooth`: a robot without any other link is reached by RFCOMM.
+            if bluetooth is not None and bluetooth.upper() != rest.upper():
+                raise table.error("link", f"{shown(link)} is not the robot's bluetooth address {bluetooth}")
+            bluetooth, link = rest, None
+        elif not (kind == "tcp" and sections.HOST_PORT.fullmatch(rest) and sections.is_port(rest)) and not (
+            kind == "sim" and 0 < len(os.fsencode(rest)) <= MAX_SOCKET_PATH
+        ):
+            raise table.wrong("link", _LINK)
+    board = table.choice("board", "zero2w", ("zero2w", "pi4"))
+    return Robot(name, board, bluetooth.upper() if bluetooth else None, link)
+
+
+def _topology(top: Table, robots: Sequence[Robot]) -> Graph:
+    ways = ("shape", "edges", "matrix")
+    table = top.table("topology", ways)
+    names = [robot.name for robot in robots]
+    given = [way for way in ways if way in table]
+    if len(given) != 1 and (given or len(robots) > 1):
+        got = f"got {' and '.join(given)}" if given else "got none"
+        raise table.error("", f"expected exactly one of shape, edges or matrix, {got}")
+    way = given[0] if given else "edges"
+    try:
+        if way == "shape":
+            graph = Graph.of_shape(table.text("shape", expected=_shapes()), names)
+        elif way == "matrix":
+            graph = Graph.of_matrix(_matrix(table), names)
+        else:
+            graph = Graph(names, _edges(table))
+    except ConfigError:
+        raise
+    except LocalError as error:
+        raise table.error(way, str(error)) from None
+    if not graph.is_connected():
+        parts = "; ".join(
+            " ".join(part[:8]) + (" ..." if len(part) > 8 else "") for part in graph.components()[:8]
+        )
+        raise table.error(way, f"not connected: these parts cannot reach each other: {parts}")
+    _check_radio(table, way, robots, graph)
+    return graph
+
+
+def _check_radio(table: Table, way: str, robots: Sequence[Robot], graph: Graph) -> None:
+    """Robots without a `link` of their own are reached by RFCOMM: they need an address; seven links at most.
+
+    A link counts as RFCOMM when either end has no `link`, since which end dials is not the file's affair.
+    """
+    radio = {robot.name for robot in robots if robot.link is None}
+    for i, robot in enumerate(robots):
+        near = graph.neighbours(robot.name)
+        if robot.name in radio and near and robot.bluetooth is None:
+            raise Table(table.file, f"robots.{i}", {}, None).error(
+                "bluetooth",
+                f"{robot.name} has neighbours ({', '.join(near[:8])}) and no link, so Bluetooth reaches it: "
+                f'expected its address, like "B8:27:EB:12:34:56"',
+            )
+        links = len(near) if robot.name in radio else sum(other in radio for other in near)
+        if links > MAX_RFCOMM_LINKS:
+            raise table.error(
+                way,
+                f"{robot.name} has {links} RFCOMM links, a Bluetooth radio holds at most {MAX_RFCOMM_LINKS}",
+            )
+
+
+def _shapes() -> str:
+    return f"{', '.join(SHAPES[:-1])} or {SHAPES[-1]}"
+
+
+def _edges(table: Table) -> list[tuple[str, str]]:
+    expected = 'a list of pairs of robots, like [["r0", "r1"], ["r1", "r2"]]'
+    edges: list[tuple[str, str]] = []
+    value = table.data.get("edges", [])
+    if not isinstance(value, list):
+        raise table.wrong("edges", expected)
+    for pair in value:
+        if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(name, str) for name in pair):
+            raise table.error("edges", f"expected {expected}, got the entry {shown(pair)}")
+        edges.append((pair[0], pair[1]))
+    return edges
+
+
+def _matrix(table: Table) -> list[list[int]]:
+    expected = "a list of rows of 0 and 1, one row for each robot"
+    value = table.data["matrix"]
+    if not isinstance(value, list):
+        raise table.wrong("matrix", expected)
+    for row in value:
+        if not isinstance(row, list) or not all(type(entry) is int and entry in (0, 1) for entry in row):
+            raise table.error("matrix", f"expected {expected}, got the row {shown(row)}")
+    return value
+
+
+def _relay(top: Table) -> tuple[RelayRule, ...]:
+    rules = list(DEFAULT_RELAY)
+    for table in top.tables("relay", ("keys", "overlay", "priority", "queue", "max_rate")):
+        keys = table.text("keys", expected="a key expression like swarm/{self}/dwm/pose")
+        problem = _wrong_keys(keys)
+        if problem:
+            raise table.error("keys", f"{problem}, got {shown(keys)}")
+        if any(rule.keys == keys for rule in rules):
+            raise table.error(
+                "keys", f"there is a rule for {keys} already (the platform's own are added to yours)"
+            )
+        rule = RelayRule(
+            keys,
+            overlay=table.choice("overlay", "neighbours", ("neighbours",)),
+            priority=table.choice("priority", "bulk", ("control", "sync", "bulk")),
+            queue=table.choice("queue", "latest", ("latest", "all")),
+            max_rate=table.number("max_rate", None, above=0, expected="a number above 0, in Hz"),
+        )
+        if rule.max_rate is not None and rule.queue == "all":
+            raise table.error("max_rate", 'only for queue = "latest": "all" may not leave anything out')
+        rules.append(rule)
+    return tuple(rules)
+
+
+def _wrong_keys(keys: str) -> str | None:
+    """What is wrong with the key expression of a relay rule; None where it is fine."""
+    chunks = keys.split("/")
+    if chunks[:2] != [ROOT, "{self}"]:
+        return f"expected keys below {ROOT}/{{self}}/ (a robot relays only its own)"
+    tail = chunks[2:]
+    if len(tail) < 2 and tail != ["**"]:
+        return f"expected {ROOT}/{{self}}/SERVICE/TOPIC or {ROOT}/{{self}}/**"
+    if tail.count("{peer}") > 1:
+        return "expected {peer} at most once"
+    if "set" in tail:
+        return "expected no chunk set: commands to a robot are not relayed from it"
+    for before, chunk in zip(["", *tail], tail, strict=False):
+        if chunk != "{peer}" and not _KEY_CHUNK.fullmatch(chunk):
+            return (
+                f"expected chunks of letters, digits and _ . : - or one of *, **, {{peer}}; {chunk!r} is none"
+            )
+        if before == "**" and chunk in ("*", "**"):
+            return f"expected no {chunk} after **"  # not a canonical key expression: Zenoh refuses it
+    if len(keys) + 2 * 16 > MAX_KEY_LENGTH:  # names of robots have up to 16 characters
+        return f"expected at most {MAX_KEY_LENGTH - 32} characters"
+    return None

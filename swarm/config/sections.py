@@ -1,0 +1,168 @@
+"""The tables of `swarm.toml` that speak of one concern each: mesh, anchors, dwm, body, apps, simulation."""
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from swarm.codec import Value
+from swarm.config.reader import Table, finite, vector
+from swarm.config.types import Affine, Anchor, App, Body, Dwm, Linear, Mesh, Simulation
+from swarm.keys import is_name
+
+HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
+"""A host name, an IPv4 address or an IPv6 address in brackets, then a port."""
+
+_UWB_ADDRESS = re.compile(r"[0-9A-Fa-f]{4}")
+_PARAMETER = "a finite number, a 64-bit whole number, true or false, a text or a list of finite numbers"
+
+
+def is_port(text: str) -> bool:
+    """Whether HOST:PORT ends in a port one can listen at."""
+    return 1 <= int(text.rpartition(":")[2]) <= 65535
+
+
+def mesh(top: Table) -> Mesh:
+    """The table [mesh]."""
+    table = top.table("mesh", ("insecure", "listen", "heartbeat", "suspect", "dead"))
+    normal = Mesh()
+    seconds = "a number above 0, in seconds"
+    listen = table.text("listen", None, expected="HOST:PORT", pattern=HOST_PORT)
+    if listen is not None and not is_port(listen):
+        raise table.wrong("listen", "HOST:PORT with a port from 1 to 65535")
+    found = Mesh(
+        insecure=table.flag("insecure", normal.insecure),
+        listen=listen,
+        heartbeat=table.number("heartbeat", normal.heartbeat, above=0, expected=seconds),
+        suspect=table.number("suspect", normal.suspect, above=0, expected=seconds),
+        dead=table.number("dead", normal.dead, above=0, expected=seconds),
+    )
+    if not found.heartbeat < found.suspect < found.dead:
+        raise table.error(
+            "",
+            f"expected heartbeat < suspect < dead, got {found.heartbeat}, {found.suspect} and {found.dead} s",
+        )
+    return found
+
+
+def anchors(top: Table) -> tuple[Anchor, ...]:
+    """The tables [[anchors]]."""
+    found: list[Anchor] = []
+    for table in top.tables("anchors", ("address", "x", "y", "z")):
+        address = _uwb_address(table, "address")
+        if any(anchor.address == address for anchor in found):
+            raise table.error("address", f"{address} is already that of another anchor")
+        x, y = (table.number(key, expected="a finite number, in m") for key in ("x", "y"))
+        found.append(Anchor(address, x, y, table.number("z", 0.0, expected="a finite number, in m")))
+    return tuple(found)
+
+
+def dwm(top: Table) -> Dwm:
+    """The table [dwm]."""
+    table = top.table("dwm", ("source", "target", "rate", "window", "distance", "position"))
+    normal = Dwm()
+    expected = "serial:PATH or replay:DIR, {robot} in it standing for the robot's name"
+    source = table.text("source", normal.source, expected=expected)
+    kind, _, place = source.partition(":")
+    if kind not in ("serial", "replay") or not place or set("{}") & set(place.replace("{robot}", "")):
+        raise table.wrong("source", expected)
+    distance = table.table("distance", ("gain", "offset"))
+    gain = distance.number("gain", normal.distance.gain, above=0, expected="a number above 0")
+    offset = distance.number("offset", normal.distance.offset, expected="a finite number, in m")
+    position = table.table("position", ("matrix", "offset"))
+    return Dwm(
+        source=source,
+        target=_uwb_address(table, "target") if "target" in table else None,
+        rate=table.number(
+            "rate", normal.rate, above=0, up_to=10, expected="a number above 0 up to 10, in Hz"
+        ),
+        window=table.count("window", normal.window, low=1),
+        distance=Linear(gain, offset),
+        position=Affine(
+            _matrix(position, normal.position.matrix),
+            position.numbers("offset", normal.position.offset, expected="two numbers [x, y], in m", length=2),
+        ),
+    )
+
+
+def body(top: Table) -> Body:
+    """The table [body]."""
+    table = top.table("body", ("wheel_radius", "gear_ratio", "trim"))
+    normal = Body()
+    trim = table.number("trim", normal.trim, expected="an angle within 0.5 of 0, in rad")
+    if abs(trim) > 0.5:
+        raise table.wrong("trim", "an angle within 0.5 of 0, in rad")
+    return Body(
+        wheel_radius=table.number(
+            "wheel_radius", normal.wheel_radius, above=0, expected="a number above 0, in m"
+        ),
+        gear_ratio=table.number("gear_ratio", normal.gear_ratio, above=0, expected="a number above 0"),
+        trim=trim,
+    )
+
+
+def apps(top: Table, robots: Sequence[str]) -> dict[str, App]:
+    """The tables [apps.NAME] and, on top of them, [apps.NAME.robots.ROBOT]."""
+    found: dict[str, App] = {}
+    every = top.table("apps", None)
+    for name in every.data:
+        if not is_name(name):
+            raise every.error(
+                name, "expected the name of an app: a lower-case letter, then letters, digits, _ or -"
+            )
+        table = every.table(name, None)
+        single = table.table("robots", robots)
+        found[name] = App(
+            {key: _parameter(table, key) for key in table.data if key != "robots"},
+            {robot: _parameters(single.table(robot, None)) for robot in single.data},
+        )
+    return found
+
+
+def simulation(top: Table, robots: Sequence[str]) -> Simulation:
+    """The table [simulation]."""
+    table = top.table("simulation", ("target", "places"))
+    normal = Simulation()
+    places = table.table("places", robots)
+    expected = "three numbers [x, y, heading], in m, m and rad"
+    return Simulation(
+        target=table.numbers("target", normal.target, expected="two numbers [x, y], in m", length=2),
+        places={robot: places.numbers(robot, (), expected=expected, length=3) for robot in places.data},
+    )
+
+
+def _uwb_address(table: Table, key: str) -> str:
+    address: str = table.text(key, expected="four hex digits like C933", pattern=_UWB_ADDRESS)
+    return address.upper()
+
+
+def _matrix(table: Table, default: tuple[tuple[float, float], tuple[float, float]]) -> Any:
+    if "matrix" not in table:
+        return default
+    value = table.data["matrix"]
+    rows = [vector(row) for row in value] if isinstance(value, list) else []
+    if len(rows) != 2 or not all(row is not None and len(row) == 2 for row in rows):
+        raise table.wrong("matrix", "two rows of two numbers, [[a, b], [c, d]]")
+    return tuple(rows)
+
+
+def _parameters(table: Table) -> dict[str, Value]:
+    return {key: _parameter(table, key) for key in table.data}
+
+
+def _parameter(table: Table, key: str) -> Value:
+    if not key.isidentifier() or key.startswith("_"):
+        raise table.error(
+            key, "expected a parameter's name: letters, digits and _, not starting with a digit or _"
+        )
+    value = table.data[key]
+    if isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, int) and -(2**63) <= value < 2**63:
+        return value
+    if isinstance(value, list):
+        numbers = vector(value)
+        if numbers is not None:
+            return numbers
+    elif isinstance(value, float) and finite(value) is not None:
+        return value
+    raise table.wrong(key, _PARAMETER)
