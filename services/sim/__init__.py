@@ -1,0 +1,1 @@
+"""The simulated world, and `swarm sim`: the only place that composes other services."""

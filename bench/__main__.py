@@ -1,0 +1,30 @@
+"""`./run bench AREA [--json]`: prints what it measured; exits with 1 when a goal was missed."""
+
+import argparse
+import importlib
+import sys
+
+AREAS = {
+    "lockstep": "time of a lockstep iteration and of a start, beside the links' latency",
+    "footprint": "proportional memory of one robot's processes",
+    "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
+}
+
+
+def main() -> int:
+    """Run one area and print its rows as they are measured."""
+    listing = "\n".join(f"  {name:<10} {what}" for name, what in AREAS.items())
+    parser = argparse.ArgumentParser(prog="./run bench", description="Measurements, each beside its limit.",
+                                     epilog=f"areas:\n{listing}", formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser.add_argument("area", choices=AREAS, metavar="AREA")
+    parser.add_argument("--json", action="store_true", help="one JSON object a row")
+    arguments = parser.parse_args()
+    missed = 0
+    for row in importlib.import_module(f"bench.{arguments.area}").rows():
+        print(row.json() if arguments.json else row.text(), flush=True)
+        missed += not row.ok
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

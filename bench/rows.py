@@ -1,0 +1,43 @@
+"""A measured figure with the limit (or the rival of the same run) it is judged against."""
+
+import json
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure. The ratio is value / limit; it is `ok` when at most `goal`."""
+
+    name: str
+    value: float
+    unit: str
+    limit: float
+    """The physical limit, the budget, or what a rival took in the same run; same unit."""
+    goal: float
+    """The largest good ratio."""
+
+    @property
+    def ratio(self) -> float:
+        """value / limit."""
+        return self.value / self.limit if self.limit else math.inf
+
+    @property
+    def ok(self) -> bool:
+        """Whether the goal was reached; a figure that could not be measured (nan) never is."""
+        return self.ratio <= self.goal
+
+    def json(self) -> str:
+        """The row as one JSON object; what could not be measured is null."""
+        value = self.value if math.isfinite(self.value) else None
+        ratio = round(self.ratio, 4) if math.isfinite(self.ratio) else None
+        return json.dumps({"name": self.name, "value": value, "unit": self.unit, "limit": self.limit, "ratio": ratio,
+                           "goal": self.goal, "ok": self.ok})  # fmt: skip
+
+    def text(self) -> str:
+        """The row for people."""
+        verdict = "ok" if self.ok else "MISSED"
+        return (
+            f"{self.name:<44} {self.value:>10.4g} {self.unit:<6} limit {self.limit:>8.4g}  "
+            f"ratio {self.ratio:>6.3f}  goal {self.goal:>5.3g}  {verdict}"
+        )

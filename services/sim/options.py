@@ -1,0 +1,213 @@
+"""Arguments of `swarm sim`, checked before anything starts."""
+
+import argparse
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarm.codec import Value
+from swarm.errors import ConfigError
+
+_DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
+_SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
+_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z]*)")
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A link that passes nothing for a while."""
+
+    a: str
+    b: str
+    at: float
+    """s after the first iteration of all robots (without an app: after all are ready)."""
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A parameter of the app; `robot` is None where it holds for all."""
+
+    robot: str | None
+    name: str
+    value: Value
+
+
+@dataclass(frozen=True)
+class Options:
+    """What `swarm sim` was asked for. Lengths in m, times in s, rates in bytes/s."""
+
+    app: str | None
+    robots: int | None
+    topology: str | None
+    config: Path | None
+    algorithm: str | None
+    settings: tuple[Setting, ...]
+    step_size: float | None
+    """The thesis' unit, 1/cm^2."""
+    latency: float
+    jitter: float
+    bandwidth: float | None
+    cuts: tuple[Cut, ...]
+    seconds: float | None
+    iterations: int | None
+    seed: int
+    replay: Path | None
+    json: bool
+    plot: Path | None
+    run_dir: Path | None
+    demo: bool
+
+
+def _quantity(text: str, units: dict[str, float], what: str) -> float:
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None or match[2] not in units:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+    try:
+        return float(match[1]) * units[match[2]]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}") from None
+
+
+def duration(text: str) -> float:
+    """Seconds of `30ms`, `3s`, `2min` or a bare number of seconds."""
+    return _quantity(text, _DURATION, "a time such as 30ms or 3s")
+
+
+def rate(text: str) -> float:
+    """Bytes per second of `78kB`, `1MB` or a bare number of bytes."""
+    value = _quantity(text, _SIZE, "a rate such as 78kB (per second)")
+    if value <= 0:
+        raise argparse.ArgumentTypeError("a bandwidth must be above zero")
+    return value
+
+
+def cut(text: str) -> Cut:
+    """A cut `r0-r1@12s,3s`: which link, when, how long."""
+    match = re.fullmatch(r"([a-z][a-z0-9_]*)-([a-z][a-z0-9_]*)@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
+    return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
+
+
+def setting(text: str) -> Setting:
+    """A parameter `value=0.5` or, of one robot, `r2.value=3`."""
+    name, equals, value = text.partition("=")
+    robot, dot, parameter = name.rpartition(".")
+    if not equals or not (parameter or name).isidentifier():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a setting such as value=0.5 or r2.value=3")
+    return Setting(robot if dot else None, parameter, _value(value))
+
+
+def _value(text: str) -> Value:
+    if text in ("true", "false"):
+        return text == "true"
+    if text.startswith("[") and text.endswith("]"):
+        try:
+            return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
+    for convert in (int, float):
+        try:
+            return convert(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _at_least(low: int) -> Callable[[str], int]:
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+        if value < low:
+            raise argparse.ArgumentTypeError(f"must be at least {low}")
+        return value
+
+    return convert
+
+
+def _positive(text: str) -> float:
+    value = _quantity(text, {"": 1.0}, "a number")
+    if value <= 0:
+        raise argparse.ArgumentTypeError("must be above zero")
+    return value
+
+
+def parser() -> argparse.ArgumentParser:
+    """The argument parser of `swarm sim`."""
+    p = argparse.ArgumentParser(
+        prog="swarm sim",
+        description="Run a simulated swarm: for each robot the processes that run on a Pi, in one simulated world.",
+        epilog="Watch it from another terminal with: z_sub 'swarm/**'. End one of its services with: swarm kill r0 mesh.",
+    )
+    p.add_argument(
+        "app",
+        nargs="?",
+        metavar="APP",
+        help="consensus, localization or a file with an app; none: just balance",
+    )
+    swarm = p.add_argument_group("the swarm")
+    swarm.add_argument("--robots", type=_at_least(1), metavar="N", help="number of robots (3, or as the replay has)")
+    swarm.add_argument(
+        "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, or a matrix file"
+    )
+    swarm.add_argument("--config", type=Path, metavar="FILE", help="take the swarm from this swarm.toml instead")
+    app = p.add_argument_group("the app")
+    app.add_argument("--algorithm", metavar="NAME", help="which algorithm of the app")
+    app.add_argument("--set", dest="settings", action="append", type=setting, default=[], metavar="[ROBOT.]NAME=VALUE",
+                     help="a parameter of the app, for all robots or for one")  # fmt: skip
+    app.add_argument("--step-size", type=_positive, metavar="G", help="gradient step in the thesis' unit, 1/cm^2")
+    app.add_argument(
+        "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
+    )
+    radio = p.add_argument_group("the radio")
+    radio.add_argument("--latency", type=duration, default=0.03, metavar="30ms", help="one way (30ms)")
+    radio.add_argument(
+        "--jitter", type=duration, default=0.0, metavar="10ms", help="standard deviation of the latency (0)"
+    )
+    radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
+    radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
+                       help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
+    run = p.add_argument_group("the run")
+    end = run.add_mutually_exclusive_group()
+    end.add_argument("--seconds", type=duration, metavar="S", help="end after this time")
+    end.add_argument(
+        "--iterations",
+        type=_at_least(1),
+        metavar="K",
+        help="end after K iterations (100, or all of a replay)",
+    )
+    run.add_argument(
+        "--seed", type=_at_least(0), default=1, metavar="S", help="of noise, jitter and random topologies (1)"
+    )
+    run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
+    run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
+    run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
+    p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
+    return p
+
+
+def parse(arguments: list[str]) -> Options:
+    """Read the command line; argparse ends the process with code 2 and a message where it is wrong."""
+    options = Options(**vars(_tuples(parser().parse_args(arguments))))
+    if options.config is not None and (options.robots is not None or options.topology is not None):
+        raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
+    if options.app is None:
+        for given, name in (
+            (options.algorithm, "--algorithm"),
+            (options.settings, "--set"),
+            (options.replay, "--replay"),
+        ):
+            if given:
+                raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")
+        if options.iterations is not None:
+            raise ConfigError("--iterations needs an APP; without one use --seconds")
+    return options
+
+
+def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
+    namespace.settings, namespace.cuts = tuple(namespace.settings), tuple(namespace.cuts)
+    return namespace

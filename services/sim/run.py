@@ -1,0 +1,214 @@
+"""One run of a simulated swarm, from the start of its processes to what it found."""
+
+import contextlib
+import signal
+import socket
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TextIO
+
+import msgpack
+
+from services.sim import footprint, trajectory
+from services.sim.monitor import Monitor, Seen
+from services.sim.options import Options
+from services.sim.processes import Processes
+from services.sim.progress import Progress
+from services.sim.report import Outcome
+from services.sim.scenario import Scenario
+from services.sim.world import World
+from swarm import clock
+from swarm.config.dump import dump
+
+SERVICES = ("bus", "mesh", "balancer", "dwm")
+"""Every robot's services; an app comes on top."""
+
+START_LIMIT_S = 60.0
+"""A swarm that has not done its first iteration by then is given up, with what is missing named."""
+
+TICK_S = 0.02
+
+
+class Run:
+    """Starts a swarm, watches it until it is done, and ends it. Use as a context: leaving it ends every process."""
+
+    def __init__(self, options: Options, scenario: Scenario, run_dir: Path, stream: TextIO) -> None:
+        self._options = options
+        self._scenario = scenario
+        self._run_dir = run_dir
+        self._records = run_dir / "records"
+        self._commanded = footprint.process_started()
+        self._progress = Progress(stream, scenario)
+        self._problems: list[str] = []
+        self._stop = False
+        names = scenario.config.names
+        self._records.mkdir()
+        for name in names:
+            (run_dir / name).mkdir()
+        (run_dir / "swarm.toml").write_text(dump(scenario.config))
+        self._services = (*SERVICES, f"app/{scenario.app}") if scenario.app else SERVICES
+        self._processes = Processes(self._environment())
+        self._monitor = Monitor(run_dir, names)
+        self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
+
+    def __enter__(self) -> "Run":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._interrupted)
+        for name in self._scenario.config.names:
+            self._start_robot(name)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)  # the end goes through, it takes at most a few seconds
+        self._monitor.close()
+        self._processes.stop()
+        self._world.close()
+        self._progress.close()
+
+    def watch(self) -> Outcome:
+        """Follow the run until its end (iterations, seconds, Ctrl-C, or a service that cannot be kept up)."""
+        started: float | None = None
+        cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
+        asked = 0.0
+        while not self._stop:
+            now = clock.now()
+            for child in self._processes.supervise(now):
+                # An app names its own fault on the bus; of other services the log's end is all there is.
+                reason = "" if child.service.startswith("app/") else f": {child.last_words()}"
+                self._problems.append(f"{child.robot} {child.service} {child.given_up}{reason}")
+                self._stop = True
+            if now - asked > 1.0:
+                asked = now
+                self._monitor.ask_status()
+            seen = self._monitor.snapshot()
+            missing = {name: self._monitor.services_ready(name, self._services) for name in seen}
+            self._progress.show(now, now - self._commanded, seen, missing)
+            if started is None:
+                if self._has_started(seen, missing):
+                    started = now
+                elif now - self._commanded > START_LIMIT_S:
+                    self._problems.append(f"no first iteration within {START_LIMIT_S:g} s: {_obstacles(seen, missing)}")
+                    break
+            else:
+                while cuts and now - started >= cuts[0].at:
+                    self._cut(cuts.pop(0))
+                if self._is_done(seen, now - started):
+                    break
+            time.sleep(TICK_S)
+        return self._outcome(started)
+
+    def _start_robot(self, name: str) -> None:
+        directory = self._run_dir / name
+        self._processes.add(name, "bus", ["services.bus"], directory)
+        self._processes.add(name, "mesh", ["services.mesh"], directory)
+        self._processes.add(name, "balancer", ["services.sim.body"], directory)
+        self._processes.add(name, "dwm", ["services.dwm"], directory)
+        if self._scenario.app is not None and self._scenario.program is not None:
+            limit = [] if self._scenario.iterations is None else ["--iterations", str(self._scenario.iterations)]
+            self._processes.add(
+                name,
+                f"app/{self._scenario.app}",
+                ["services.apps", self._scenario.program, *limit],
+                directory,
+            )
+
+    def _environment(self) -> dict[str, str]:
+        options = self._options
+        link = {
+            "latency": options.latency,
+            "jitter": options.jitter,
+            "bandwidth": options.bandwidth,
+            "seed": options.seed,
+        }
+        return {
+            "SWARM_CONFIG": str(self._run_dir / "swarm.toml"),
+            "SWARM_RECORD": str(self._records),
+            "SWARM_SEED": str(options.seed),
+            "SWARM_SIM_LINK": ",".join(f"{name}={value}" for name, value in link.items() if value is not None),
+        }
+
+    def _has_started(self, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> bool:
+        if self._scenario.app is None:
+            return not any(missing.values())
+        return all(_iteration(robot) >= 1 for robot in seen.values())
+
+    def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
+        faults = [
+            f"{name} app {robot.progress.reason}"
+            for name, robot in seen.items()
+            if robot.progress is not None and robot.progress.phase == "fault"
+        ]
+        if faults:
+            self._problems += faults
+            return True
+        if self._options.seconds is not None:
+            return elapsed >= self._options.seconds
+        return self._scenario.app is not None and all(
+            robot.progress is not None and robot.progress.phase == "done" for robot in seen.values()
+        )
+
+    def _cut(self, cut: object) -> None:
+        a, b, seconds = cut.a, cut.b, cut.seconds  # type: ignore[attr-defined]
+        self._progress.say(f"cut {a}-{b} for {seconds:g} s")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+            for robot, peer in ((a, b), (b, a)):
+                with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
+                    sock.sendto(
+                        msgpack.packb({"cut": peer, "seconds": seconds}),
+                        str(self._run_dir / robot / "air.sock"),
+                    )
+
+    def _interrupted(self, *_: object) -> None:
+        self._stop = True
+
+    def _outcome(self, started: float | None) -> Outcome:
+        names = self._scenario.config.names
+        now = clock.now()
+        paths = {}
+        if self._scenario.app is not None:
+            paths = {name: trajectory.read(self._records / f"{name}.{self._scenario.app}.csv") for name in names}
+        firsts = [path.first_reached() for path in paths.values()]
+        reached = [at for at in firsts if at is not None]
+        if len(reached) == len(names):
+            started = max(reached)
+        seen = self._monitor.snapshot()
+        return Outcome(
+            scenario=self._scenario,
+            seed=self._options.seed,
+            started_s=None if started is None else started - self._commanded,
+            seconds=0.0 if started is None else now - started,
+            trajectories=paths,
+            bodies={name: seen[name].balancer for name in names},
+            messages=_messages(seen),
+            rss_mib={name: footprint.resident_mib(self._processes.of(name)) for name in names},
+            restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
+            problems=tuple(self._problems),
+        )
+
+
+def _iteration(seen: Seen) -> int:
+    return max(seen.progress.k if seen.progress is not None else 0, seen.state.k if seen.state is not None else 0)
+
+
+def _messages(seen: Mapping[str, Seen]) -> int | None:
+    """App frames sent by all meshes, as they count them in their status."""
+    counts = [robot.status["mesh"].counters.get("sent_sync", 0) for robot in seen.values() if "mesh" in robot.status]
+    return sum(counts) if counts else None
+
+
+def _obstacles(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> str:
+    """Why a swarm did not start, robot by robot."""
+    found = []
+    for name, robot in seen.items():
+        if missing[name]:
+            found.append(f"{name}: {', '.join(missing[name])} not ready")
+        elif robot.progress is not None and robot.progress.k < 1:
+            waits = (
+                f"waits for {', '.join(robot.progress.waiting_for)}"
+                if robot.progress.waiting_for
+                else robot.progress.phase
+            )
+            found.append(f"{name}: app {waits} {robot.progress.reason}".rstrip())
+    return "; ".join(found) or "the apps say nothing"

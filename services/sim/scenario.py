@@ -1,0 +1,192 @@
+"""From options to the config of a simulated swarm: who is there, where, with which app parameters.
+
+The default scene is the thesis' table (figure 4.8): 2 m x 2 m, three anchors, the target at (0.5, 1.0), robots 0-2 at its
+three places. The simulated modules read as its modules did, so the thesis' calibration is what the robots use.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from services.sim.options import Options
+from swarm import config as configuration
+from swarm.codec import Value
+from swarm.config import Affine, Anchor, App, Config, Dwm, Linear, Mesh, Robot, Simulation
+from swarm.config.types import DEFAULT_RELAY
+from swarm.core.graph import Graph
+from swarm.errors import ConfigError, LocalError
+from swarm.paths import socket_path
+from swarm.recordings import Recording, read_folder
+
+TARGET = "C933"
+ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
+"""Thesis figure 2.9 (the applications' scripts write the second as 1.97); addresses are ours."""
+
+PLACES = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5), (1.5, 0.5), (0.35, 0.4), (1.0, 1.75))
+"""m; the first three are the thesis' (figure 4.8), no three on a line with the target, none nearer than 0.5 m to it."""
+
+DISTANCE = Linear(0.946976, -0.05964849)
+POSITION = Affine(((0.93538932, 0.00353817), (-0.01071457, 0.94470965)), (0.046239576, 0.050861534))
+"""The thesis' calibrations, equations 2.8 and 2.10 with the digits its programs used."""
+
+START_VALUES = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
+"""The thesis' starting values of consensus (figure 4.4)."""
+
+DEFAULT_ITERATIONS = 100
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A run, ready to start."""
+
+    config: Config
+    app: str | None
+    """The app's name, as in keys and in swarm.toml."""
+    program: str | None
+    """What the app host is started with: the name of a built-in app, or the path of a file."""
+    algorithm: str | None
+    """The algorithm the app runs, None where the app has no such parameter."""
+    topology: str
+    iterations: int | None
+    recordings: dict[str, Recording]
+    """By robot; empty without --replay."""
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Value]]:
+        """The app's parameters by robot."""
+        return {name: self.config.app(self.app or "").of(name) for name in self.config.names}
+
+
+def build(options: Options, run_dir: Path) -> Scenario:
+    """The scenario of `options` with its sockets in `run_dir`; raises `ConfigError` or `RecordingError`."""
+    recordings = read_folder(options.replay) if options.replay is not None else []
+    base = _from_file(options.config) if options.config is not None else _default(options, len(recordings))
+    if recordings and len(recordings) != len(base.robots):
+        raise ConfigError(f"{options.replay} holds {len(recordings)} robots, the swarm has {len(base.robots)}")
+    app, program = _program(options.app)
+    config = replace(
+        base,
+        robots=tuple(
+            replace(robot, link=f"sim:{socket_path(run_dir / robot.name, 'mesh.sock')}") for robot in base.robots
+        ),
+        mesh=replace(base.mesh, insecure=True, listen=None),
+        dwm=_dwm(base.dwm, options.replay, run_dir),
+        simulation=_places(base),
+    )
+    if app is not None:
+        config = replace(config, apps={**config.apps, app: _parameters(config, app, options)})
+    for cut in options.cuts:
+        if cut.b not in config.neighbours(cut.a):
+            raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
+    iterations = options.iterations
+    if app is not None and iterations is None and options.seconds is None:
+        iterations = DEFAULT_ITERATIONS
+    if recordings:
+        rows = min(len(recording.rows) for recording in recordings)
+        iterations = rows if options.iterations is None else min(rows, options.iterations)
+    return Scenario(
+        config=config,
+        app=app,
+        program=program,
+        algorithm=str(config.app(app).parameters["algorithm"]) if app in _ALGORITHM else None,
+        topology=options.topology or ("file" if options.config is not None else "line"),
+        iterations=iterations,
+        recordings=dict(zip(config.names, recordings, strict=False)),
+    )
+
+
+_ALGORITHM = {"consensus": "metropolis", "localization": "info"}
+"""The built-in apps that have a choice of algorithms, with the default."""
+
+
+def _program(app: str | None) -> tuple[str | None, str | None]:
+    if app is None:
+        return None, None
+    if not app.endswith(".py"):
+        return app, app
+    path = Path(app).resolve()
+    if not path.is_file():
+        raise ConfigError(f"{app}: there is no such file")
+    return path.stem, str(path)
+
+
+def _default(options: Options, recorded: int) -> Config:
+    count = options.robots or recorded or 3
+    names = [f"r{index}" for index in range(count)]
+    return Config(
+        path=Path("swarm.toml"),
+        network="sim",
+        robots=tuple(Robot(name) for name in names),
+        edges=_edges(options.topology or "line", names),
+        relay=DEFAULT_RELAY,
+        anchors=ANCHORS,
+        mesh=Mesh(insecure=True),
+        dwm=Dwm(target=TARGET, distance=DISTANCE, position=POSITION),
+    )
+
+
+def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
+    if not Path(topology).is_file():
+        try:
+            return Graph.of_shape(topology, names).edges
+        except LocalError as error:
+            raise ConfigError(f"--topology {topology}: {error} (nor is there a file of that name)") from None
+    rows = [line.replace(",", " ").split() for line in Path(topology).read_text().splitlines() if line.strip()]
+    try:
+        return Graph.of_matrix([[int(float(cell)) for cell in row] for row in rows], names).edges
+    except (ValueError, LocalError) as error:
+        raise ConfigError(f"--topology {topology}: {error}") from None
+
+
+def _from_file(path: Path) -> Config:
+    return configuration.load(path)
+
+
+def _dwm(dwm: Dwm, replay: Path | None, run_dir: Path) -> Dwm:
+    if replay is not None:
+        return replace(dwm, source=f"replay:{replay.resolve()}")
+    return replace(dwm, source=f"serial:{run_dir}/{{robot}}/dwm.tty", target=dwm.target or TARGET)
+
+
+def _places(config: Config) -> Simulation:
+    """Places for the robots the config gives none: the table's, then rings of half a metre more each."""
+    places = dict(config.simulation.places)
+    for index, name in enumerate(config.names):
+        if name not in places:
+            places[name] = (*_place(index), 0.0)
+    return replace(config.simulation, places=places)
+
+
+def _place(index: int) -> tuple[float, float]:
+    if index < len(PLACES):
+        return PLACES[index]
+    ring, step = divmod(index - len(PLACES), 12)
+    angle, radius = 2 * math.pi * (step + 0.5 * (ring % 2)) / 12, 1.4 + 0.5 * ring
+    return (1.0 + radius * math.cos(angle), 1.0 + radius * math.sin(angle))
+
+
+def _parameters(config: Config, name: str, options: Options) -> App:
+    """The app's parameters: the file's, then the thesis' starting values, then what the command line sets."""
+    app = config.app(name)
+    common: dict[str, Value] = dict(app.parameters)
+    robots: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}
+    if name in _ALGORITHM:
+        common.setdefault("algorithm", _ALGORITHM[name])
+    if options.algorithm is not None:
+        common["algorithm"] = options.algorithm
+    if options.step_size is not None:
+        common["step_size"] = options.step_size * 1e4  # 1/cm^2 in 1/m^2
+    if name == "consensus" and "value" not in common:
+        starts = START_VALUES.get(len(config.names), tuple(float(index) for index in range(len(config.names))))
+        for robot, value in zip(config.names, starts, strict=True):
+            robots.setdefault(robot, {}).setdefault("value", value)
+    for setting in options.settings:
+        if setting.robot is None:
+            common[setting.name] = setting.value
+            for values in robots.values():
+                values.pop(setting.name, None)
+        elif setting.robot in config.names:
+            robots.setdefault(setting.robot, {})[setting.name] = setting.value
+        else:
+            raise ConfigError(f"--set {setting.robot}.{setting.name}: the robots are {', '.join(config.names)}")
+    return App(common, robots)

@@ -1,0 +1,95 @@
+"""The one world of a run: true poses, and the UWB modules that range in it.
+
+Bodies integrate their own motion (in the balancer's loop, on its clock) and report their true poses here; whatever
+depends on more than one robot is decided here.
+"""
+
+import contextlib
+import os
+import select
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from services.sim.module import ModuleBoard
+from swarm import clock
+from swarm.codec import MAX_PAYLOAD, decode
+from swarm.config import Config
+from swarm.errors import PayloadError
+from swarm.messages import Truth
+from swarm.paths import socket_path
+
+SOCKET = "world.sock"
+
+TRUTH_PERIOD_S = 0.1
+"""`sim/truth` is published at 10 Hz, as poses are."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodyReport:
+    """What a simulated body sends: its true pose, in m and rad."""
+
+    robot: str
+    t: float
+    x: float
+    y: float
+    heading: float
+    tilt: float
+
+
+class World:
+    """Owns the true poses; works in a thread of its own until closed."""
+
+    def __init__(self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth], None]) -> None:
+        """`publish(robot, truth)` is called 10 times a second for each robot, from the world's thread."""
+        self._publish = publish
+        self._published = dict.fromkeys(config.names, 0.0)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(socket_path(run_dir, SOCKET)))
+        self._socket.setblocking(False)
+        self._modules = ModuleBoard(run_dir, config, seed)
+        self._ranging = config.dwm.source.startswith("serial:")
+        if self._ranging:
+            for name in config.names:
+                self._modules.add(name)
+        self._wake = os.eventfd(0, os.EFD_CLOEXEC)
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop the world and unplug the modules."""
+        self._closing = True
+        os.eventfd_write(self._wake, 1)
+        self._thread.join()
+        self._modules.close()
+        self._socket.close()
+        os.close(self._wake)
+
+    def _run(self) -> None:
+        while not self._closing:
+            timeout = min(1.0, max(0.0, self._modules.next_deadline() - clock.now()))
+            readable, _, _ = select.select([self._wake, self._socket, self._modules], [], [], timeout)
+            if self._socket in readable:
+                self._take_reports()
+            self._modules.poll(0.0)
+
+    def _take_reports(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data = self._socket.recv(MAX_PAYLOAD)
+                try:
+                    report = decode(BodyReport, data, SOCKET)
+                except PayloadError:
+                    continue  # only our own bodies write here; a torn datagram cannot happen
+                if report.robot in self._published:
+                    self._place(report)
+
+    def _place(self, report: BodyReport) -> None:
+        if self._ranging:
+            self._modules.update_pose(report.robot, report.x, report.y, report.heading)
+        if report.t - self._published[report.robot] >= TRUTH_PERIOD_S:
+            self._published[report.robot] = report.t
+            self._publish(report.robot, Truth(report.t, report.x, report.y, report.heading, report.tilt))

@@ -1,0 +1,72 @@
+import argparse
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.sim import options
+from services.sim.options import Cut, Setting
+from swarm.errors import ConfigError
+
+
+def test_durations_and_rates_have_units():
+    assert options.duration("30ms") == 0.03
+    assert options.duration("2min") == 120
+    assert options.duration("1.5") == 1.5
+    assert options.rate("78kB") == 78000
+    assert options.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
+    assert options.setting("value=0.5") == Setting(None, "value", 0.5)
+    assert options.setting("r2.value=3") == Setting("r2", "value", 3)
+    assert options.setting("weights=row") == Setting(None, "weights", "row")
+    assert options.setting("places=[0.5, 1]") == Setting(None, "places", (0.5, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("convert", "text"),
+    [
+        (options.duration, "30parsec"),
+        (options.duration, "1.2.3s"),
+        (options.rate, "0kB"),
+        (options.cut, "r0r1@12s,3s"),
+        (options.cut, "r0-r1@12s"),
+        (options.setting, "value"),
+        (options.setting, "a b=3"),
+        (options.setting, "value=[1,x]"),
+    ],
+)
+def test_wrong_text_is_refused_by_argparse(convert, text):
+    with pytest.raises(argparse.ArgumentTypeError):
+        convert(text)
+
+
+@given(st.text(max_size=20))
+def test_any_text_is_a_value_or_refused(text):
+    for convert in (options.duration, options.rate, options.cut, options.setting):
+        try:
+            convert(text)
+        except argparse.ArgumentTypeError:
+            continue
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--algorithm", "thesis"], "needs an APP"),
+        (["--iterations", "5"], "needs an APP"),
+        (["consensus", "--config", "x.toml", "--robots", "3"], "leave out"),
+    ],
+)
+def test_contradictions_are_refused(arguments, words):
+    with pytest.raises(ConfigError, match=words):
+        options.parse(arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--robots", "0"], ["consensus", "--seconds", "3", "--iterations", "4"], ["consensus", "--step-size", "-1"]],
+)
+def test_wrong_numbers_end_with_code_2(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        options.parse(arguments)
+    assert ended.value.code == 2
+    assert capsys.readouterr().err
