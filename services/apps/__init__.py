@@ -1,0 +1,1 @@
+"""The app host and the built-in apps."""

@@ -1,0 +1,90 @@
+"""One app on one robot: `python -m services.apps NAME_OR_FILE [--iterations K] [--run HEX]`.
+
+Exit codes: 0 stopped by SIGTERM, 2 a wrong app, parameter, config or command, 3 stopped after a fault of the
+app (it raised, gave a wrong state, or its trajectory would have forked); neither 2 nor 3 is mended by a
+restart.
+"""
+
+import argparse
+import hashlib
+import os
+from pathlib import Path
+
+from services.apps import loader
+from services.apps.host import Host
+from services.apps.runner import Runner
+from swarm.config import Config
+from swarm.core.lockstep_frames import MAX_ITERATION
+from swarm.errors import LocalError
+from swarm.service import Service, run
+
+FAULT = 3
+"""Exit code of a host whose app is in fault."""
+
+
+def main() -> int:
+    """Run the app until told to stop; after the last iteration its result stays to be read."""
+    options = _options()
+    app = loader.load(options.app)
+    host: Host | None = None
+
+    def on_bus(connected: bool) -> None:
+        if connected and host is not None:
+            host.nudge()
+
+    with Service(f"app/{app.name}", on_bus=on_bus) as service:
+        number = options.run if options.run is not None else _default_run(app, service.config)
+        seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
+        runner = Runner(app.make(service.config, service.robot, seed), app.source)
+        record = os.environ.get("SWARM_RECORD")
+        host = Host(service, app.name, runner, number, options.iterations, Path(record) if record else None)
+        service.stopping.wait()
+        host.close()
+        return FAULT if host.failed else 0
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="services.apps", description="Run one app on this robot.")
+    parser.add_argument(
+        "app", help=f"{' or '.join(loader.BUILT_IN)}, or the path of a Python file with an app"
+    )
+    parser.add_argument(
+        "--iterations", type=_iterations, metavar="K", help="the last iteration (without: no last one)"
+    )
+    parser.add_argument(
+        "--run",
+        metavar="HEX",
+        help="number of the run, the same on all robots (SWARM_RUN; default: by app and config)",
+    )
+    options = parser.parse_args()
+    text = options.run or os.environ.get("SWARM_RUN")
+    options.run = None if not text else _number("--run or SWARM_RUN", text, 16)
+    return options
+
+
+def _iterations(text: str) -> int:
+    number = int(text)
+    if not 0 <= number <= MAX_ITERATION:
+        raise argparse.ArgumentTypeError(f"expected 0 to {MAX_ITERATION}")
+    return number
+
+
+def _number(name: str, text: str, base: int) -> int:
+    try:
+        number = int(text, base)
+    except ValueError:
+        number = -1
+    if not 0 <= number < 1 << 64:
+        kind = "hexadecimal" if base == 16 else "whole"
+        raise LocalError(f"{name}: expected a {kind} number of 64 bits, got {text!r}")
+    return number
+
+
+def _default_run(app: loader.App, config: Config) -> int:
+    """By the sources of app and config: robots that differ in either are not in one run."""
+    text = app.digest + config.path.read_bytes()
+    return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
+
+
+if __name__ == "__main__":
+    run(main)

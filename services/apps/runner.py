@@ -1,0 +1,142 @@
+"""One app instance between packed bytes: a `Compute` of the lockstep becomes a call of the author's `step`.
+
+No IO and no clock. Whatever the author's code raises comes out as one `AppError` that names robot, iteration,
+file, line and fault.
+"""
+
+import math
+import traceback
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+from swarm.app import SyncApp
+from swarm.codec import Value
+from swarm.core.state import pack_private, unpack_private
+from swarm.errors import AppError
+from swarm.messages import Measurement
+
+T = TypeVar("T")
+
+
+class Runner:
+    """Drives one app instance from state to state."""
+
+    def __init__(self, app: SyncApp, source: str) -> None:
+        """`source`: path of the app's file; a fault is reported with the line in it."""
+        self.app = app
+        self.schema = type(app).spec.schema
+        self.k = 0
+        self._source = source
+        self._columns: tuple[str, ...] | None = None
+
+    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
+        """Let the app set its first state; returns it packed: shared, private."""
+        self._be_at(0)
+        self.app.robot.prepare("start", measurement)
+        self._call("start()", self.app.start)
+        return self._pack("start()")
+
+    def step(
+        self, k: int, own: bytes, values: Mapping[str, bytes], measurement: Measurement | None
+    ) -> tuple[bytes, bytes]:
+        """Compute x(k+1) from the own x(k) and the neighbours', by name; returns it packed: shared, private.
+
+        The neighbours are handed over sorted by name, so that sums have one order everywhere (rule R8).
+        """
+        self._be_at(k)
+        self._set(own)
+        app = self.app
+        view, unpack = type(app).spec.view, self.schema.unpack
+        app.robot.prepare(str(k), measurement)
+        neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]
+        answer: object = self._call(f"step {k}", lambda: app.step(neighbours))
+        if answer is not None:
+            raise AppError(
+                f"{self._where(f'step {k}')}: it returned {answer!r}; a step assigns to the state instead"
+            )
+        packed = self._pack(f"step {k}")
+        self._be_at(k + 1)
+        return packed
+
+    def restore(self, k: int, own: bytes, private: bytes) -> None:
+        """Be again where a snapshot was taken."""
+        self._be_at(k)
+        self._set(own)
+        for name, value in unpack_private(private).items():
+            setattr(self.app, name, value)
+
+    def state(self) -> dict[str, Value]:
+        """The shared state by name."""
+        return {name: getattr(self.app, name) for name in self.schema.names}
+
+    def result(self) -> dict[str, Value]:
+        """What the app reports now; its names never change."""
+        where = f"result() at iteration {self.k}"
+        answer: object = self._call(where, self.app.result)
+        if not isinstance(answer, Mapping) or not all(isinstance(name, str) for name in answer):
+            raise AppError(f"{self._where(where)}: expected a dict by name, got {answer!r}")
+        result = {name: self._value(where, name, value) for name, value in answer.items()}
+        if self._columns is None:
+            self._columns = tuple(result)
+        elif self._columns != tuple(result):
+            raise AppError(
+                f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
+            )
+        return result
+
+    def _be_at(self, k: int) -> None:
+        self.k = k
+        object.__setattr__(self.app, "k", k)
+
+    def _set(self, own: bytes) -> None:
+        for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):
+            setattr(self.app, name, value)
+
+    def _pack(self, where: str) -> tuple[bytes, bytes]:
+        app, spec = self.app, type(self.app).spec
+        try:
+            own = self.schema.pack({name: getattr(app, name) for name in self.schema.names})
+            private = pack_private({name: getattr(app, name) for name in spec.private if hasattr(app, name)})
+        except AppError as error:
+            raise AppError(f"{self._where(where)}: {error}") from None
+        # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
+        self._set(own)
+        return own, private
+
+    def _value(self, where: str, name: str, value: object) -> Value:
+        if isinstance(value, bool | str):
+            return value
+        if isinstance(value, int) and -(1 << 63) <= value < 1 << 63:
+            return int(value)
+        if isinstance(value, float) and math.isfinite(value):
+            return float(value)
+        if isinstance(value, tuple | list) and all(
+            isinstance(x, float | int) and math.isfinite(x) for x in value
+        ):
+            return tuple(float(x) for x in value)
+        raise AppError(
+            f"{self._where(where)}: {name}: expected a finite number, bool, text or vector, got {value!r}"
+        )
+
+    def _call(self, where: str, function: Callable[[], T]) -> T:
+        try:
+            return function()
+        except AppError as error:
+            raise AppError(f"{self._where(where)}: {error}") from None
+        except Exception as error:
+            raise AppError(f"{self._where(where)}: {describe(error, self._source)}") from error
+
+    def _where(self, where: str) -> str:
+        return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"
+
+
+def describe(error: BaseException, source: str) -> str:
+    """An author's error in one line: file, line, kind, text. The deepest line within `source` is the one to
+    mend."""
+    if isinstance(error, SyntaxError) and error.lineno is not None:
+        return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
+    frames = traceback.extract_tb(error.__traceback__)
+    mine = [frame for frame in frames if frame.filename == source] or frames
+    place = f"{mine[-1].filename}, line {mine[-1].lineno}: " if mine else ""
+    kind = "" if isinstance(error, AppError) else f"{type(error).__name__}: "
+    return f"{place}{kind}{error}"

@@ -1,0 +1,235 @@
+"""An app's state as bytes: shared fields at fixed width for the air, private ones as msgpack for a restart.
+
+Shared fields are packed little endian, without padding, in declared order (base classes first): float as
+float64, float32, int as int64, bool as one byte, `Annotated[Vector, n]` as n float64. The width is known
+before the start, and the schema hash (names, types, order and the app's class name) keeps robots with
+different apps apart.
+"""
+
+import math
+import numbers
+import re
+import struct
+from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Annotated, Any, get_args, get_origin
+
+import msgpack
+
+from swarm.errors import AppError
+
+Vector = tuple[float, ...]
+"""A vector of fixed length; declared as `Annotated[Vector, 2]`."""
+
+
+class _Float32:
+    """Marks a float that travels as IEEE 754 binary32."""
+
+
+float32 = Annotated[float, _Float32()]
+"""A float of half the width on the air. The own value is rounded, too: all robots then count with the same.
+"""
+
+MAX_STATE = 440
+"""Largest packed state, bytes: one mesh frame holds two of them (rule R2 of the lockstep)."""
+
+WIRE_TYPES = "float, float32, int, bool or Annotated[Vector, n]"
+
+Item = float | int | bool | tuple[float, ...]
+"""The value of one shared field."""
+
+_INT64 = 1 << 63
+_FLOAT32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
+_TUPLE = 1  # msgpack extension type: Python tuples come back as tuples, not as lists
+
+
+@dataclass(frozen=True)
+class Field:
+    """One shared field."""
+
+    name: str
+    kind: str
+    """float, float32, int, bool or vector."""
+    length: int = 1
+    """Numbers in it."""
+
+    @property
+    def format(self) -> str:
+        """Its `struct` format."""
+        return {"float": "d", "float32": "f", "int": "q", "bool": "?", "vector": f"{self.length}d"}[self.kind]
+
+    @property
+    def zero(self) -> Item:
+        """The value it has when nothing else was said."""
+        if self.kind == "vector":
+            return (0.0,) * self.length
+        return {"float": 0.0, "float32": 0.0, "int": 0, "bool": False}[self.kind]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Its column names in a table: `q[0]`, `q[1]`... for a vector."""
+        return (
+            tuple(f"{self.name}[{i}]" for i in range(self.length)) if self.kind == "vector" else (self.name,)
+        )
+
+    def check(self, value: object) -> Item:
+        """`value` as this field holds it, numbers as floats, lists as tuples; `AppError` says what was wrong."""
+        if self.kind == "float":
+            return _finite(value)
+        if self.kind == "float32":
+            number = _finite(value)
+            if abs(number) > _FLOAT32_MAX:
+                raise AppError(f"{number!r} is beyond the range of float32")
+            rounded: float = struct.unpack("<f", struct.pack("<f", number))[0]
+            return rounded
+        if self.kind == "bool":
+            if isinstance(value, bool):
+                return value
+            raise AppError(f"expected True or False, got {_shown(value)}")
+        if self.kind == "int":
+            if isinstance(value, numbers.Integral) and not isinstance(value, bool):
+                whole = int(value)
+                if -_INT64 <= whole < _INT64:
+                    return whole
+            raise AppError(f"expected an integer of 64 bits, got {_shown(value)}")
+        if isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping | Set):
+            items = tuple(_finite(item) for item in value)
+            if len(items) == self.length:
+                return items
+        raise AppError(f"expected {self.length} numbers, got {_shown(value)}")
+
+
+class Schema:
+    """The shared fields of one app class: names, order, width, hash."""
+
+    def __init__(self, app: str, fields: Iterable[Field]) -> None:
+        """`app` is the class name; the fields in declared order."""
+        self.app = app
+        self.fields = tuple(fields)
+        self.names = tuple(field.name for field in self.fields)
+        self._struct = struct.Struct("<" + "".join(field.format for field in self.fields))
+        self.size = self._struct.size
+        """Bytes of one packed state."""
+        text = f"{app}({','.join(f'{f.name}:{f.kind}:{f.length}' for f in self.fields)})"
+        self.hash = int.from_bytes(blake2b(text.encode(), digest_size=4).digest(), "little")
+        """32 bits over class name, names, types and order."""
+        self._has_vectors = any(field.kind == "vector" for field in self.fields)
+
+    def check_size(self) -> None:
+        """Raise `AppError` where there is nothing to share, or more than one frame holds."""
+        if not self.fields:
+            raise AppError(f"{self.app} shares no state: declare at least one field, e.g. `value: float`")
+        if self.size > MAX_STATE:
+            sizes = ", ".join(f"{f.name} {struct.calcsize('<' + f.format)}" for f in self.fields)
+            raise AppError(
+                f"the state of {self.app} takes {self.size} bytes, a frame holds {MAX_STATE} ({sizes})"
+            )
+
+    def check(self, values: Mapping[str, object]) -> dict[str, Item]:
+        """The fields' checked and rounded values, in order; `AppError` names the field at fault."""
+        checked: dict[str, Item] = {}
+        for field in self.fields:
+            try:
+                checked[field.name] = field.check(values[field.name])
+            except AppError as error:
+                raise AppError(f"{field.name}: {error}") from None
+        return checked
+
+    def pack(self, values: Mapping[str, object]) -> bytes:
+        """Check and pack the fields out of `values`."""
+        flat: list[object] = []
+        for field, value in zip(self.fields, self.check(values).values(), strict=True):
+            if field.kind == "vector":
+                flat.extend(value)  # type: ignore[arg-type]
+            else:
+                flat.append(value)
+        return self._struct.pack(*flat)
+
+    def unpack(self, data: bytes) -> tuple[Item, ...]:
+        """The values in declared order. `data` is of this schema's size, whoever took it in has checked."""
+        flat = self._struct.unpack(data)
+        if not self._has_vectors:
+            return flat
+        values: list[Item] = []
+        at = 0
+        for field in self.fields:
+            if field.kind == "vector":
+                values.append(flat[at : at + field.length])
+            else:
+                values.append(flat[at])
+            at += field.length
+        return tuple(values)
+
+
+def field_of(name: str, annotation: object) -> Field:
+    """The field that an annotation of an app class declares; `AppError` where that type cannot travel."""
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise AppError(f"{name}: a shared field's name is of letters a-z, digits and _")
+    if annotation in (float, int, bool):
+        return Field(name, annotation.__name__)
+    if get_origin(annotation) is Annotated:
+        base, mark = get_args(annotation)[:2]
+        if isinstance(mark, _Float32):
+            return Field(name, "float32")
+        if base == Vector:
+            if type(mark) is int and mark > 0:
+                return Field(name, "vector", mark)
+            raise AppError(
+                f"{name}: expected Annotated[Vector, n] with n a positive integer, got n = {mark!r}"
+            )
+    if annotation == Vector:
+        raise AppError(f"{name}: say how long the vector is: `{name}: Annotated[Vector, 2]`")
+    shown = getattr(annotation, "__name__", None) or str(annotation)
+    raise AppError(f"{name}: a shared field is of type {WIRE_TYPES}, not {shown}")
+
+
+def pack_private(values: Mapping[str, object]) -> bytes:
+    """Private fields as msgpack, tuples and lists kept apart; `AppError` names the field at fault."""
+    for name, value in values.items():
+        try:
+            _packb(value)
+        except (TypeError, ValueError, OverflowError, RecursionError) as error:
+            raise AppError(f"{name}: {_shown(value)} cannot be saved for a restart ({error})") from None
+    return _packb(dict(values))
+
+
+def unpack_private(data: bytes) -> dict[str, Any]:
+    """What `pack_private` packed."""
+    values: dict[str, Any] = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
+    return values
+
+
+def _packb(value: object) -> bytes:
+    data: bytes = msgpack.packb(value, default=_to_extension, strict_types=True)
+    return data
+
+
+def _to_extension(value: object) -> object:
+    if isinstance(value, tuple):
+        return msgpack.ExtType(_TUPLE, _packb(list(value)))
+    raise TypeError(f"type {type(value).__name__}")
+
+
+def _from_extension(code: int, data: bytes) -> object:
+    items = msgpack.unpackb(data, ext_hook=_from_extension, strict_map_key=False)
+    return tuple(items) if code == _TUPLE else items
+
+
+def _finite(value: object) -> float:
+    if type(value) is float and math.isfinite(value):
+        return value
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if math.isfinite(number):
+            return number
+        raise AppError(f"{_shown(value)} is not a finite number")
+    raise AppError(f"expected a number, got {_shown(value)}")
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
