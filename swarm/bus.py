@@ -22,7 +22,8 @@ from swarm.keys import MAX_KEY_LENGTH
 from swarm.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 # One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round
-# trip from 305 to 157 us on the measuring machine. Must be set before the library is loaded.
+# trip from 305 to 157 us on the measuring machine. Tried with restarts of the router, and with a client and a
+# router stopped for longer than the lease of 10 s. Must be set before the library is loaded.
 os.environ.setdefault(
     "ZENOH_RUNTIME",
     "(rx:(worker_threads:1),acc:(handover:rx),app:(handover:rx),tx:(handover:rx),net:(handover:rx))",

@@ -141,6 +141,7 @@ def notify(message: str) -> None:
     if not address:
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        sock.settimeout(1.0)  # a service must not hang on a systemd that does
         try:
             sock.sendto(message.encode(), "\0" + address[1:] if address.startswith("@") else address)
         except OSError as error:

@@ -1,5 +1,6 @@
 """Fixtures of all tests: a short runtime directory, processes that never outlive a test, a real router."""
 
+import contextlib
 import os
 import shutil
 import signal
@@ -45,6 +46,7 @@ class Processes:
         self.config = runtime / "swarm.toml"
         self.config.write_text(CONFIG.format(runtime=runtime))
         self._started: list[subprocess.Popen[str]] = []
+        self._sockets: list[socket.socket] = []
 
     def environment(self, **extra: str) -> dict[str, str]:
         """The variables a service is started with; `extra` overrides."""
@@ -67,22 +69,21 @@ class Processes:
 
     def start_ready(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
         """Start a service and return when it has told systemd (us) that it is ready."""
-        address = str(self.runtime / f"notify{len(self._started)}")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-            sock.bind(address)
-            sock.settimeout(0.1)
-            process = self.start(*arguments, NOTIFY_SOCKET=address, **environment)
-            deadline = time.monotonic() + 20
-            while True:
-                try:
-                    if "READY=1" in sock.recv(4096).decode():
-                        break
-                except TimeoutError:
-                    if process.poll() is not None or time.monotonic() > deadline:
-                        process.kill()
-                        pytest.fail(f"{arguments} did not get ready:\n{process.communicate()[1]}")
-        Path(address).unlink()
-        return process
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._sockets.append(sock)
+        address = str(self.runtime / f"notify{len(self._sockets)}")
+        sock.bind(address)
+        sock.settimeout(0.1)
+        process = self.start(*arguments, NOTIFY_SOCKET=address, **environment)
+        deadline = time.monotonic() + 20
+        while True:
+            try:
+                if "READY=1" in sock.recv(4096).decode():
+                    return process
+            except TimeoutError:
+                if process.poll() is not None or time.monotonic() > deadline:
+                    process.kill()
+                    pytest.fail(f"{arguments} did not get ready:\n{process.communicate()[1]}")
 
     def router(self, **environment: str) -> subprocess.Popen[str]:
         """Start the bus service of this runtime directory and wait until it listens."""
@@ -94,7 +95,12 @@ class Processes:
             if process.poll() is None:
                 process.kill()
         for process in self._started:
-            process.communicate()
+            process.wait()
+            for stream in (process.stdin, process.stdout, process.stderr):
+                with contextlib.suppress(OSError):
+                    stream.close()
+        for sock in self._sockets:
+            sock.close()
 
 
 @pytest.fixture

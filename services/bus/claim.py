@@ -41,12 +41,14 @@ def claim(directory: Path) -> Iterator[None]:
 
 def _remove_stale(path: Path) -> None:
     """Remove a socket nobody listens on; refuse one on which a program that ignores our lock does."""
+    if not path.exists():
+        return
+    if not path.is_socket():
+        raise BusError(f"{path} is not a socket; remove it")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:
             probe.connect(os.fspath(path))
-        except FileNotFoundError:
-            return
         except ConnectionRefusedError:
             path.unlink(missing_ok=True)
             return
