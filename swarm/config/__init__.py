@@ -1,7 +1,9 @@
 """Configuration of the swarm: one `swarm.toml`, the same on every robot."""
 
+from swarm.config.dump import dump
 from swarm.config.load import load, parse, who_am_i
 from swarm.config.types import (
+    DEFAULT_RELAY,
     Affine,
     Anchor,
     App,
@@ -16,6 +18,7 @@ from swarm.config.types import (
 )
 
 __all__ = [
+    "DEFAULT_RELAY",
     "Affine",
     "Anchor",
     "App",
@@ -27,6 +30,7 @@ __all__ = [
     "RelayRule",
     "Robot",
     "Simulation",
+    "dump",
     "load",
     "parse",
     "who_am_i",

@@ -93,8 +93,8 @@ def who_am_i(config: Config) -> str:
         name, source = socket.gethostname().partition(".")[0], "the host name"
     if name not in config.names:
         raise ConfigError(
-            f"{config.path}: {source} is {shown(name)}, none of its robots ({', '.join(config.names)}); set the "
-            "variable SWARM_ROBOT or the host name to the one this machine is"
+            f"{config.path}: {source} is {shown(name)}, none of its robots ({', '.join(config.names)}); "
+            "set the variable SWARM_ROBOT or the host name to the one this machine is"
         )
     return name
 
@@ -143,7 +143,7 @@ def _topology(top: Table, robots: Sequence[Robot]) -> Graph:
     given = [way for way in ways if way in table]
     if len(given) != 1 and (given or len(robots) > 1):
         got = f"got {' and '.join(given)}" if given else "got none"
-        raise table.error("", f"expected exactly one of shape, edges or matrix, {got}")
+        raise table.error(None, f"expected exactly one of shape, edges or matrix, {got}")
     way = given[0] if given else "edges"
     try:
         if way == "shape":
@@ -157,9 +157,7 @@ def _topology(top: Table, robots: Sequence[Robot]) -> Graph:
     except LocalError as error:
         raise table.error(way, str(error)) from None
     if not graph.is_connected():
-        parts = "; ".join(
-            " ".join(part[:8]) + (" ..." if len(part) > 8 else "") for part in graph.components()[:8]
-        )
+        parts = "; ".join(" ".join(part[:8]) + (" ..." if len(part) > 8 else "") for part in graph.components()[:8])
         raise table.error(way, f"not connected: these parts cannot reach each other: {parts}")
     _check_radio(table, way, robots, graph)
     return graph
@@ -223,9 +221,7 @@ def _relay(top: Table) -> tuple[RelayRule, ...]:
         if problem:
             raise table.error("keys", f"{problem}, got {shown(keys)}")
         if any(rule.keys == keys for rule in rules):
-            raise table.error(
-                "keys", f"there is a rule for {keys} already (the platform's own are added to yours)"
-            )
+            raise table.error("keys", f"there is a rule for {keys} already (the platform's own are added to yours)")
         rule = RelayRule(
             keys,
             overlay=table.choice("overlay", "neighbours", ("neighbours",)),
@@ -253,9 +249,7 @@ def _wrong_keys(keys: str) -> str | None:
         return "expected no chunk set: commands to a robot are not relayed from it"
     for before, chunk in zip(["", *tail], tail, strict=False):
         if chunk != "{peer}" and not _KEY_CHUNK.fullmatch(chunk):
-            return (
-                f"expected chunks of letters, digits and _ . : - or one of *, **, {{peer}}; {chunk!r} is none"
-            )
+            return f"expected chunks of letters, digits and _ . : - or one of *, **, {{peer}}; {chunk!r} is none"
         if before == "**" and chunk in ("*", "**"):
             return f"expected no {chunk} after **"  # not a canonical key expression: Zenoh refuses it
     if len(keys) + 2 * 16 > MAX_KEY_LENGTH:  # names of robots have up to 16 characters

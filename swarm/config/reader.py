@@ -35,11 +35,11 @@ class Table:
                 if key not in known:
                     raise self._unknown(key, value, known)
 
-    def error(self, key: str, problem: str) -> ConfigError:
-        """The error to raise about an entry; an empty `key` means the table itself."""
-        table = f"[{self.name}]" if self.name else ""
-        place = " ".join(part for part in (table, quoted(key) if key else "") if part)
-        return ConfigError(f"{self.file}: {place}: {problem}" if place else f"{self.file}: {problem}")
+    def error(self, key: str | None, problem: str) -> ConfigError:
+        """The error to raise about an entry, or about the table itself."""
+        table = [f"[{self.name}]"] if self.name else []
+        place = " ".join(table if key is None else [*table, quoted(key)])
+        return ConfigError(f"{self.file}: {place}: {problem}")
 
     def _unknown(self, key: str, value: object, known: Sequence[str]) -> ConfigError:
         is_list = isinstance(value, list) and value and isinstance(value[0], dict)

@@ -38,7 +38,7 @@ def mesh(top: Table) -> Mesh:
     )
     if not found.heartbeat < found.suspect < found.dead:
         raise table.error(
-            "",
+            None,
             f"expected heartbeat < suspect < dead, got {found.heartbeat}, {found.suspect} and {found.dead} s",
         )
     return found
@@ -72,9 +72,7 @@ def dwm(top: Table) -> Dwm:
     return Dwm(
         source=source,
         target=_uwb_address(table, "target") if "target" in table else None,
-        rate=table.number(
-            "rate", normal.rate, above=0, up_to=10, expected="a number above 0 up to 10, in Hz"
-        ),
+        rate=table.number("rate", normal.rate, above=0, up_to=10, expected="a number above 0 up to 10, in Hz"),
         window=table.count("window", normal.window, low=1),
         distance=Linear(gain, offset),
         position=Affine(
@@ -92,9 +90,7 @@ def body(top: Table) -> Body:
     if abs(trim) > 0.5:
         raise table.wrong("trim", "an angle within 0.5 of 0, in rad")
     return Body(
-        wheel_radius=table.number(
-            "wheel_radius", normal.wheel_radius, above=0, expected="a number above 0, in m"
-        ),
+        wheel_radius=table.number("wheel_radius", normal.wheel_radius, above=0, expected="a number above 0, in m"),
         gear_ratio=table.number("gear_ratio", normal.gear_ratio, above=0, expected="a number above 0"),
         trim=trim,
     )
@@ -106,9 +102,7 @@ def apps(top: Table, robots: Sequence[str]) -> dict[str, App]:
     every = top.table("apps", None)
     for name in every.data:
         if not is_name(name):
-            raise every.error(
-                name, "expected the name of an app: a lower-case letter, then letters, digits, _ or -"
-            )
+            raise every.error(name, "expected the name of an app: a lower-case letter, then letters, digits, _ or -")
         table = every.table(name, None)
         single = table.table("robots", robots)
         found[name] = App(
@@ -151,9 +145,7 @@ def _parameters(table: Table) -> dict[str, Value]:
 
 def _parameter(table: Table, key: str) -> Value:
     if not key.isidentifier() or key.startswith("_"):
-        raise table.error(
-            key, "expected a parameter's name: letters, digits and _, not starting with a digit or _"
-        )
+        raise table.error(key, "expected a parameter's name: letters, digits and _, not starting with a digit or _")
     value = table.data[key]
     if isinstance(value, (bool, str)):
         return value

@@ -1,0 +1,81 @@
+"""The command `swarm VERB ...`.
+
+A verb is a module of this package with `HELP` (one line), `add_arguments(parser)` and `run(args) -> int`; it
+is imported only when it is used, since imports are slow on a Pi. Verbs that belong to a service are handed to
+its process with their arguments untouched: the library knows services by name only.
+"""
+
+import argparse
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from swarm import __version__
+from swarm.errors import LocalError, SwarmError
+
+VERBS = ("config",)
+"""Modules of this package."""
+
+HANDED_ON = {
+    "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
+    "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
+}
+"""Verb: its help, and the module and first arguments that it becomes."""
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Entry point of `swarm`: our own errors are one line on stderr and exit code 2, never a traceback."""
+    try:
+        code = _main(list(sys.argv[1:] if argv is None else argv))
+        sys.stdout.flush()
+    except SwarmError as error:
+        sys.stderr.write(f"swarm: {error}\n")
+        code = 2
+    except KeyboardInterrupt:
+        code = 130
+    except BrokenPipeError:
+        code = 141  # as a program that SIGPIPE ends: `swarm config --example | head` is no fault
+        _forget_output()
+    except OSError as error:
+        sys.stderr.write(f"swarm: {error}\n")  # a full disk, mostly
+        code = 2
+        _forget_output()
+    sys.exit(code)
+
+
+def _main(argv: list[str]) -> int:
+    if not argv or argv[0] in ("-h", "--help"):
+        sys.stdout.write(_usage())
+        return 0 if argv else 2
+    verb, rest = argv[0], argv[1:]
+    if verb == "--version":
+        sys.stdout.write(f"swarm {__version__}\n")
+        return 0
+    if verb in HANDED_ON:
+        module, *first = HANDED_ON[verb][1]
+        sys.stdout.flush()
+        os.execv(sys.executable, [sys.executable, "-m", module, *first, *rest])  # noqa: S606 - our own service
+    if verb not in VERBS:
+        near = difflib.get_close_matches(verb, [*VERBS, *HANDED_ON], n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join([*VERBS, *HANDED_ON])}"
+        raise LocalError(f"no command {verb!r}; {hint}")
+    command = importlib.import_module(f"swarm.cli.{verb}")
+    parser = argparse.ArgumentParser(prog=f"swarm {verb}", description=command.HELP)
+    command.add_arguments(parser)
+    code: int = command.run(parser.parse_args(rest))
+    return code
+
+
+def _usage() -> str:
+    helps = {verb: importlib.import_module(f"swarm.cli.{verb}").HELP for verb in VERBS}
+    helps |= {verb: text for verb, (text, _) in HANDED_ON.items()}
+    lines = [f"  {verb:<8} {text}" for verb, text in helps.items()]
+    return "\n".join(["usage: swarm COMMAND ...   (swarm COMMAND --help, swarm --version)", "", *lines, ""])
+
+
+def _forget_output() -> None:
+    """Point stdout to nowhere, or the interpreter would fail once more when it flushes at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

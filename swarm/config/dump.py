@@ -1,0 +1,40 @@
+"""From a `Config` back to the text of a `swarm.toml`: what a simulation writes for the robots it starts."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from swarm.config.types import DEFAULT_RELAY, App, Config
+from swarm.errors import LocalError
+
+
+def dump(config: Config) -> str:
+    """The text that `swarm.config.parse` reads as `config`. For the laptop: it needs the package tomli-w."""
+    import tomli_w  # no robot has it
+
+    rules = config.relay[len(DEFAULT_RELAY) :]
+    if config.relay != DEFAULT_RELAY + rules:
+        raise LocalError("a config whose relay rules do not begin with the default ones cannot be written")
+    document: dict[str, Any] = {"network": config.network, "robots": _plain(config.robots)}
+    document["topology"] = {"edges": _plain(config.edges)}
+    for name in ("mesh", "anchors", "dwm", "body", "simulation"):
+        document[name] = _plain(getattr(config, name))
+    document["relay"] = _plain(rules)
+    document["apps"] = {name: _app(app) for name, app in config.apps.items()}
+    text: str = tomli_w.dumps(document)
+    return text
+
+
+def _app(app: App) -> dict[str, Any]:
+    return {**_plain(app.parameters), "robots": _plain(app.robots)}
+
+
+def _plain(value: Any) -> Any:
+    """Tables and lists of what TOML knows; an entry that is None is left out, as TOML has no such value."""
+    if dataclasses.is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items() if entry is not None}
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    return value

@@ -1,0 +1,137 @@
+"""The commented `swarm.toml` that `swarm config --example` prints. The tests load it and miss no entry in it."""
+
+EXAMPLE = """\
+# swarm.toml: one file for the whole swarm, the same on every robot, in /etc/swarm/swarm.toml or where the
+# variable SWARM_CONFIG says. Each robot knows which one it is by its host name or the variable SWARM_ROBOT.
+# Units are SI: m, rad, s, Hz. Check a changed file with: swarm config check swarm.toml
+
+network = "lab"            # robots of another network are refused
+
+# ---- Robots. Names: a lower-case letter, then up to 15 lower-case letters, digits, _ or -.
+
+[[robots]]
+name = "r0"
+board = "zero2w"                    # zero2w or pi4: sets the body's mass
+bluetooth = "B8:27:EB:00:00:10"     # address of the Pi's adapter: bluetoothctl show
+
+[[robots]]
+name = "r1"
+bluetooth = "B8:27:EB:00:00:11"
+
+[[robots]]
+name = "r2"
+bluetooth = "B8:27:EB:00:00:12"
+
+[[robots]]
+name = "r3"
+bluetooth = "B8:27:EB:00:00:13"
+
+[[robots]]
+name = "r4"
+board = "pi4"
+bluetooth = "B8:27:EB:00:00:14"
+
+[[robots]]
+name = "r5"
+bluetooth = "B8:27:EB:00:00:15"
+# How the others reach a robot where that is not Bluetooth; a simulation fills in sim:SOCKET by itself.
+# link = "tcp:192.168.1.15:7447"
+
+# ---- Topology: who talks to whom. Exactly one of shape, edges or matrix; connected, links hold both ways, at
+# most seven Bluetooth links a robot. A link counts as Bluetooth when either end has no `link`.
+
+[topology]
+shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:SEED
+# edges = [["r0", "r1"], ["r1", "r2"], ["r2", "r3"], ["r3", "r4"], ["r4", "r5"]]
+# matrix = [                # rows and columns in the order of the robots
+#   [0, 1, 0, 1, 1, 1],
+#   [1, 0, 1, 0, 0, 0],
+#   [0, 1, 0, 1, 0, 1],
+#   [1, 0, 1, 0, 1, 0],
+#   [1, 0, 0, 1, 0, 1],
+#   [1, 0, 1, 0, 1, 0],
+# ]
+
+# ---- Mesh: the links between robots.
+
+[mesh]
+insecure = true            # links are not authenticated yet: anyone in reach can join. A swarm has to say so.
+# listen = "0.0.0.0:7447"  # where tcp: neighbours may call; nothing listens on the network without it
+heartbeat = 0.5            # s between heartbeats
+suspect = 1.5              # s of silence until a link is suspect,
+dead = 3.0                 # and until it is closed and dialled anew
+
+# ---- Relay: which keys of its own a robot sends to its neighbours, where they appear under the same name.
+# What synchronous apps say to each other (swarm/{self}/app/*/sync/...) is relayed without a rule here.
+# {self} is the robot's own name; {peer}, as a chunk, the name of the neighbour the key goes to.
+
+[[relay]]
+keys = "swarm/{self}/dwm/pose"
+overlay = "neighbours"     # one hop
+priority = "bulk"          # control, sync or bulk
+queue = "latest"           # latest (a newer value replaces a waiting one) or all (in order, none left out)
+max_rate = 2.0             # Hz for each key, only for "latest"; without it as published
+
+# ---- Anchors: UWB modules at known places. The address is the short one, as the module prints it.
+
+[[anchors]]
+address = "D001"
+x = 0.0
+y = 0.0
+z = 0.0
+
+[[anchors]]
+address = "D002"
+x = 1.94
+y = 0.0
+
+[[anchors]]
+address = "D003"
+x = 1.00
+y = 1.94
+
+# ---- UWB module of every robot: source, calibration, filter.
+
+[dwm]
+source = "serial:/dev/serial0"  # serial:PATH, or replay:DIR (a recording); {robot} is the robot's name
+target = "C933"            # address of the module that is the target
+rate = 10.0                # Hz, at most 10
+window = 5                 # moving average over so many measurements; 1 = off
+
+[dwm.distance]             # calibrated distance = gain * measured + offset
+gain = 0.946976
+offset = -0.05964849       # m
+
+[dwm.position]             # calibrated position = matrix * measured + offset
+matrix = [[0.93538932, 0.00353817], [-0.01071457, 0.94470965]]
+offset = [0.046239576, 0.050861534]    # m
+
+# ---- Body: parameters of the robots' mechanics.
+
+[body]
+wheel_radius = 0.040       # m
+gear_ratio = 110.25        # motor turns for one turn of a wheel
+trim = 0.0                 # tilt at which it balances, from the upright of the IMU, rad
+
+# ---- Apps: parameters by name, for all robots and for single ones on top. Numbers, true or false, texts, and
+# lists of numbers. A parameter named like a field of the app's state sets its starting value.
+
+[apps.consensus]
+algorithm = "metropolis"   # or "thesis"
+value = 0.5
+
+[apps.consensus.robots.r5]
+value = 5.0
+
+[apps.localization]
+algorithm = "info"         # or "thesis"
+
+# ---- Simulation: where things start; only `swarm sim` reads it. Robots without a place get one.
+
+[simulation]
+target = [0.5, 1.0]        # m
+
+[simulation.places]        # x in m, y in m, heading in rad
+r0 = [0.5, 1.5, 0.0]
+r1 = [1.0, 0.5, 1.57]
+"""
