@@ -1,0 +1,116 @@
+"""Simulations that run on this machine, and how to find one.
+
+A simulation lives in a run directory: one subdirectory per robot, which is that robot's runtime directory,
+and `swarm.toml`. Its parent process holds a lock on `sim.lock` for as long as it lives, however it ends; the
+file itself stays and says nothing.
+"""
+
+import fcntl
+import os
+import tomllib
+from pathlib import Path
+
+from swarm.errors import BusError
+from swarm.keys import is_name
+from swarm.paths import BUS_SOCKET
+
+LOCK = "sim.lock"
+CONFIG = "swarm.toml"
+
+
+def default_run_dir() -> Path:
+    """Where a simulation of this user runs unless told otherwise; short, since sockets' paths are limited."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(runtime) / "swarm-sim" if runtime else Path(f"/tmp/swarm-sim-{os.getuid()}")  # noqa: S108
+
+
+class Claim:
+    """The lock on a run directory, held until closed or until the process ends."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def close(self) -> None:
+        """Let another simulation have the directory; safe to call twice."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
+    def __enter__(self) -> "Claim":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def claim(directory: Path) -> Claim:
+    """Make `directory` and hold it for one simulation; `BusError` where another runs there or it cannot be
+    used.
+
+    It is readable by its owner alone: whoever reaches the sockets in it drives the robots.
+    """
+    try:
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if directory.stat().st_uid != os.getuid():
+            raise BusError(f"{directory}: belongs to another user; use --run-dir")
+        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise BusError(f"{directory}: cannot be used as run directory: {error.strerror}; use --run-dir") from
+        None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        pid = os.pread(descriptor, 32, 0).decode(errors="replace").strip()
+        os.close(descriptor)
+        raise BusError(
+            f"{directory}: a simulation is already running there (pid {pid or 'unknown'}); end it or use
+            --run-dir"
+        ) from None
+    os.ftruncate(descriptor, 0)
+    os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+    return Claim(descriptor)
+
+
+def is_live(directory: Path) -> bool:
+    """Whether a simulation runs in `directory` at this moment."""
+    try:
+        descriptor = os.open(directory / LOCK, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        # A shared lock, so that two who look at the same time do not take each other for a simulation.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def robots(directory: Path) -> dict[str, Path]:
+    """Runtime directory of each simulated robot: those its config lists, and those whose bus is there."""
+    names = {path.parent.name for path in directory.glob(f"*/{BUS_SOCKET}")} | set(_listed(directory /
+    CONFIG)) return {name: directory / name for name in sorted(names) if is_name(name)}
+
+
+def _listed(path: Path) -> list[str]:
+    """Names in a config that may be half written or of another version: only they are looked at."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return [str(robot["name"]) for robot in table.get("robots", [])]
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return []
+
+
+def pid_file(directory: Path, robot: str, service: str) -> Path:
+    """Where the simulation in `directory` keeps the pid of a robot's service (`app/consensus` has a slash)."""
+    return directory / robot / f"{service.replace('/', '.')}.pid"
+
+
+def pid_of(directory: Path, robot: str, service: str) -> int | None:
+    """Pid of a robot's service as its simulation noted it; None where there is no such note."""
+    try:
+        pid = int(pid_file(directory, robot, service).read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return None
+    return pid if pid > 1 else None

@@ -1,0 +1,123 @@
+"""Every message type survives the bus, and docs/keys.md tells the truth about all of them."""
+
+import dataclasses
+import re
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm.codec import decode, encode
+from swarm.errors import PayloadError
+from swarm.keys import STOP, key
+from swarm.messages import TOPICS, AppState, Leds, SetMode, Status, Stop, read, type_of
+
+TYPES = sorted({*TOPICS.values(), Stop}, key=lambda kind: kind.__name__)
+
+
+def strategy(kind: Any) -> st.SearchStrategy[Any]:
+    """Values of a field's type hint."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return st.one_of(*map(strategy, arguments))
+    if origin is tuple:
+        return st.lists(strategy(arguments[0]), max_size=4).map(tuple)
+    if origin is dict:
+        return st.dictionaries(strategy(arguments[0]), strategy(arguments[1]), max_size=4)
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        return st.builds(kind, **{name: strategy(hint) for name, hint in hints.items()})
+    return {
+        float: st.floats(allow_nan=False, allow_infinity=False),
+        int: st.integers(-(2**63), 2**63 - 1),
+        bool: st.booleans(),
+        str: st.text(max_size=12),
+        type(None): st.none(),
+    }[kind]
+
+
+@given(st.sampled_from(TYPES).flatmap(strategy))
+def test_round_trip(message: object) -> None:
+    kind = type(message)
+    again = decode(kind, encode(message), "swarm/r0/test/x")
+    assert again == message
+    assert repr(again) == repr(message)  # the types of free values, and the sign of zeros
+
+
+@given(st.sampled_from(TYPES), st.binary(max_size=64))
+def test_any_bytes_are_read_or_refused(kind: type, payload: bytes) -> None:
+    with pytest.raises(PayloadError):
+        decode(kind, payload, "swarm/r0/test/x")
+
+
+@given(st.text(max_size=40).map("swarm/r0/".__add__) | st.text(), st.binary(max_size=10))
+def test_any_key_is_read_or_refused(text: str, payload: bytes) -> None:
+    with pytest.raises(PayloadError):
+        read(text, payload)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        (STOP, Stop),
+        ("swarm/r0/mesh/status", Status),
+        ("swarm/r0/app/consensus/status", Status),
+        ("swarm/r0/app/consensus/state", AppState),
+        ("swarm/r0/balancer/set/leds", Leds),
+        ("swarm/r0/balancer/set/mode", SetMode),
+        ("swarm/r0/balancer/set/other", None),
+        ("swarm/r0/app/consensus/sync/1-2-3-4", None),
+        ("swarm/r0/app/consensus/deep/state", None),
+        ("swarm/r0/mesh/x/status", None),
+        ("swarm/r0/mesh/alive", None),
+    ],
+)
+def test_type_of(text: str, kind: type | None) -> None:
+    assert type_of(text) is kind
+
+
+def test_every_topic_is_found_under_its_key() -> None:
+    for (service, topic), kind in TOPICS.items():
+        assert type_of(key("r0", service.replace("*", "mesh"), topic.replace("*", "max"))) is kind
+
+
+def test_an_unknown_key_is_refused_by_name() -> None:
+    with pytest.raises(PayloadError, match="swarm/r0/mesh/nonsense: no message travels under this key"):
+        read("swarm/r0/mesh/nonsense", b"\x80")
+
+
+KEYS_PAGE = Path(__file__).parent.parent / "docs" / "keys.md"
+
+
+def documented() -> tuple[dict[str, str], dict[str, list[str]]]:
+    """Key pattern -> type, and type -> field names, as docs/keys.md has them."""
+    text = KEYS_PAGE.read_text()
+    keys = dict(re.findall(r"^\| `(swarm/[^`]+)` \|.*?\| \[(\w+)\]\(#\w+\) \|", text, flags=re.MULTILINE))
+    fields: dict[str, list[str]] = {}
+    for section in re.split(r"^### ", text, flags=re.MULTILINE)[1:]:
+        name = section.split(maxsplit=1)[0]
+        fields[name] = re.findall(r"^\| `(\w+)` \|", section.split("\n## ")[0], flags=re.MULTILINE)
+    return keys, fields
+
+
+def test_the_page_lists_every_key_and_no_other() -> None:
+    wanted = {
+        f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic.replace('*', '<app>')}": kind.__name__
+        for (service, topic), kind in TOPICS.items()
+    }
+    assert documented()[0] == wanted | {STOP: "Stop"}
+
+
+def test_the_page_lists_every_field_in_order() -> None:
+    def parts(kind: Any) -> set[type]:
+        if dataclasses.is_dataclass(kind):
+            return {typing.cast(type, kind)}.union(*map(parts, typing.get_type_hints(kind).values()))
+        return set().union(*map(parts, typing.get_args(kind)))
+
+    used = set().union(*map(parts, TYPES))
+    wanted = {kind.__name__: [field.name for field in dataclasses.fields(kind)] for kind in used}
+    assert documented()[1] == wanted
