@@ -7,6 +7,7 @@ file itself stays and says nothing.
 
 import fcntl
 import os
+import time
 import tomllib
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from swarm.paths import BUS_SOCKET
 
 LOCK = "sim.lock"
 CONFIG = "swarm.toml"
+_ATTEMPTS = 20
 
 
 def default_run_dir() -> Path:
@@ -44,31 +46,41 @@ class Claim:
 
 
 def claim(directory: Path) -> Claim:
-    """Make `directory` and hold it for one simulation; `BusError` where another runs there or it cannot be
-    used.
+    """Make `directory` and hold it for one simulation; `BusError` where that cannot be.
 
-    It is readable by its owner alone: whoever reaches the sockets in it drives the robots.
+    It is open to its owner alone: whoever reaches the sockets in it drives the robots. Since a simulation clears
+    its run directory, one that holds anything but an earlier run is refused.
     """
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         if directory.stat().st_uid != os.getuid():
             raise BusError(f"{directory}: belongs to another user; use --run-dir")
+        if not (directory / LOCK).exists() and any(directory.iterdir()):
+            raise BusError(f"{directory}: is neither empty nor a run directory; use another --run-dir")
         descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
-        raise BusError(f"{directory}: cannot be used as run directory: {error.strerror}; use --run-dir") from
-        None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        pid = os.pread(descriptor, 32, 0).decode(errors="replace").strip()
+        raise BusError(f"{directory}: no run directory: {error.strerror}; use --run-dir") from None
+    if not _lock(descriptor):
+        pid = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
         raise BusError(
-            f"{directory}: a simulation is already running there (pid {pid or 'unknown'}); end it or use
-            --run-dir"
-        ) from None
+            f"{directory}: a simulation is already running there (pid {pid}); end it or use --run-dir"
+        )
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
     return Claim(descriptor)
+
+
+def _lock(descriptor: int) -> bool:
+    """Lock, with patience for a moment: somebody may just be looking whether a simulation runs."""
+    for _ in range(_ATTEMPTS):
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.01)
+        else:
+            return True
+    return False
 
 
 def is_live(directory: Path) -> bool:
@@ -103,7 +115,7 @@ def _listed(path: Path) -> list[str]:
 
 
 def pid_file(directory: Path, robot: str, service: str) -> Path:
-    """Where the simulation in `directory` keeps the pid of a robot's service (`app/consensus` has a slash)."""
+    """Where the simulation in `directory` notes the pid of a service (`app/consensus` has a slash)."""
     return directory / robot / f"{service.replace('/', '.')}.pid"
 
 
