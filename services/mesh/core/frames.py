@@ -277,8 +277,8 @@ def decode_hello(body: bytes) -> Hello:
     _, _, _, flags, count, incarnation, nonce = _HELLO.unpack_from(body)
     if flags & ~(_INSECURE | _DIALLER):
         raise FrameError(f"HELLO flags {flags:#x}: bits 0 and 1 are known")
-    if count > MAX_KEY_IDS:
-        raise FrameError(f"HELLO with {count} key ids: at most {MAX_KEY_IDS}")
+    if count > (0 if flags & _INSECURE else MAX_KEY_IDS):
+        raise FrameError(f"HELLO with {count} key ids: at most {MAX_KEY_IDS}, none when insecure")
     at = _HELLO.size + 4 * count
     if len(body) < at:
         raise FrameError(f"HELLO of {len(body)} bytes ends within its key ids")

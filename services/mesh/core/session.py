@@ -257,7 +257,7 @@ class Session:
         local, refusal = self._local, None
         if hello.network != local.network:
             refusal = frames.BAD_NETWORK, f"network {hello.network!r}, ours is {local.network!r}"
-        elif hello.insecure != local.insecure or hello.key_ids:
+        elif hello.insecure != local.insecure:
             ends = ("it is", "we are not") if hello.insecure else ("we are", "it is not")
             refusal = frames.BAD_SECURITY, f"{ends[0]} insecure and {ends[1]}"
         elif hello.robot == local.robot:

@@ -1,0 +1,290 @@
+"""Nodes of the mesh joined in memory under virtual time, with cuts, broken connections, kills and stops."""
+
+import heapq
+import itertools
+import random
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from services.mesh.core.dialler import dials
+from services.mesh.core.events import Received
+from services.mesh.core.node import Close, Dial, Node, Note
+from services.mesh.core.relay import Relay
+from services.mesh.core.session import Local, Session
+from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
+from swarm.messages import LinkState
+
+
+@dataclass
+class End:
+    """One end of a connection."""
+
+    robot: str
+    session: Session | None
+    peer: "End | None" = None
+    alive: bool = True
+
+
+@dataclass
+class Bot:
+    """One robot's mesh and what came out of it."""
+
+    name: str
+    node: Node
+    counters: Counter[str]
+    ends: dict[Session, End] = field(default_factory=dict)
+    inbox: list[tuple[str, bytes]] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    stopped_until: float = 0.0
+
+
+class World:
+    """Robots and the links between them. Time passes only in `run`."""
+
+    def __init__(
+        self,
+        edges: Sequence[tuple[str, str]],
+        *,
+        rules: Sequence[RelayRule] = DEFAULT_RELAY,
+        latency: float = 0.03,
+        seed: int = 0,
+    ) -> None:
+        self.now = 0.0
+        self.random = random.Random(seed)
+        self.latency = latency
+        self.edges = list(edges)
+        self.rules = rules
+        self.network = {name: "lab" for edge in edges for name in edge}
+        self.overrides: dict[str, dict[str, object]] = {}
+        self.bots: dict[str, Bot] = {}
+        self.cuts: dict[frozenset[str], float] = {}
+        self.dials: list[tuple[float, str, str]] = []
+        self.break_after: int | None = None
+        self._schedule: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        for name in self.network:
+            self.start(name)
+
+    # -- what a test does --
+
+    def start(self, name: str) -> None:
+        """Start a robot's mesh, anew if it was there."""
+        robots = {each: Robot(each) for each in self.network}
+        peers = sorted({peer for edge in self.edges if name in edge for peer in edge if peer != name})
+        settings: dict[str, object] = {
+            "robot": name,
+            "network": self.network[name],
+            "incarnation": self.random.getrandbits(64),
+            "insecure": True,
+            "dials": {peer: dials(robots[name], robots[peer]) for peer in peers},
+            "robots": frozenset(robots),
+        }
+        local = Local(**(settings | self.overrides.get(name, {})))  # type: ignore[arg-type]
+        counters: Counter[str] = Counter()
+        relay = Relay(name, tuple(local.dials), self.rules)
+        node = Node(
+            local,
+            relay,
+            random=self.random.random,
+            nonce=lambda: self.random.randbytes(16),
+            counters=counters,
+        )
+        self.bots[name] = Bot(name, node, counters)
+        self.step(name, lambda node: node.handle_timer(self.now))
+
+    def kill(self, name: str) -> None:
+        """End a mesh as kill -9 does: its connections close, nothing is said."""
+        for end in self.bots.pop(name).ends.values():
+            self._close(end)
+
+    def stop(self, name: str, seconds: float) -> None:
+        """Stop a mesh as SIGSTOP does: its connections stay, it does nothing."""
+        self.bots[name].stopped_until = self.now + seconds
+
+    def cut(self, a: str, b: str, seconds: float) -> None:
+        """Nothing passes between two robots for a while; what is under way arrives afterwards."""
+        self.cuts[frozenset((a, b))] = self.now + seconds
+
+    def break_connections(self, name: str) -> None:
+        """All connections of a robot are lost; both ends notice."""
+        for end in list(self.bots[name].ends.values()):
+            peer = end.peer
+            self._close(end)
+            if peer is not None:
+                self._close(peer)
+            self._down(end)
+
+    def publish(self, name: str, key: str, payload: bytes, source: int = 0) -> None:
+        """A sample on a robot's own bus."""
+        self.step(name, lambda node: node.publish(source, key, payload, self.now))
+
+    def connect_raw(self, name: str, *writes: bytes) -> "Raw":
+        """A stranger connects and writes."""
+        raw = Raw(self, End("stranger", None))
+        end = End(name, None, raw.end)
+        raw.end.peer = end
+        self._accept(end)
+        for data in writes:
+            raw.write(data)
+        return raw
+
+    def link(self, name: str, peer: str) -> LinkState:
+        """A link as one robot sees it."""
+        (state,) = (state for state in self.bots[name].node.links() if state.peer == peer)
+        return state
+
+    def all_up(self) -> bool:
+        """Whether both ends of every link see it up."""
+        return all(self.link(a, b).state == "up" == self.link(b, a).state for a, b in self.edges)
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        end = self.now + seconds
+        while True:
+            timers = [(self._wake(bot), name) for name, bot in self.bots.items()]
+            timer, name = min(timers, default=(float("inf"), ""))
+            if self._schedule and self._schedule[0][0] <= min(timer, end):
+                self.now, _, call = heapq.heappop(self._schedule)
+                call()
+            elif timer <= end:
+                assert timer >= self.now or name
+                self.now = max(self.now, timer)
+                self.step(name, lambda node: node.handle_timer(self.now))
+            else:
+                self.now = end
+                return
+
+    # -- the machinery --
+
+    def step(self, name: str, call: Callable[[Node], object]) -> None:
+        """Call a node and carry out what it wants."""
+        bot = self.bots[name]
+        call(bot.node)
+        for session in bot.node.ready():
+            if session in bot.ends:
+                self._flush(bot.ends[session])
+        for action in bot.node.actions():
+            if isinstance(action, Received):
+                bot.inbox.append((action.key, action.payload))
+            elif isinstance(action, Dial):
+                self.dials.append((self.now, name, action.peer))
+                self._at(self.now + self.latency, lambda peer=action.peer: self._dial(bot, peer))  # type: ignore[misc]
+            elif isinstance(action, Close):
+                if (end := bot.ends.pop(action.session, None)) is not None:
+                    end.session = action.session
+                    self._flush(end)
+                    self._close(end)
+            elif isinstance(action, Note):
+                bot.notes.append(action)
+
+    def _wake(self, bot: Bot) -> float:
+        deadline = bot.node.next_deadline()
+        return float("inf") if deadline is None else max(deadline, bot.stopped_until)
+
+    def _at(self, time: float, call: Callable[[], None]) -> None:
+        heapq.heappush(self._schedule, (time, next(self._order), call))
+
+    def _is_cut(self, a: str, b: str) -> bool:
+        return self.cuts.get(frozenset((a, b)), 0.0) > self.now
+
+    def _dial(self, caller: Bot, peer: str) -> None:
+        if self.bots.get(caller.name) is not caller:
+            return
+        if peer not in self.bots or self._is_cut(caller.name, peer):
+            self.step(caller.name, lambda node: node.dial_failed(peer, "unreachable", self.now))
+            return
+        near, far = End(caller.name, None), End(peer, None)
+        near.peer, far.peer = far, near
+
+        def dialled(node: Node) -> None:
+            near.session = node.dialled(peer, self.now)
+            caller.ends[near.session] = near
+
+        self.step(caller.name, dialled)
+        self._accept(far)
+
+    def _accept(self, end: End) -> None:
+        bot = self.bots[end.robot]
+
+        def accepted(node: Node) -> None:
+            end.session = node.accepted(self.now)
+            if end.session is None:
+                self._close(end)
+            else:
+                bot.ends[end.session] = end
+
+        self.step(end.robot, accepted)
+
+    def _flush(self, end: End) -> None:
+        assert end.session is not None
+        while data := end.session.data_to_send(self.now, 4096):
+            while data:
+                cut = self.random.randint(1, len(data))
+                self.send(end, data[:cut])
+                data = data[cut:]
+
+    def send(self, end: End, data: bytes) -> None:
+        """Put bytes on the way to the other end."""
+        if self.break_after is not None:
+            data, self.break_after = data[: self.break_after], self.break_after - len(data)
+        if data:
+            self._at(self.now + self.latency, lambda: self._arrive(end, data))
+        if self.break_after is not None and self.break_after <= 0:
+            self.break_after = None
+            self._at(self.now + self.latency, lambda: self._lose(end))
+
+    def _lose(self, end: End) -> None:
+        self._close(end)
+        self._down(end)
+
+    def _arrive(self, sender: End, data: bytes) -> None:
+        receiver = sender.peer
+        if receiver is None or receiver.session is None or not receiver.alive:
+            return
+        bot = self.bots.get(receiver.robot)
+        if bot is None or receiver.session not in bot.ends:
+            return
+        held = max(bot.stopped_until, self.cuts.get(frozenset((sender.robot, receiver.robot)), 0.0))
+        if held > self.now:
+            # What follows was queued later for the same time, so the order stays.
+            self._at(held, lambda: self._arrive(sender, data))
+            return
+        session = receiver.session
+        self.step(receiver.robot, lambda node: node.receive(session, data, self.now))
+
+    def _close(self, end: End) -> None:
+        """This end is gone: the other one notices after the latency."""
+        if end.alive:
+            end.alive = False
+            if end.peer is not None:
+                self._at(self.now + self.latency, lambda peer=end.peer: self._down(peer))  # type: ignore[misc]
+
+    def _down(self, end: End) -> None:
+        bot = self.bots.get(end.robot)
+        if bot is None or end.session is None or end.session not in bot.ends:
+            return
+        other = end.peer.robot if end.peer is not None else ""
+        held = max(bot.stopped_until, self.cuts.get(frozenset((end.robot, other)), 0.0))
+        if held > self.now:
+            self._at(held, lambda: self._down(end))
+            return
+        session = end.session
+        self.step(end.robot, lambda node: node.transport_down(session, "connection reset", self.now))
+
+
+class Raw:
+    """A caller that is no node."""
+
+    def __init__(self, world: World, end: End) -> None:
+        self.world = world
+        self.end = end
+
+    def write(self, data: bytes) -> None:
+        """Send any bytes."""
+        self.world.send(self.end, data)
+
+    @property
+    def open(self) -> bool:
+        """Whether the robot still holds the connection."""
+        return self.end.peer is not None and self.end.peer.alive

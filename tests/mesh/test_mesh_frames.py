@@ -1,0 +1,217 @@
+"""Frames: golden bytes of docs/frames.md, any split of a stream, and whatever bytes a peer may send."""
+
+import re
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.mesh.core import frames
+from services.mesh.core.frames import Bind, Decoder, Frame, Heartbeat, Hello
+from swarm.errors import FrameError, LocalError
+
+HELLO = Hello("lab", "r0", 0x1122334455667788, bytes(range(16)), dialler=True, insecure=True)
+
+GOLDEN = {
+    "hello": frames.encode_hello(HELLO),
+    "confirm": frames.encode_confirm(),
+    "bye": frames.encode_bye(frames.CLOSING),
+    "heartbeat": frames.encode_heartbeat(Heartbeat(1_000_000, 1_030_000, 1_500_000)),
+    "bind": frames.encode_bind(Bind(3, frames.NEIGHBOURS, "swarm/r0/dwm/pose")),
+    "data": frames.encode_data(frames.SYNC, 3, b"\x01\x02\0\0\0"),
+}
+
+DOCUMENT = Path(__file__).parents[2] / "docs/frames.md"
+
+
+def drain(decoder: Decoder) -> list[Frame]:
+    found = []
+    while (frame := decoder.next()) is not None:
+        found.append(frame)
+    return found
+
+
+def body_of(encoded: bytes) -> bytes:
+    decoder = Decoder(frames.MAX_FRAME)
+    decoder.feed(encoded)
+    (frame,) = drain(decoder)
+    return frame.body
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_bytes_are_those_of_the_document(name: str) -> None:
+    (line,) = re.findall(rf"^{name} +((?:[0-9a-f]{{2}} ?)+)$", DOCUMENT.read_text(), re.MULTILINE)
+    assert GOLDEN[name] == bytes.fromhex(line)
+
+
+def test_the_document_knows_every_bye_code() -> None:
+    text = DOCUMENT.read_text()
+    for code, meaning in frames.BYE_TEXT.items():
+        assert f"| {code} | {meaning} |" in text
+
+
+names = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)
+hellos = st.builds(
+    Hello,
+    network=st.text(min_size=1, max_size=8),
+    robot=names,
+    incarnation=st.integers(0, 2**64 - 1),
+    nonce=st.binary(min_size=16, max_size=16),
+    dialler=st.booleans(),
+    insecure=st.just(True),
+) | st.builds(
+    Hello,
+    network=st.just("lab"),
+    robot=names,
+    incarnation=st.just(1),
+    nonce=st.just(bytes(16)),
+    dialler=st.booleans(),
+    insecure=st.just(False),
+    key_ids=st.lists(st.integers(0, 2**32 - 1), max_size=4).map(tuple),
+)
+stamps = st.integers(0, 2**64 - 1)
+
+
+@given(hellos)
+def test_hello_round_trip(hello: Hello) -> None:
+    assert frames.decode_hello(body_of(frames.encode_hello(hello))) == hello
+    assert len(frames.encode_hello(hello)) <= frames.MAX_HANDSHAKE
+
+
+@given(st.builds(Heartbeat, stamps, stamps, stamps))
+def test_heartbeat_round_trip(heartbeat: Heartbeat) -> None:
+    assert frames.decode_heartbeat(body_of(frames.encode_heartbeat(heartbeat))) == heartbeat
+
+
+@given(st.integers(0, 1023), st.text(min_size=1, max_size=60))
+def test_bind_round_trip(channel: int, key: str) -> None:
+    bind = Bind(channel, frames.NEIGHBOURS, key)
+    assert frames.decode_bind(body_of(frames.encode_bind(bind))) == bind
+
+
+@given(st.integers(0, 65535), st.binary(max_size=100), st.sampled_from((0, 1, 2)))
+def test_data_round_trip(channel: int, payload: bytes, priority: int) -> None:
+    decoder = Decoder(frames.MAX_FRAME)
+    decoder.feed(frames.encode_data(priority, channel, payload))
+    (frame,) = drain(decoder)
+    assert (frame.kind, frame.priority) == (frames.DATA, priority)
+    assert frames.decode_data(frame.body) == (channel, payload)
+
+
+encoded_frames = st.one_of(
+    st.sampled_from(list(GOLDEN.values())),
+    st.builds(frames.encode_data, st.sampled_from((0, 1, 2)), st.integers(0, 9), st.binary(max_size=300)),
+)
+
+
+@given(st.lists(encoded_frames, max_size=12), st.data())
+def test_any_split_of_the_stream_gives_the_same_frames(parts: list[bytes], data: st.DataObject) -> None:
+    stream = b"".join(parts)
+    whole = Decoder(frames.MAX_FRAME)
+    whole.feed(stream)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
+    pieces = Decoder(frames.MAX_FRAME)
+    found = []
+    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
+        pieces.feed(stream[start:end])
+        found += drain(pieces)
+    assert found == drain(whole)
+    assert len(found) == len(parts)
+
+
+DECODERS = {
+    frames.HELLO: frames.decode_hello,
+    frames.CONFIRM: frames.decode_confirm,
+    frames.BYE: frames.decode_bye,
+    frames.HEARTBEAT: frames.decode_heartbeat,
+    frames.BIND: frames.decode_bind,
+    frames.DATA: frames.decode_data,
+}
+
+
+@given(st.binary(max_size=600), st.integers(1, 50))
+def test_noise_raises_frame_errors_only_and_stays_small(noise: bytes, step: int) -> None:
+    decoder = Decoder()
+    with suppress(FrameError):
+        for at in range(0, len(noise), step):
+            decoder.feed(noise[at : at + step])
+            for frame in drain(decoder):
+                DECODERS[frame.kind](frame.body)
+            assert len(decoder._buffer) <= frames.MAX_HANDSHAKE + 2 + step
+
+
+@given(st.sampled_from(list(GOLDEN.values())), st.data())
+def test_mutated_frames_raise_frame_errors_only(encoded: bytes, data: st.DataObject) -> None:
+    mutated = bytearray(encoded)
+    for _ in range(data.draw(st.integers(1, 4))):
+        mutated[data.draw(st.integers(0, len(mutated) - 1))] = data.draw(st.integers(0, 255))
+    decoder = Decoder(frames.MAX_FRAME)
+    decoder.feed(bytes(mutated))
+    with suppress(FrameError):
+        for frame in drain(decoder):
+            DECODERS[frame.kind](frame.body)
+
+
+@given(st.binary(max_size=80), st.sampled_from(list(DECODERS)))
+def test_any_body_raises_frame_errors_only(body: bytes, kind: int) -> None:
+    with suppress(FrameError):
+        DECODERS[kind](body)
+
+
+@pytest.mark.parametrize("length", [0, 257, 4097, 65535])
+def test_the_length_is_refused_before_anything_else_is_read(length: int) -> None:
+    decoder = Decoder()
+    decoder.feed(struct.pack("<H", length))
+    with pytest.raises(FrameError, match=f"length {length}: 1 to 256"):
+        decoder.next()
+
+
+@pytest.mark.parametrize(
+    ("first", "text"),
+    [(0x00, "kind 0"), (0x07, "kind 7"), (0x0F, "kind 15"), (0x31, "class 3"), (0x46, "class 4")],
+)
+def test_unknown_kinds_and_classes_are_refused(first: int, text: str) -> None:
+    decoder = Decoder()
+    decoder.feed(bytes((1, 0, first)))
+    with pytest.raises(FrameError, match=text):
+        decoder.next()
+
+
+def test_bytes_too_many_are_refused() -> None:
+    for name, decode in (("hello", frames.decode_hello), ("heartbeat", frames.decode_heartbeat)):
+        with pytest.raises(FrameError, match=name.upper()):
+            decode(body_of(GOLDEN[name]) + b"\0")
+    with pytest.raises(FrameError, match="CONFIRM"):
+        frames.decode_confirm(b"\0")
+    with pytest.raises(FrameError, match="BYE"):
+        frames.decode_bye(b"\1\1")
+
+
+def test_another_version_is_told_from_noise_whatever_follows() -> None:
+    body = frames.MAGIC + bytes((2, 7)) + b"a layout of the future"
+    with pytest.raises(frames.VersionError, match="speaks protocol versions 2 to 7, we speak 1"):
+        frames.decode_hello(body)
+    with pytest.raises(FrameError, match="not one of ours") as caught:
+        frames.decode_hello(b"GET / HTTP/1.1")
+    assert not isinstance(caught.value, frames.VersionError)
+
+
+def test_what_does_not_fit_is_our_own_mistake() -> None:
+    with pytest.raises(LocalError, match="1 to 32 bytes"):
+        frames.encode_hello(Hello("n" * 33, "r0", 1, bytes(16), dialler=True, insecure=True))
+    with pytest.raises(LocalError, match="at most 4088"):
+        frames.encode(frames.BIND, frames.CONTROL, bytes(frames.MAX_FRAME))
+
+
+def test_the_header_of_a_lockstep_message_is_short() -> None:
+    lockstep_header = 5  # kind and iteration, docs/lockstep.md
+    header = len(frames.encode_data(frames.SYNC, 1, b"")) + frames.TAG_SIZE + lockstep_header
+    assert header == 18
+
+
+def test_the_largest_payload_leaves_room_for_the_tag() -> None:
+    encoded = frames.encode_data(frames.BULK, 0, bytes(frames.MAX_PAYLOAD))
+    assert len(encoded) - 2 + frames.TAG_SIZE == frames.MAX_FRAME

@@ -1,0 +1,195 @@
+"""Queues and handles of one connection: order, bounds, replacement."""
+
+from collections import defaultdict
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mesh_world import World
+
+from services.mesh.core import frames
+from services.mesh.core.channels import Channels
+from services.mesh.core.delay import FLOOR, AirModel, DelayLine
+from services.mesh.core.frames import BULK, CONTROL, SYNC, Decoder
+from services.mesh.core.outbox import LIMITS, Outbox
+from swarm.config.types import RelayRule
+from swarm.errors import ConfigError
+
+pushes = st.tuples(
+    st.sampled_from((CONTROL, SYNC, BULK)), st.sampled_from("abcd"), st.integers(0, 20_000), st.booleans()
+)
+
+
+def pop_all(outbox: Outbox) -> list[tuple[int, str, bytes]]:
+    out = []
+    while (message := outbox.pop()) is not None:
+        out.append((message.priority, message.key, message.payload))
+    return out
+
+
+@given(st.lists(pushes, max_size=60), st.integers(0, 60))
+def test_no_class_exceeds_its_bounds_and_every_message_is_accounted_for(
+    steps: list[tuple[int, str, int, bool]], pop_every: int
+) -> None:
+    outbox, popped = Outbox(), 0
+    for number, (priority, key, size, latest) in enumerate(steps):
+        outbox.push(priority, f"{key}{priority}", bytes(size), latest)
+        if pop_every and number % pop_every == 0:
+            popped += outbox.pop() is not None
+        for each, queue in enumerate(outbox._queues):
+            held = sum(len(message.key) + len(message.payload) for message in queue)
+            assert held == outbox._sizes[each] <= LIMITS[each].size
+            assert len(queue) <= LIMITS[each].messages
+    popped += len(pop_all(outbox))
+    assert popped + outbox.overflowed + outbox.replaced == len(steps)
+    assert not outbox
+    assert not outbox._latest
+
+
+@given(st.lists(st.tuples(st.sampled_from((CONTROL, SYNC, BULK)), st.booleans()), max_size=50))
+def test_the_most_urgent_leaves_first_and_each_class_keeps_its_order(steps: list[tuple[int, bool]]) -> None:
+    outbox = Outbox()
+    for number, (priority, _) in enumerate(steps):
+        outbox.push(priority, str(number), b"", latest=False)
+    out = pop_all(outbox)
+    assert out == sorted(out, key=lambda message: (message[0], int(message[1])))
+    assert len(out) == len(steps)
+
+
+def test_many_small_messages_overflow_by_number_and_the_oldest_go() -> None:
+    outbox = Outbox()
+    for number in range(LIMITS[SYNC].messages + 10):
+        outbox.push(SYNC, str(number), b"", latest=False)
+    assert outbox.overflowed == 10
+    assert pop_all(outbox)[0][1] == "10"
+
+
+def test_a_latest_value_keeps_its_place() -> None:
+    outbox = Outbox()
+    for key, payload in (("a", b"1"), ("b", b"1"), ("a", b"22"), ("a", b"3")):
+        outbox.push(BULK, key, payload, latest=True)
+    assert pop_all(outbox) == [(BULK, "a", b"3"), (BULK, "b", b"1")]
+    assert outbox.replaced == 2
+
+
+@given(st.lists(st.integers(0, 12), max_size=200))
+def test_a_handle_stands_for_the_key_it_was_last_bound_to(keys: list[int]) -> None:
+    channels, bound = Channels(size=4), {}
+    for number in keys:
+        handle, new = channels.handle(f"key{number}")
+        if new:
+            bound[handle] = f"key{number}"
+        assert 0 <= handle < 4
+        assert bound[handle] == f"key{number}"
+
+
+def test_a_key_in_use_keeps_its_handle() -> None:
+    channels = Channels(size=2)
+    assert channels.handle("often") == (0, True)
+    for number in range(20):
+        assert channels.handle("often") == (0, False)
+        assert channels.handle(f"once{number}") == (1, True)
+
+
+def test_more_keys_than_handles_still_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.mesh.core.session.Channels", lambda: Channels(size=3))
+    world = World([("r0", "r1")], rules=[RelayRule("swarm/{self}/x/*", queue="all")])
+    world.run(1.0)
+    sent = [(f"swarm/r0/x/k{number % 7}", bytes((number,))) for number in range(100)]
+    for key, payload in sent:
+        world.publish("r0", key, payload)
+    world.run(0.1)
+    assert world.bots["r1"].inbox == sent
+
+
+def test_an_urgent_message_overtakes_what_waits() -> None:
+    rules = [RelayRule("swarm/{self}/bulk/*", queue="all"), RelayRule("swarm/{self}/sync/*", priority="sync")]
+    world = World([("r0", "r1")], rules=rules)
+    world.run(1.0)
+    (session,) = world.bots["r0"].ends
+    node = world.bots["r0"].node
+    for number in range(20):
+        node.publish(0, f"swarm/r0/bulk/k{number}", bytes(1000), world.now)
+    node.publish(1, "swarm/r0/sync/k", b"now", world.now)
+    decoder = Decoder(frames.MAX_FRAME)
+    decoder.feed(session.data_to_send(world.now, 100))
+    assert decoder.next().kind == frames.BIND
+    assert frames.decode_data(decoder.next().body) == (0, b"now")
+
+
+def test_a_message_that_no_frame_holds_is_counted_and_named_once() -> None:
+    world = World([("r0", "r1")], rules=[RelayRule("swarm/{self}/x/*", queue="all")])
+    world.run(1.0)
+    for _ in range(3):
+        world.publish("r0", "swarm/r0/x/big", bytes(frames.MAX_PAYLOAD + 1))
+    world.publish("r0", "swarm/r0/x/fits", bytes(frames.MAX_PAYLOAD))
+    world.run(0.1)
+    bot = world.bots["r0"]
+    assert bot.counters["too_large"] == 3
+    assert sum("4086 bytes, the mesh carries at most 4085" in note.text for note in bot.notes) == 1
+    assert [key for key, _ in world.bots["r1"].inbox] == ["swarm/r0/x/fits"]
+
+
+def test_losses_of_a_connection_are_counted_when_it_ends() -> None:
+    world = World([("r0", "r1")], rules=[RelayRule("swarm/{self}/x/*")])
+    world.run(1.0)
+    node = world.bots["r0"].node
+    for _ in range(5):
+        node.publish(0, "swarm/r0/x/k", b"", world.now)
+    world.break_connections("r0")
+    assert world.bots["r0"].counters["replaced"] == 4
+
+
+# -- the simulated radio --
+
+
+def arrivals(line: DelayLine) -> list[tuple[float, bytes]]:
+    out = []
+    while (arrival := line.next_arrival()) is not None:
+        out.append((arrival, line.pop()))
+    return out
+
+
+def no_gauss(mean: float, deviation: float) -> float:
+    raise AssertionError("no jitter was asked for")
+
+
+def test_latency_alone_shifts() -> None:
+    line = DelayLine(AirModel(latency=0.03), no_gauss)
+    line.push(b"a", 1.0)
+    line.push(b"bb", 1.001)
+    assert arrivals(line) == [(1.03, b"a"), (1.031, b"bb")]
+
+
+def test_bandwidth_queues_behind_earlier_bytes() -> None:
+    line = DelayLine(AirModel(latency=0.03, bandwidth=1000.0), no_gauss)
+    line.push(bytes(100), 1.0)
+    line.push(bytes(50), 1.01)
+    line.push(bytes(10), 2.0)
+    assert [time for time, _ in arrivals(line)] == pytest.approx([1.13, 1.18, 2.04])
+    assert line.free_at == pytest.approx(2.01)
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 0.1), st.floats(-0.1, 0.2)), max_size=50))
+def test_jitter_keeps_order_and_floor(steps: list[tuple[float, float]]) -> None:
+    drawn = iter(deviate for _, deviate in steps)
+    line = DelayLine(AirModel(latency=0.03, jitter=0.01), lambda mean, _: mean + next(drawn))
+    now, stamps = 1.0, []
+    for number, (gap, _) in enumerate(steps):
+        now += gap
+        stamps.append(now)
+        line.push(bytes((number,)), now)
+    out = arrivals(line)
+    assert [data for _, data in out] == [bytes((number,)) for number in range(len(steps))]
+    times = defaultdict(float, enumerate(time for time, _ in out))
+    for number, stamp in enumerate(stamps):
+        assert times[number] >= stamp + FLOOR - 1e-9
+        assert times[number] >= times[number - 1]
+
+
+def test_air_models_are_read_from_text() -> None:
+    assert AirModel.parse("") == AirModel()
+    assert AirModel.parse("latency=0.03,jitter=0.01,bandwidth=78000,seed=5") == AirModel(0.03, 0.01, 78000.0, 5)
+    for wrong in ("latency", "latency=x", "speed=3", "jitter=-1", "bandwidth=0", "latency=nan", "latency=inf"):
+        with pytest.raises(ConfigError, match="SWARM_SIM_LINK"):
+            AirModel.parse(wrong)
