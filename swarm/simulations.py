@@ -63,9 +63,7 @@ def claim(directory: Path) -> Claim:
     if not _lock(descriptor):
         pid = os.pread(descriptor, 32, 0).decode(errors="replace").strip() or "unknown"
         os.close(descriptor)
-        raise BusError(
-            f"{directory}: a simulation is already running there (pid {pid}); end it or use --run-dir"
-        )
+        raise BusError(f"{directory}: a simulation is already running there (pid {pid}); end it or use --run-dir")
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
     return Claim(descriptor)
@@ -101,8 +99,9 @@ def is_live(directory: Path) -> bool:
 
 def robots(directory: Path) -> dict[str, Path]:
     """Runtime directory of each simulated robot: those its config lists, and those whose bus is there."""
-    names = {path.parent.name for path in directory.glob(f"*/{BUS_SOCKET}")} | set(_listed(directory /
-    CONFIG)) return {name: directory / name for name in sorted(names) if is_name(name)}
+    with_bus = {path.parent.name for path in directory.glob(f"*/{BUS_SOCKET}")}
+    names = sorted(with_bus | set(_listed(directory / CONFIG)))
+    return {name: directory / name for name in names if is_name(name)}
 
 
 def _listed(path: Path) -> list[str]:
