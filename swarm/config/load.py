@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from swarm.config import sections
-from swarm.config.reader import Table, shown
+from swarm.config.reader import Table, listed, shown
 from swarm.config.types import DEFAULT_RELAY, MAX_RFCOMM_LINKS, Config, RelayRule, Robot
 from swarm.core.graph import SHAPES, Graph
 from swarm.errors import ConfigError, LocalError
@@ -93,7 +93,7 @@ def who_am_i(config: Config) -> str:
         name, source = socket.gethostname().partition(".")[0], "the host name"
     if name not in config.names:
         raise ConfigError(
-            f"{config.path}: {source} is {shown(name)}, none of its robots ({', '.join(config.names)}); "
+            f"{config.path}: {source} is {shown(name)}, none of its robots ({listed(config.names)}); "
             "set the variable SWARM_ROBOT or the host name to the one this machine is"
         )
     return name

@@ -15,6 +15,9 @@ from swarm.errors import ConfigError
 _MAX_SHOWN = 60
 """Characters of a wrong value repeated in the message."""
 
+_MAX_LISTED = 12
+"""Allowed names listed in a message; a swarm may have a thousand robots."""
+
 
 class _Required:
     """Marks an entry without a default."""
@@ -172,7 +175,14 @@ def suggest(word: str, known: Sequence[str]) -> str:
     near = difflib.get_close_matches(word, known, n=1)
     if near:
         return f"did you mean {near[0]}?"
-    return f"expected {' or '.join(known)}" if len(known) < 3 else f"expected one of {', '.join(known)}"
+    if len(known) < 3:
+        return f"expected {' or '.join(known)}"
+    return f"expected one of {listed(known)}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for a message, the first ones where there are many."""
+    return ", ".join(names[:_MAX_LISTED]) + (", ..." if len(names) > _MAX_LISTED else "")
 
 
 def quoted(key: str) -> str:

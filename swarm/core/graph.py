@@ -58,7 +58,7 @@ class Graph:
         kind, colon, seed = shape.partition(":")
         if kind == "random" and colon:
             if not (seed.isascii() and seed.isdigit()) or int(seed[:20]) > _MASK or len(seed) > 20:
-                raise LocalError(f"random:SEED needs a whole number from 0 to {_MASK}, got {shape!r}")
+                raise LocalError(f"random:SEED needs a whole number from 0 to {_MASK}, got {shape[:40]!r}")
             pairs = _random_pairs(n, int(seed))
         elif shape == "line":
             pairs = [(i, i + 1) for i in range(n - 1)]
@@ -72,7 +72,7 @@ class Graph:
                 raise LocalError(f"thesis-d is a graph of six robots, here are {n}")
             pairs = list(_THESIS_D)
         else:
-            raise LocalError(f"expected {', '.join(SHAPES[:-1])} or {SHAPES[-1]}, got {shape!r}")
+            raise LocalError(f"expected {', '.join(SHAPES[:-1])} or {SHAPES[-1]}, got {shape[:40]!r}")
         return cls(names, [(names[i], names[j]) for i, j in pairs])
 
     @classmethod
