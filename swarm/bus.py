@@ -38,6 +38,8 @@ OnSample = Callable[[str, bytes], None]
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
 _log = logging.getLogger("bus")
+_OPENING = 0.5
+"""s that opening a session takes at most where there is a router."""
 _MAX_MESSAGE = 1024 * 1024
 """Bytes at which Zenoh gives a connection up: far above `MAX_PAYLOAD`, only a broken sender meets it."""
 
@@ -143,7 +145,8 @@ class Bus:
         self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
         self._connected = threading.Event()
-        threading.Thread(target=self._open, name="bus-open", daemon=True).start()
+        self._opener = threading.Thread(target=self._open, name="bus-open", daemon=True)
+        self._opener.start()
 
     @classmethod
     def of(cls, directory: Path) -> "Bus":
@@ -256,18 +259,22 @@ class Bus:
         def handle(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        self._declare(
-            lambda session: session.liveliness().declare_subscriber(key, _direct(handle), history=True)
-        )
+        self._declare(lambda session: session.liveliness().declare_subscriber(key, _direct(handle), history=True))
 
     def close(self) -> None:
         """Undeclare everything and close; safe to call twice and while still waiting for a router."""
         with self._lock:
+            if self._closed:
+                return
             self._closed = True
             session, self._session = self._session, None
         self._connected.clear()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
+        elif self._opener is not threading.current_thread():
+            # A thread that comes back from Zenoh while the interpreter ends aborts the process. With a router it is
+            # back in a moment; without one it stays in Zenoh, where it harms nobody.
+            self._opener.join(_OPENING)
         self._kept.clear()
 
     def __enter__(self) -> "Bus":
@@ -315,9 +322,7 @@ class Bus:
         # Last, so that whoever is told of the connection can publish over it.
         self._keep(
             session,
-            lambda session: session.info.declare_transport_events_listener(
-                _direct(self._on_transport), history=True
-            ),
+            lambda session: session.info.declare_transport_events_listener(_direct(self._on_transport), history=True),
         )
 
     def _on_transport(self, event: Any) -> None:
