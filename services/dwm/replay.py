@@ -70,4 +70,3 @@ def serve(service: Service, recording: Recording) -> None:
         ranges, pose = Row(recording, k).published(target, clock.now())
         service.bus.publish(key(robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(robot, "dwm", "pose"), pose)
-        service.watchdog()

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import serial
 
 BAUD = 115200
+_WATCHDOG_PERIOD = 1.0
 _FIRST_PAUSE = 0.1
 _MAX_PAUSE = 2.0
 _WRITE_TIMEOUT = 0.1
@@ -32,13 +33,12 @@ def serve(service: Service, path: Path) -> None:
         ) from None
     pipeline = Pipeline(service.config.dwm)
     pause = _FIRST_PAUSE
+    service.ready()  # to serve; how the module does is told from here on
     while not service.stopping.is_set():
         before = service.counters["reports"]
         try:
             # exclusive: two processes polling one module would read each other's answers
-            with serial.Serial(
-                str(path), BAUD, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True
-            ) as port:
+            with serial.Serial(str(path), BAUD, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True) as port:
                 _poll(service, port, pipeline)
         except OSError as error:  # pyserial's own errors are OSErrors too
             service.counters["port_errors"] += 1
@@ -54,6 +54,7 @@ def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline) -> None:
     """Runs the poller until the service is to stop; raises `OSError` when the port goes away."""
     poller = Poller(service.config.dwm.rate, clock.now())
     port.reset_input_buffer()
+    watchdog_at = clock.now()
     while not service.stopping.is_set():
         now = clock.now()
         wait = min(max(0.0, poller.next_deadline() - now), _MAX_WAIT)
@@ -64,7 +65,9 @@ def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline) -> None:
             poller.handle_timer(now)
         if request := poller.to_send():
             port.write(request)
+        if now >= watchdog_at:
             service.watchdog()
+            watchdog_at = now + _WATCHDOG_PERIOD
         for event in poller.events():
             if isinstance(event, Health):
                 _tell(service, port.name, event)

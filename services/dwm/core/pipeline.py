@@ -47,9 +47,7 @@ class Pipeline:
         if location == self._last:
             ranges, pose = self._messages
             age = now - self._measured
-            return replace(
-                ranges, t=now, ranges=tuple(replace(item, age=age) for item in ranges.ranges)
-            ), pose
+            return replace(ranges, t=now, ranges=tuple(replace(item, age=age) for item in ranges.ranges)), pose
         self._last = location
         self._measured = now
         self._sequence += 1

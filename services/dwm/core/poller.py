@@ -66,9 +66,7 @@ class Poller:
             if self._garbled or self._decoder.skipped + self._pending() > self._skipped:
                 self.counters["garbled"] += 1
                 hint = f" ({self._garbled})" if self._garbled else ""
-                self._failed(
-                    now, "garbled", f"its answers are garbled{hint}: wrong baud rate, or shell mode?"
-                )
+                self._failed(now, "garbled", f"its answers are garbled{hint}: wrong baud rate, or shell mode?")
             else:
                 self.counters["silent"] += 1
                 self._failed(now, "silent", "it does not answer: is it wired, powered and in generic mode?")

@@ -215,7 +215,8 @@ class Decoder(Generic[T]):
             assert values is not None
             values.append(bytes(buffer[at + 2 : end]))
             at = end
-        if any(buffer.find(head, 1, at) > 0 for head in self._heads):
+        # A head may begin inside and end behind: then it swallowed the last bytes.
+        if any(buffer.find(head, 1, at + len(head) - 1) > 0 for head in self._heads):
             raise FrameError(f"{name}: cut off by the head of another answer")
         return values, at
 
@@ -235,8 +236,7 @@ def encode_location(location: Location) -> bytes:
         raise LocalError(f"{len(location.ranges)} ranges, an answer holds at most {MAX_RANGES}")
     try:
         records = b"".join(
-            _RANGE.pack(int(item.anchor, 16), round(item.distance * 1000), item.quality)
-            + _pack(item.position)
+            _RANGE.pack(int(item.anchor, 16), round(item.distance * 1000), item.quality) + _pack(item.position)
             for item in location.ranges
         )
         place = _pack(location.position)

@@ -1,0 +1,116 @@
+from dataclasses import replace
+
+import pytest
+from dwm_frames import LOCATION
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.dwm.core import calibration
+from services.dwm.core.filters import MovingAverage
+from services.dwm.core.pipeline import FORGET, MAX_ANCHORS, Pipeline
+from services.dwm.core.tlv import AnchorRange, Location, Position
+from swarm.config.types import Affine, Dwm, Linear
+
+DISTANCE = Linear(0.946976, -0.05964849)
+POSITION = Affine(((0.93538932, 0.00353817), (-0.01071457, 0.94470965)), (0.046239576, 0.050861534))
+PLAIN = Dwm(window=1)
+
+
+def location(*distances, x=1.0, y=1.0, quality=100):
+    known = Position(0.0, 0.0, 0.0, 100)
+    ranges = tuple(AnchorRange(f"D00{index}", value, 90, known) for index, value in enumerate(distances))
+    return Location(Position(x, y, 0.0, quality), ranges)
+
+
+def test_the_distance_model_of_the_thesis():
+    # eq. 2.8 undoes eq. 2.4, m = 1.056 d + 6.299 cm, within the digits of its constants
+    for true in (0.25, 0.5, 1.0, 1.5):
+        assert calibration.distance(DISTANCE, 1.056 * true + 0.06299) == pytest.approx(true, abs=1e-4)
+    assert calibration.distance(DISTANCE, 0.624) == pytest.approx(0.624 * 0.946976 - 0.05964849)
+    assert calibration.distance(DISTANCE, 0.02) == 0.0
+
+
+def test_the_position_model_of_the_thesis():
+    x, y = calibration.position(POSITION, 0.439, 1.526)
+    assert x == pytest.approx(0.93538932 * 0.439 + 0.00353817 * 1.526 + 0.046239576)
+    assert y == pytest.approx(-0.01071457 * 0.439 + 0.94470965 * 1.526 + 0.050861534)
+
+
+@given(st.integers(1, 30), st.lists(st.floats(-100, 100), min_size=1, max_size=60))
+def test_moving_average(window, values):
+    average = MovingAverage(window)
+    means = [average.add(value) for value in values]
+    for index, mean in enumerate(means):
+        part = values[max(0, index + 1 - window) : index + 1]
+        assert mean == pytest.approx(sum(part) / len(part), abs=1e-9)
+
+
+def test_all_ranges_are_published_with_both_values():
+    ranges, pose = Pipeline(Dwm(window=1, distance=DISTANCE, position=POSITION)).report(LOCATION, 7.0)
+    assert [item.anchor for item in ranges.ranges] == ["C933", "D001", "D002", "D003"]
+    assert [item.quality for item in ranges.ranges] == [100, 99, 0, 50]
+    assert ranges.ranges[0].raw == 1.0
+    assert ranges.ranges[0].distance == pytest.approx(0.88732751)
+    assert (ranges.t, ranges.sequence) == (7.0, 0)
+    assert (pose.t, pose.sequence, pose.quality, pose.heading, pose.source) == (7.0, 0, 100, None, "module")
+    assert (pose.x, pose.y) == pytest.approx(calibration.position(POSITION, 2.635, 1.055))
+
+
+def test_a_repeat_is_no_new_sample():
+    pipeline = Pipeline(Dwm(window=4))
+    pipeline.report(location(1.0, 2.0), 1.0)
+    ranges, pose = pipeline.report(location(2.0, 3.0, x=2.0), 1.1)
+    again, same = pipeline.report(location(2.0, 3.0, x=2.0), 1.2)
+    assert same == pose
+    assert (again.t, again.sequence) == (1.2, ranges.sequence) == (1.2, 1)
+    assert [item.age for item in again.ranges] == pytest.approx([0.1, 0.1])
+    assert [replace(item, age=0.0) for item in again.ranges] == list(ranges.ranges)
+    third, _ = pipeline.report(location(3.0, 4.0, x=2.0), 1.3)
+    assert third.sequence == 2
+    assert [item.distance for item in third.ranges] == pytest.approx([2.0, 3.0])  # the repeat did not count
+    assert [item.age for item in third.ranges] == [0.0, 0.0]
+
+
+def test_one_changed_number_makes_a_new_sample():
+    pipeline = Pipeline(PLAIN)
+    for index, report in enumerate([location(1.0, 2.0), location(1.0, 2.001), location(1.0, 2.001, x=1.001)]):
+        assert pipeline.report(report, index * 0.1)[0].sequence == index
+
+
+def test_an_anchor_that_was_missing_keeps_its_own_count():
+    pipeline = Pipeline(PLAIN)
+    pipeline.report(location(1.0, 2.0), 1.0)
+    ranges, _ = pipeline.report(location(1.1), 1.1)
+    assert [(item.anchor, item.sequence) for item in ranges.ranges] == [("D000", 1)]
+    ranges, _ = pipeline.report(location(1.2, 2.2), 1.2)
+    assert [(item.anchor, item.sequence) for item in ranges.ranges] == [("D000", 2), ("D001", 1)]
+
+
+def test_without_a_fix_the_numbers_enter_nothing():
+    pipeline = Pipeline(Dwm(window=5))
+    _, pose = pipeline.report(location(1.0, quality=0, x=9.0), 1.0)
+    assert (pose.quality, pose.x) == (0, 0.0)
+    _, pose = pipeline.report(location(1.1, x=1.0), 1.1)
+    assert (pose.quality, pose.x, pose.source) == (100, 1.0, "average")
+    _, pose = pipeline.report(location(1.2, quality=0, x=9.0), 1.2)
+    assert (pose.quality, pose.x, pose.sequence) == (0, 1.0, 2)
+    _, pose = pipeline.report(location(1.3, x=2.0), 1.3)
+    assert (pose.quality, pose.x) == (100, 1.5)
+
+
+def test_an_average_starts_anew_after_a_gap():
+    pipeline = Pipeline(Dwm(window=5))
+    pipeline.report(location(1.0, x=1.0), 1.0)
+    ranges, pose = pipeline.report(location(3.0, x=3.0), 1.1 + FORGET)
+    assert (ranges.ranges[0].distance, pose.x) == (3.0, 3.0)
+
+
+def test_wrong_addresses_do_not_pile_up():
+    pipeline = Pipeline(PLAIN)
+    known = Position(0.0, 0.0, 0.0, 100)
+    for address in range(3 * MAX_ANCHORS):
+        item = AnchorRange(f"{address:04X}", 1.0, 100, known)
+        pipeline.report(Location(known, (item, AnchorRange("C933", 1.0, 100, known))), address * 0.1)
+    assert len(pipeline._anchors) == MAX_ANCHORS
+    ranges, _ = pipeline.report(Location(known, (AnchorRange("C933", 2.0, 100, known),)), 99.0)
+    assert ranges.ranges[0].sequence == 3 * MAX_ANCHORS
