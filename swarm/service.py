@@ -8,7 +8,6 @@ answered to queries) and to a liveliness token `swarm/<robot>/<service>/alive`. 
 with its parent.
 """
 
-import _thread
 import ctypes
 import logging
 import os
@@ -30,6 +29,7 @@ from swarm.messages import Status
 from swarm.paths import runtime_dir
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 def die_with_parent() -> None:
@@ -72,9 +72,7 @@ class Service:
         self.counters: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._state, self._reason, self._since = "starting", "", clock.now()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            # It interrupts the main thread, which may hold the event's own lock: so another one sets it.
-            signal.signal(number, lambda *_: _thread.start_new_thread(self.stop, ()))
+        self._watch_signals()
         self._status_key = key(self.robot, name, "status")
         self.bus = Bus.of(self.runtime)
         self.bus.announce(key(self.robot, name, "alive"))
@@ -117,6 +115,26 @@ class Service:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _watch_signals(self) -> None:
+        """Let SIGTERM and SIGINT set `stopping`, whichever thread they hit and whatever that thread is doing.
+
+        The kernel may deliver a signal to one of Zenoh's threads. Python's own handlers run when the main thread next
+        executes bytecode, and that one sleeps in `stopping.wait()`: one stop in thirty was lost. The wake-up pipe is
+        written by the thread that was hit, and read by one that holds no lock the event needs.
+        """
+        reader, writer = os.pipe()
+        os.set_blocking(writer, False)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        for number in _STOP_SIGNALS:
+            signal.signal(number, lambda *_: None)
+
+        def watch() -> None:
+            while (number := os.read(reader, 1)) and number[0] not in _STOP_SIGNALS:
+                pass
+            self.stop()
+
+        threading.Thread(target=watch, name="signals", daemon=True).start()
 
     def _change(self, state: str, reason: str) -> None:
         with self._lock:
