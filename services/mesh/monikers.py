@@ -57,9 +57,7 @@ def parse_address(address: str, whole: str) -> Tcp:
 def of_robot(robot: Robot) -> Moniker:
     """How the others reach a robot; raises `ConfigError` naming the robot."""
     if robot.link is None and robot.bluetooth is None:
-        raise ConfigError(
-            f"robot {robot.name}: it has neither a link nor a Bluetooth address to be reached at"
-        )
+        raise ConfigError(f"robot {robot.name}: it has neither a link nor a Bluetooth address to be reached at")
     try:
         return parse(robot.link or f"rfcomm:{robot.bluetooth}")
     except ConfigError as error:

@@ -33,9 +33,7 @@ class Network:
             if isinstance(own, monikers.Sim) and self._air is not None:
                 self.listeners.append(sim.Listener(own.path, self._air))
             if listen is not None:
-                self.listeners.append(
-                    tcp.Listener(monikers.parse_address(listen, f"[mesh] listen = {listen}"))
-                )
+                self.listeners.append(tcp.Listener(monikers.parse_address(listen, f"[mesh] listen = {listen}")))
         except Exception:
             self.close()
             raise

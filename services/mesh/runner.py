@@ -152,9 +152,7 @@ class Runner:
     # -- threads -----------------------------------------------------------------------------------
 
     def _start(self, target: Callable[..., None], *arguments: object) -> None:
-        thread = threading.Thread(
-            target=self._reader, args=(target, *arguments), name="mesh-link", daemon=True
-        )
+        thread = threading.Thread(target=self._reader, args=(target, *arguments), name="mesh-link", daemon=True)
         self._threads.add(thread)
         thread.start()
 

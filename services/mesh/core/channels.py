@@ -19,8 +19,6 @@ class Channels:
         if handle is not None:
             self._handles.move_to_end(key)
             return handle, False
-        handle = (
-            len(self._handles) if len(self._handles) < self._size else self._handles.popitem(last=False)[1]
-        )
+        handle = len(self._handles) if len(self._handles) < self._size else self._handles.popitem(last=False)[1]
         self._handles[key] = handle
         return handle, True

@@ -38,13 +38,9 @@ class AirModel:
             except ValueError:
                 raise ConfigError(f"SWARM_SIM_LINK: {part!r}: expected {'|'.join(names)}=number") from None
             if name not in names or not 0.0 <= values[name] < float("inf"):
-                raise ConfigError(
-                    f"SWARM_SIM_LINK: {part!r}: expected {'|'.join(names)}=number, not negative"
-                )
+                raise ConfigError(f"SWARM_SIM_LINK: {part!r}: expected {'|'.join(names)}=number, not negative")
         if values.get("bandwidth") == 0.0:
-            raise ConfigError(
-                "SWARM_SIM_LINK: bandwidth=0: expected bytes per second, or leave it out for no limit"
-            )
+            raise ConfigError("SWARM_SIM_LINK: bandwidth=0: expected bytes per second, or leave it out for no limit")
         return cls(
             values.get("latency", 0.0),
             values.get("jitter", 0.0),

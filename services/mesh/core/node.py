@@ -115,8 +115,7 @@ class Node:
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
         self._links = {
-            peer: Link(peer, Dialler(random) if dials else None)
-            for peer, dials in sorted(local.dials.items())
+            peer: Link(peer, Dialler(random) if dials else None) for peer, dials in sorted(local.dials.items())
         }
         self._sessions: list[Session] = []
         self._ready: list[Session] = []
@@ -129,9 +128,7 @@ class Node:
         """Somebody connected; None = too many strangers at once, close it."""
         if sum(not session.is_up for session in self._sessions if session.dialled is None) >= MAX_HALF_OPEN:
             self._counters["half_open"] += 1
-            self._note(
-                "half-open connections", f"more than {MAX_HALF_OPEN} connections wait for their handshake"
-            )
+            self._note("half-open connections", f"more than {MAX_HALF_OPEN} connections wait for their handshake")
             return None
         return self._open(None, now)
 
@@ -198,9 +195,7 @@ class Node:
     def next_deadline(self) -> float | None:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
         deadlines = [session.next_deadline() for session in self._sessions]
-        deadlines += [
-            link.dialler.next_deadline() for link in self._links.values() if link.dialler is not None
-        ]
+        deadlines += [link.dialler.next_deadline() for link in self._links.values() if link.dialler is not None]
         deadlines.append(self._relay.next_deadline())
         return min((deadline for deadline in deadlines if deadline is not None), default=None)
 
@@ -227,9 +222,7 @@ class Node:
         leg, payload = send
         if len(payload) > frames.MAX_PAYLOAD:
             self._counters["too_large"] += 1
-            self._note(
-                leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {frames.MAX_PAYLOAD}"
-            )
+            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {frames.MAX_PAYLOAD}")
             return
         for peer in leg.peers:
             session = self._links[peer].session
@@ -313,9 +306,6 @@ class Node:
     def _remove(self, session: Session) -> None:
         if session in self._sessions:
             self._sessions.remove(session)
-            overflowed, replaced = session.losses
-            self._counters["overflowed"] += overflowed
-            self._counters["replaced"] += replaced
             self._actions.append(Close(session))
 
     def _tell(self, text: str) -> None:

@@ -5,7 +5,7 @@ full its oldest message goes: in every stream we carry the newest one is worth m
 for again end to end.
 """
 
-from collections import deque
+from collections import Counter, deque
 from typing import NamedTuple
 
 from services.mesh.core.frames import BULK, CONTROL, SYNC
@@ -37,14 +37,12 @@ class Message:
 class Outbox:
     """The queue of one connection."""
 
-    def __init__(self) -> None:
+    def __init__(self, counters: Counter[str]) -> None:
+        """Counts in `overflowed` what was dropped because its class was full, in `replaced` what a newer value was."""
+        self._counters = counters
         self._queues: tuple[deque[Message], ...] = (deque(), deque(), deque())
         self._sizes = [0, 0, 0]
         self._latest: dict[str, Message] = {}
-        self.overflowed = 0
-        """Messages dropped because their class was full."""
-        self.replaced = 0
-        """Latest values that a newer one replaced before they left."""
 
     def __bool__(self) -> bool:
         return any(self._queues)
@@ -54,7 +52,7 @@ class Outbox:
         if latest and (waiting := self._latest.get(key)) is not None:
             self._sizes[waiting.priority] += len(payload) - len(waiting.payload)
             waiting.payload = payload
-            self.replaced += 1
+            self._counters["replaced"] += 1
             self._shrink(waiting.priority)
             return
         message = Message(priority, key, payload, latest)
@@ -89,4 +87,4 @@ class Outbox:
         queue, limit = self._queues[priority], LIMITS[priority]
         while len(queue) > limit.messages or self._sizes[priority] > limit.size:
             self._take(queue)
-            self.overflowed += 1
+            self._counters["overflowed"] += 1

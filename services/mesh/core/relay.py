@@ -145,9 +145,7 @@ class Relay:
         legs = []
         open_peers = set(self._peers) if may_cross(key, self._me) else set()
         for rule in self._rules:
-            peers = tuple(
-                peer for peer in self._peers if peer in open_peers and matches(rule.to_peer[peer], key)
-            )
+            peers = tuple(peer for peer in self._peers if peer in open_peers and matches(rule.to_peer[peer], key))
             if peers:
                 open_peers.difference_update(peers)
                 config = rule.config

@@ -103,14 +103,12 @@ class Session:
         self._incarnation: int | None = None
         self._decoder = frames.Decoder()
         self._events: list[Event] = []
-        self._outbox = Outbox()
+        self._outbox = Outbox(counters)
         self._channels = Channels()
         self._keys: dict[int, str | None] = {}
         self._urgent = [
             frames.encode_hello(
-                Hello(
-                    local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure
-                )
+                Hello(local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure)
             )
         ]
         self._heard = now
@@ -129,11 +127,6 @@ class Session:
     def wants_to_send(self) -> bool:
         """Whether `data_to_send` has something."""
         return bool(self._urgent) or self._heartbeat_due or bool(self._outbox)
-
-    @property
-    def losses(self) -> tuple[int, int]:
-        """Messages dropped because a queue was full, and latest values replaced before they left."""
-        return self._outbox.overflowed, self._outbox.replaced
 
     def events(self) -> list[Event]:
         """What happened since the last call."""

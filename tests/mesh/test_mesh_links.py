@@ -1,0 +1,280 @@
+"""Transports by themselves: simulated air with cuts, back-pressure, ends of connections, left-over sockets."""
+
+import os
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgpack
+import pytest
+from conftest import wait_until
+
+from services.mesh import monikers
+from services.mesh.links import sim, tcp
+from services.mesh.links.pipe import Pipe
+from services.mesh.monikers import Sim, Tcp
+from swarm import clock
+from swarm.config.types import Robot
+from swarm.errors import ConfigError, LocalError, SwarmError
+
+
+class Place:
+    """Two robots' ends of the simulated air, and the listener of the second."""
+
+    def __init__(self, runtime: Path) -> None:
+        for name in ("r0", "r1"):
+            (runtime / name).mkdir()
+        self.runtime = runtime
+        self.path = runtime / "r1/mesh.sock"
+        self.near = sim.Air("r0", runtime / "r0")
+        self.far = sim.Air("r1", runtime / "r1")
+        self.listener = sim.Listener(self.path, self.far)
+        self.pipes: list[Pipe] = []
+
+    def connect(self) -> tuple[Pipe, Pipe]:
+        self.pipes += (sim.dial(self.path, self.near, "r1"), self.listener.accept())
+        return self.pipes[-2], self.pipes[-1]
+
+    def cut(self, robot: str, peer: str, seconds: float) -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+            sock.sendto(
+                msgpack.packb({"cut": peer, "seconds": seconds}), os.fspath(self.runtime / robot / sim.AIR_SOCKET)
+            )
+        air = self.near if robot == "r0" else self.far
+        wait_until(lambda: air.is_cut(peer))
+
+    def close(self) -> None:
+        for pipe in self.pipes:
+            pipe.close()
+        self.listener.close()
+        self.near.close()
+        self.far.close()
+
+
+@pytest.fixture
+def model() -> str:
+    return ""
+
+
+@pytest.fixture
+def place(runtime: Path, model: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Place]:
+    monkeypatch.setenv(sim.LINK_VARIABLE, model)
+    built = Place(runtime)
+    yield built
+    built.close()
+
+
+def write(pipe: Pipe, data: bytes) -> None:
+    pipe.offer(data)
+    assert pipe.flush()
+
+
+def test_bytes_pass_both_ways(place: Place) -> None:
+    near, far = place.connect()
+    write(near, b"ping")
+    assert far.read() == b"ping"
+    write(far, b"pong")
+    assert near.read() == b"pong"
+
+
+@pytest.mark.parametrize("model", ["latency=0.05"])
+def test_latency_counts_from_the_write_and_the_end_travels_like_bytes(place: Place) -> None:
+    near, far = place.connect()
+    start = clock.now()
+    write(near, b"a")
+    write(near, b"b")
+    near.shutdown()
+    assert [far.read(), far.read(), far.read()] == [b"a", b"b", b""]
+    assert clock.now() - start >= 0.05
+
+
+@pytest.mark.parametrize("model", ["latency=0.001,bandwidth=50000"])
+def test_a_slow_air_fills_the_senders_socket(place: Place) -> None:
+    near, far = place.connect()
+    offered = 0
+    while near.flush():
+        near.offer(bytes(1000))
+        offered += 1000
+        assert offered < 200_000
+    received, start = 0, clock.now()
+    while received < 20_000:
+        received += len(far.read())
+    assert clock.now() - start >= 0.8 * 20_000 / 50_000
+    while received < offered:
+        received += len(far.read())
+        near.flush()
+    assert received == offered
+
+
+@pytest.mark.parametrize("model", ["latency=0.01"])
+def test_a_cut_holds_what_is_under_way_and_stops_dialling(place: Place) -> None:
+    near, far = place.connect()
+    write(near, b"before")
+    assert far.read() == b"before"
+    write(near, b"under way")
+    place.cut("r1", "r0", 0.3)
+    end = place.far.cut_until("r0")
+    assert far.read() == b"under way"
+    assert clock.now() >= end
+    place.cut("r0", "r1", 60.0)
+    with pytest.raises(ConnectionError, match="unreachable"):
+        sim.dial(place.path, place.near, "r1")
+
+
+def test_who_is_cut_off_is_not_let_in(place: Place) -> None:
+    place.cut("r1", "r0", 60.0)
+    _, far = place.connect()
+    with pytest.raises(ConnectionError, match="unreachable"):
+        far.read()
+
+
+@pytest.mark.parametrize("datagram", [b"", b"\xc1", msgpack.packb({"cut": "r0"}), msgpack.packb([1]), bytes(3000)])
+def test_wrong_cuts_are_ignored(place: Place, datagram: bytes) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        sock.sendto(datagram, os.fspath(place.runtime / "r1" / sim.AIR_SOCKET))
+    place.cut("r1", "r0", 60.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"\x00", "without a name"),
+        (b"\xff" + bytes(200), "without a name"),
+        (b"\x02r0" + struct.pack("<Id", 0, 0.0), "write of 0 bytes"),
+        (b"\x02r0" + struct.pack("<Id", 1 << 30, 0.0), "write of 1073741824 bytes"),
+    ],
+)
+def test_a_caller_that_is_no_mesh_is_an_error_of_the_transport(place: Place, data: bytes, text: str) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as sock:
+        sock.connect(os.fspath(place.path))
+        sock.sendall(data)
+        pipe = place.listener.accept()
+        with pytest.raises(ConnectionError, match=text):
+            pipe.read()
+        pipe.close()
+
+
+def test_records_split_anywhere_are_put_together(place: Place) -> None:
+    record = struct.pack("<Id", 5, clock.now()) + b"hello"
+    stream = b"\x02r0" + record * 3
+    for cut in range(4, len(stream)):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as sock:
+            sock.connect(os.fspath(place.path))
+            pipe = place.listener.accept()
+            sock.sendall(stream[:cut])
+            sock.sendall(stream[cut:])
+            assert [pipe.read() for _ in range(3)] == [b"hello"] * 3
+            pipe.close()
+
+
+def test_a_robot_has_one_mesh(place: Place) -> None:
+    with pytest.raises(LocalError, match="another mesh of this robot runs already"):
+        sim.Air("r0", place.runtime / "r0")
+    near, far = place.connect()
+    write(near, b"unharmed")
+    assert far.read() == b"unharmed"
+
+
+def test_sockets_left_by_a_killed_run_are_replaced(runtime: Path) -> None:
+    for name in (sim.AIR_SOCKET, "mesh.sock"):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
+            left.bind(os.fspath(runtime / name))
+    air = sim.Air("r1", runtime)
+    listener = sim.Listener(runtime / "mesh.sock", air)
+    sim.dial(runtime / "mesh.sock", air, "r1").close()
+    listener.close()
+    air.close()
+    assert sorted(path.name for path in runtime.iterdir()) == [sim.LOCK]
+
+
+def test_a_missing_directory_is_named(runtime: Path) -> None:
+    with pytest.raises(LocalError, match=r"nowhere/mesh\.lock: no such file"):
+        sim.Air("r0", runtime / "nowhere")
+
+
+# -- tcp -----------------------------------------------------------------------------------------------------
+
+
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return sock.getsockname()[1]
+
+
+def test_tcp_passes_bytes_and_ends() -> None:
+    address = Tcp("127.0.0.1", free_port())
+    with pytest.raises(ConnectionRefusedError):
+        tcp.dial(address)
+    listener = tcp.Listener(address)
+    near, far = tcp.dial(address), listener.accept()
+    write(near, b"ping")
+    assert far.read() == b"ping"
+    near.shutdown()
+    near.shutdown()
+    assert far.read() == b""
+    assert near.read() == b"", "the own reader is woken too"
+    for pipe in (near, far):
+        pipe.close()
+    listener.close()
+
+
+def test_a_fault_while_writing_wakes_the_reader_and_is_named() -> None:
+    address = Tcp("127.0.0.1", free_port())
+    listener = tcp.Listener(address)
+    near, far = tcp.dial(address), listener.accept()
+    far._sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    far.close()  # with a reset
+    wait_until(lambda: not write_more(near))
+    assert near.fault in ("connection reset by peer", "broken pipe")
+    near.close()
+    listener.close()
+
+
+def write_more(pipe: Pipe) -> bool:
+    """Write until it fails; False then."""
+    pipe.offer(b"x")
+    pipe.flush()
+    return not pipe.fault
+
+
+def test_a_port_in_use_is_named() -> None:
+    address = Tcp("127.0.0.1", free_port())
+    listener = tcp.Listener(address)
+    with pytest.raises(LocalError, match=rf"\[mesh\] listen: 127.0.0.1:{address.port}: address already in use"):
+        tcp.Listener(address)
+    listener.close()
+
+
+# -- monikers ------------------------------------------------------------------------------------------------
+
+
+def test_monikers() -> None:
+    assert monikers.parse("sim:/tmp/r0/mesh.sock") == Sim(Path("/tmp/r0/mesh.sock"))
+    assert monikers.parse("tcp:robot.local:7447") == Tcp("robot.local", 7447)
+    assert monikers.parse("tcp:[::1]:7447") == Tcp("::1", 7447)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("rfcomm:B8:27:EB:00:00:01", "not in this version"),
+        ("udp:host:1", "expected sim:PATH or tcp:HOST:PORT"),
+        ("sim:", "expected sim:PATH"),
+        ("sim:/" + "x" * 120, "at most 107"),
+        ("tcp:host", "expected HOST:PORT"),
+        ("tcp:host:0", "port from 1 to 65535"),
+        ("tcp::7447", "expected HOST:PORT"),
+        ("tcp:host:port", "expected HOST:PORT"),
+    ],
+)
+def test_wrong_monikers_say_what_was_expected(text: str, message: str) -> None:
+    with pytest.raises(SwarmError, match=message):
+        monikers.parse(text)
+
+
+def test_a_robot_without_a_link_is_reached_by_bluetooth_which_is_not_there_yet() -> None:
+    with pytest.raises(ConfigError, match="robot r0: link 'rfcomm:B8:27:EB:00:00:01': Bluetooth links are not in"):
+        monikers.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01"))
+    with pytest.raises(ConfigError, match="robot r0: it has neither"):
+        monikers.of_robot(Robot("r0"))

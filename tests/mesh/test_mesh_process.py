@@ -1,0 +1,364 @@
+"""Real mesh processes with real bus routers, over sim: and tcp: links."""
+
+import os
+import signal
+import socket
+import struct
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgpack
+import pytest
+from conftest import Processes, stop, wait_until
+
+from services.mesh.core import frames
+from services.mesh.core.frames import Hello
+from swarm.bus import Bus, Router
+from swarm.messages import LinkState, Status, read
+from swarm.paths import bus_endpoint
+
+SYNC = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
+
+SHORT = "heartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n"
+"""Shorter times than normal, so that tests of silence are short."""
+
+
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return sock.getsockname()[1]
+
+
+class Robot:
+    """One robot's bus and mesh, and what a test sees of them."""
+
+    def __init__(self, swarm: "Swarm", name: str) -> None:
+        self.name = name
+        self.swarm = swarm
+        self.directory = swarm.runtime / name
+        self.directory.mkdir()
+        self.config = swarm.runtime / f"{name}.toml"
+        self.samples: list[tuple[str, bytes]] = []
+        self.links: dict[str, LinkState] = {}
+        self.seen: list[tuple[str, str]] = []
+        self.router: Router | None = Router(bus_endpoint(self.directory))
+        self.bus = Bus.of(self.directory)
+        self.bus.subscribe("swarm/*/app/**", lambda key, payload: self.samples.append((key, payload)))
+        self.bus.subscribe(f"swarm/{name}/mesh/links", self._on_links)
+        self.mesh: subprocess.Popen[str] | None = None
+
+    def start(self) -> subprocess.Popen[str]:
+        self.mesh = self.swarm.processes.start_ready(
+            "-m",
+            "services.mesh",
+            SWARM_ROBOT=self.name,
+            SWARM_RUNTIME=str(self.directory),
+            SWARM_CONFIG=str(self.config),
+            SWARM_SIM_LINK=self.swarm.model,
+        )
+        return self.mesh
+
+    def _on_links(self, key: str, payload: bytes) -> None:
+        for link in read(key, payload).links:
+            self.links[link.peer] = link
+            if self.seen[-1:] != [(link.peer, link.state)]:
+                self.seen.append((link.peer, link.state))
+
+    def status(self) -> Status:
+        answers: list[Status] = []
+
+        def asked() -> bool:
+            self.bus.ask(
+                f"swarm/{self.name}/mesh/status", lambda key, payload: answers.append(read(key, payload)), timeout_s=0.5
+            )
+            return bool(answers)
+
+        wait_until(asked, what=f"{self.name}'s mesh answers")
+        return answers[-1]
+
+    def close(self) -> None:
+        self.bus.close()
+        if self.router is not None:
+            self.router.close()
+
+
+class Swarm:
+    """Robots in one runtime directory."""
+
+    def __init__(
+        self, processes: Processes, kind: str, edges: list[tuple[str, str]], extra: str, model: str, times: str
+    ) -> None:
+        self.processes = processes
+        self.runtime = processes.runtime
+        self.model = model
+        names = sorted({name for edge in edges for name in edge})
+        self.ports = {name: free_port() for name in names}
+        self.robots = {name: Robot(self, name) for name in names}
+        self.edges = edges
+        for name, robot in self.robots.items():
+            robot.config.write_text(self._config(kind, name, extra, times))
+
+    def _config(self, kind: str, me: str, extra: str, times: str) -> str:
+        text = f'network = "test"\n{extra}[topology]\nedges = {[list(edge) for edge in self.edges]}\n'
+        for name in self.robots:
+            link = f"sim:{self.runtime}/{name}/mesh.sock" if kind == "sim" else f"tcp:127.0.0.1:{self.ports[name]}"
+            text += f'[[robots]]\nname = "{name}"\nlink = "{link}"\n'
+        text += f"[mesh]\ninsecure = true\n{times}"
+        return text + (f'listen = "127.0.0.1:{self.ports[me]}"\n' if kind == "tcp" else "")
+
+    def start(self) -> None:
+        for robot in self.robots.values():
+            robot.start()
+        self.wait_up()
+
+    def wait_up(self) -> None:
+        def up() -> bool:
+            pairs = [pair for a, b in self.edges for pair in ((a, b), (b, a))]
+            return all(peer in self[name].links and self[name].links[peer].state == "up" for name, peer in pairs)
+
+        wait_until(up, timeout=20, what="all links are up")
+
+    def talk(self, sender: str, receiver: str, key: str = "", payload: bytes = b"hello") -> None:
+        """Publish until it arrives: while a link or a bus returns, messages may be lost."""
+        key = key or SYNC.format(sender)
+
+        def arrived() -> bool:
+            self[sender].bus.publish(key, payload)
+            return (key, payload) in self[receiver].samples
+
+        self[receiver].samples.clear()
+        wait_until(arrived, what=f"{key} arrives at {receiver}")
+
+    def __getitem__(self, name: str) -> Robot:
+        return self.robots[name]
+
+    def close(self) -> None:
+        self.processes.end()
+        for robot in self.robots.values():
+            robot.close()
+
+
+Build = Callable[..., Swarm]
+
+
+@pytest.fixture
+def build(processes: Processes) -> Iterator[Build]:
+    built: list[Swarm] = []
+
+    def make(
+        kind: str = "sim",
+        edges: tuple[tuple[str, str], ...] = (("r0", "r1"),),
+        extra: str = "",
+        model: str = "",
+        times: str = "",
+    ) -> Swarm:
+        built.append(Swarm(processes, kind, list(edges), extra, model, times))
+        return built[-1]
+
+    yield make
+    for swarm in built:
+        swarm.close()
+
+
+def log_of(process: subprocess.Popen[str]) -> str:
+    """Stop a service and return what it logged."""
+    assert stop(process) == 0
+    return process.communicate()[1]
+
+
+@pytest.mark.parametrize("kind", ["sim", "tcp"])
+def test_messages_reach_neighbours_and_nobody_else(build: Build, kind: str) -> None:
+    swarm = build(kind, (("r0", "r1"), ("r1", "r2")))
+    swarm.start()
+    swarm.talk("r0", "r1")
+    swarm.talk("r1", "r2")
+    swarm.talk("r2", "r1", payload=b"back")
+    swarm.talk("r1", "r0", key=SYNC.format("r1") + "/r0", payload=b"only you")
+    assert {key for key, _ in swarm["r2"].samples} == {SYNC.format("r1")}
+    swarm["r0"].bus.publish("swarm/r0/app/consensus/state", b"not relayed")
+    swarm["r0"].bus.publish("swarm/r1/app/consensus/sync/a", b"not r0's to say")
+    sent = [str(number).encode() for number in range(300)]
+    swarm["r1"].samples.clear()
+    for payload in sent:
+        swarm["r0"].bus.publish(SYNC.format("r0"), payload)
+    wait_until(lambda: len(swarm["r1"].samples) >= len(sent))
+    assert [payload for key, payload in swarm["r1"].samples if key == SYNC.format("r0")] == sent
+    assert len(swarm["r1"].samples) == len(sent)
+    link = swarm["r0"].status()
+    assert link.state == "ready"
+    for robot in swarm.robots.values():
+        assert robot.mesh is not None
+        assert stop(robot.mesh) == 0
+
+
+@pytest.mark.parametrize("victim", ["r0", "r1"])
+def test_a_killed_mesh_is_met_again_at_once(build: Build, victim: str) -> None:
+    swarm = build()
+    swarm.start()
+    robot, other = swarm[victim], swarm["r1" if victim == "r0" else "r0"]
+    assert robot.mesh is not None
+    robot.mesh.kill()
+    wait_until(lambda: other.links[victim].state != "up", what="the neighbour sees it")
+    robot.start()
+    wait_until(lambda: other.links[victim].state == "up" and other.links[victim].connection == 2)
+    swarm.talk("r0", "r1")
+    swarm.talk("r1", "r0")
+
+
+@pytest.mark.parametrize("victim", ["r0", "r1"])
+def test_a_stopped_mesh_is_suspect_then_down_and_returns(build: Build, victim: str) -> None:
+    swarm = build(times=SHORT)
+    swarm.start()
+    robot, other = swarm[victim], swarm["r1" if victim == "r0" else "r0"]
+    assert robot.mesh is not None
+    robot.mesh.send_signal(signal.SIGSTOP)
+    wait_until(lambda: other.links[victim].state in ("down", "connecting"))
+    assert (victim, "suspect") in other.seen
+    robot.mesh.send_signal(signal.SIGCONT)
+    swarm.wait_up()
+    swarm.talk("r0", "r1")
+    swarm.talk("r1", "r0")
+
+
+def test_it_starts_before_the_bus_and_survives_its_restart(build: Build) -> None:
+    swarm = build()
+    robot = swarm["r0"]
+    assert robot.router is not None
+    robot.router.close()
+    robot.router = None
+    for each in swarm.robots.values():
+        each.start()
+    for _ in range(2):
+        robot.router = Router(bus_endpoint(robot.directory))
+        swarm.wait_up()
+        swarm.talk("r0", "r1")
+        swarm.talk("r1", "r0")
+        robot.router.close()
+        robot.router = None
+        robot.links.clear()
+
+
+def test_a_cut_link_returns(build: Build) -> None:
+    swarm = build(model="latency=0.005", times=SHORT)
+    swarm.start()
+    for robot, peer in (("r0", "r1"), ("r1", "r0")):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+            sock.sendto(msgpack.packb({"cut": peer, "seconds": 1.5}), str(swarm.runtime / robot / "air.sock"))
+    wait_until(lambda: swarm["r0"].links["r1"].state in ("down", "connecting"))
+    assert ("r1", "suspect") in swarm["r0"].seen
+    wait_until(lambda: swarm["r0"].links["r1"].reason == "unreachable")
+    swarm.wait_up()
+    assert swarm["r0"].links["r1"].connection == 2
+    swarm.talk("r0", "r1")
+
+
+def hello(**changes: object) -> bytes:
+    values = {"network": "test", "robot": "r0", "incarnation": 1, "nonce": bytes(16), "dialler": True, "insecure": True}
+    return frames.encode_hello(Hello(**(values | changes)))  # type: ignore[arg-type]
+
+
+def strangers(swarm: Swarm, kind: str, data: bytes) -> socket.socket:
+    """Connect to r1 and write, as a program that is no mesh of ours."""
+    if kind == "tcp":
+        sock = socket.create_connection(("127.0.0.1", swarm.ports["r1"]))
+    else:
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        sock.connect(os.fspath(swarm["r1"].directory / "mesh.sock"))
+        data = b"\x02r0" + struct.pack("<Id", len(data), 0.0) + data
+    sock.sendall(data)
+    sock.settimeout(5.0)
+    return sock
+
+
+@pytest.mark.parametrize("kind", ["sim", "tcp"])
+def test_strangers_are_refused_counted_and_logged_once(build: Build, kind: str) -> None:
+    swarm = build(kind)
+    swarm.start()
+    wrong = {
+        "refused_version": hello(versions=(2, 9)),
+        "refused_network": hello(network="other"),
+        "refused_robot": hello(robot="r7"),
+        "bad_frames": b"GET / HTTP/1.1\r\n\r\n",
+    }
+    for data in wrong.values():
+        for _ in range(3):
+            with strangers(swarm, kind, data) as sock:
+                received = b""
+                while more := sock.recv(4096):
+                    received += more
+                assert frames.MAGIC in received
+                assert b"\x02\x00\x03" in received, "BYE says why"
+    counters = swarm["r1"].status().counters
+    assert {name: counters[name] for name in wrong} == dict.fromkeys(wrong, 3)
+    swarm.talk("r0", "r1")
+    assert swarm["r1"].links["r0"].connection == 1
+    assert swarm["r1"].mesh is not None
+    log = log_of(swarm["r1"].mesh)
+    assert log.count("speaks protocol versions 2 to 9, we speak 1") == 1
+    assert log.count("connection refused") == len(wrong)
+    assert "Traceback" not in log
+
+
+def test_a_full_link_lets_urgent_messages_pass_and_forgets_old_bulk(build: Build) -> None:
+    rule = '[[relay]]\nkeys = "swarm/{self}/app/bulk/*"\nqueue = "all"\n'
+    swarm = build(extra=rule, model="latency=0.001,bandwidth=40000")
+    swarm.start()
+    swarm.talk("r0", "r1")
+    sender, receiver = swarm["r0"], swarm["r1"]
+    published = 0
+
+    def is_full() -> bool:
+        nonlocal published
+        for _ in range(20):
+            published += 1
+            sender.bus.publish("swarm/r0/app/bulk/x", struct.pack("<I", published) + bytes(1000))
+        return "overflowed" in sender.status().counters
+
+    wait_until(is_full)
+    sender.bus.publish(SYNC.format("r0"), b"urgent")
+    wait_until(lambda: (SYNC.format("r0"), b"urgent") in receiver.samples)
+    place = receiver.samples.index((SYNC.format("r0"), b"urgent"))
+    wait_until(lambda: len(receiver.samples) > place + 1, what="bulk that was published before it")
+    numbers = [struct.unpack_from("<I", payload)[0] for key, payload in receiver.samples if "bulk" in key]
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) < published
+
+
+@pytest.mark.parametrize("kind", ["sim", "tcp"])
+def test_a_second_mesh_of_a_robot_says_so_and_ends(build: Build, kind: str) -> None:
+    swarm = build(kind)
+    swarm.start()
+    robot = swarm["r1"]
+    second = swarm.processes.start(
+        "-m",
+        "services.mesh",
+        SWARM_ROBOT="r1",
+        SWARM_RUNTIME=str(robot.directory),
+        SWARM_CONFIG=str(robot.config),
+    )
+    _, log = second.communicate(timeout=20)
+    assert second.returncode == 2
+    expected = "another mesh of this robot runs already" if kind == "sim" else "address already in use"
+    assert expected in log
+    assert "Traceback" not in log
+    swarm.talk("r0", "r1")
+
+
+def test_a_robot_that_is_called_over_tcp_must_listen(processes: Processes, runtime: Path) -> None:
+    Path(processes.config).write_text(
+        'network = "test"\n[topology]\nshape = "line"\n[mesh]\ninsecure = true\n'
+        '[[robots]]\nname = "r0"\nlink = "tcp:127.0.0.1:7447"\n'
+        '[[robots]]\nname = "r1"\nlink = "tcp:127.0.0.1:7448"\n'
+    )
+    process = processes.start("-m", "services.mesh", SWARM_ROBOT="r1")
+    _, log = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert "[mesh] listen: r0 will dial r1 over tcp:" in log
+    assert '"0.0.0.0:7448"' in log
+
+
+def test_a_robot_alone_needs_no_link(processes: Processes) -> None:
+    processes.config.write_text('network = "test"\n[[robots]]\nname = "r0"\n')
+    process = processes.start_ready("-m", "services.mesh")
+    assert stop(process) == 0
