@@ -14,8 +14,12 @@ AREAS = {
 def main() -> int:
     """Run one area and print its rows as they are measured."""
     listing = "\n".join(f"  {name:<10} {what}" for name, what in AREAS.items())
-    parser = argparse.ArgumentParser(prog="./run bench", description="Measurements, each beside its limit.",
-                                     epilog=f"areas:\n{listing}", formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        prog="./run bench",
+        description="Measurements, each beside its limit.",
+        epilog=f"areas:\n{listing}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("area", choices=AREAS, metavar="AREA")
     parser.add_argument("--json", action="store_true", help="one JSON object a row")
     arguments = parser.parse_args()

@@ -1,33 +1,78 @@
-"""Runs `swarm sim` as a user does and hands back its JSON object."""
+"""Runs `swarm sim` as a user does: start it, lay hands on it, read what it found."""
 
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
+
+from services.sim import trajectory
+from services.sim.trajectory import Trajectory
+
+POLL_S = 0.02
 
 
 class SimulationError(Exception):
     """The simulation ended with a non-zero code; holds the end of what it said."""
 
 
-def simulate(*arguments: str, timeout_s: float = 180.0) -> dict[str, object]:
-    """Run `swarm sim ARGUMENTS --json` in a directory of its own."""
-    with tempfile.TemporaryDirectory(prefix="swarm-bench-") as directory:
-        command = [
-            sys.executable,
-            "-m",
-            "swarm.cli",
-            "sim",
-            *arguments,
-            "--json",
-            "--run-dir",
-            str(Path(directory) / "run"),
-        ]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
-    if done.returncode != 0:
-        raise SimulationError(
-            f"{' '.join(arguments)}: code {done.returncode}\n{done.stdout[-500:]}\n{done.stderr[-1500:]}"
+class Simulation:
+    """One `swarm sim ARGUMENTS --json`, in directories of its own that go with it. A context."""
+
+    def __init__(self, *arguments: str) -> None:
+        # Short, and not below a test's own directory: sockets' paths have at most 107 bytes.
+        self._home = Path(tempfile.mkdtemp(prefix="swarm-"))
+        self.run_dir = self._home / "run"
+        self.records = self._home / "records"
+        self._error = (self._home / "stderr").open("w+")
+        command = ["sim", *arguments, "--json", "--run-dir", str(self.run_dir), "--record", str(self.records)]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "swarm.cli", *command], stdout=subprocess.PIPE, stderr=self._error, text=True
         )
-    result: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
-    return result
+
+    def __enter__(self) -> "Simulation":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.process.terminate()
+        self.process.communicate()
+        self._error.close()
+        shutil.rmtree(self._home, ignore_errors=True)
+
+    def trajectory(self, robot: str, app: str = "consensus") -> Trajectory:
+        """What a robot has recorded so far."""
+        return trajectory.read(self.records / f"{robot}.{app}.csv")
+
+    def wait_for(self, robot: str, k: int, app: str = "consensus", timeout_s: float = 60.0) -> None:
+        """Wait until a robot has reached iteration k."""
+        deadline = time.monotonic() + timeout_s
+        while self.trajectory(robot, app).last < k:
+            if self.process.poll() is not None or time.monotonic() > deadline:
+                raise SimulationError(f"{robot} did not reach iteration {k}: {self.said()}")
+            time.sleep(POLL_S)
+
+    def kill(self, robot: str, service: str, signal: str = "KILL") -> None:
+        """`swarm kill`: end (or stop, or continue) one service of one robot."""
+        command = ["kill", robot, service, "--signal", signal, "--run-dir", str(self.run_dir)]
+        subprocess.run([sys.executable, "-m", "swarm.cli", *command], check=True, capture_output=True)
+
+    def finish(self, timeout_s: float = 180.0) -> dict[str, object]:
+        """Wait for the end; the object of `--json`. Raises `SimulationError` when it failed."""
+        output, _ = self.process.communicate(timeout=timeout_s)
+        if self.process.returncode != 0:
+            raise SimulationError(f"code {self.process.returncode}\n{output[-500:]}\n{self.said()}")
+        result: dict[str, object] = json.loads(output.splitlines()[-1])
+        return result
+
+    def said(self) -> str:
+        """The end of what it wrote on stderr."""
+        return Path(self._error.name).read_text()[-1500:]
+
+
+def simulate(*arguments: str) -> dict[str, object]:
+    """Run a simulation to its end; the object of `--json`."""
+    with Simulation(*arguments) as simulation:
+        return simulation.finish()

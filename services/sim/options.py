@@ -57,6 +57,8 @@ class Options:
     json: bool
     plot: Path | None
     run_dir: Path | None
+    record: Path | None
+    """Where the trajectories are kept; without it they go with the run."""
     demo: bool
 
 
@@ -141,7 +143,7 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="swarm sim",
         description="Run a simulated swarm: for each robot the processes that run on a Pi, in one simulated world.",
-        epilog="Watch it from another terminal with: z_sub 'swarm/**'. End one of its services with: swarm kill r0 mesh.",
+        epilog="Watch it from another terminal: z_sub 'swarm/**'. End one of its services: swarm kill r0 mesh.",
     )
     p.add_argument(
         "app",
@@ -185,6 +187,7 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
+    run.add_argument("--record", type=Path, metavar="DIR", help="keep every robot's trajectory there, as CSV")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p

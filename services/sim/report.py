@@ -70,7 +70,8 @@ def summary(outcome: Outcome) -> Json:
             name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recordings.items()
         }
         report["recorded_error_cm"] = target_error_cm(scenario, last)
-        report["replay_deviation_cm"] = replay_deviation_cm(scenario, paths)
+        if scenario.algorithm == "thesis":  # another algorithm is not meant to follow the recorded one
+            report["replay_deviation_cm"] = replay_deviation_cm(scenario, paths)
     return report
 
 
@@ -193,7 +194,7 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
     if outcome.scenario.app == "localization":
         recorded = f" (recorded: {_short(report['recorded_error_cm'])} cm)" if outcome.scenario.recordings else ""
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
-    if outcome.scenario.recordings:
+    if "replay_deviation_cm" in report:
         lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")
     lines += [f"problem     {problem}" for problem in outcome.problems]
     return lines

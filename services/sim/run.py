@@ -1,6 +1,7 @@
 """One run of a simulated swarm, from the start of its processes to what it found."""
 
 import contextlib
+import os
 import signal
 import socket
 import time
@@ -20,9 +21,16 @@ from services.sim.scenario import Scenario
 from services.sim.world import World
 from swarm import clock
 from swarm.config.dump import dump
+from swarm.errors import LocalError
 
-SERVICES = ("bus", "mesh", "balancer", "dwm")
-"""Every robot's services; an app comes on top."""
+SERVICE_MODULES = {
+    "bus": "services.bus",
+    "mesh": "services.mesh",
+    "balancer": "services.sim.body",
+    "dwm": "services.dwm",
+}
+"""Every robot's services and the modules that run them; the balancer gets a simulated body. An app comes on top."""
+APP_SERVICE = "services.apps"
 
 START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
@@ -37,17 +45,17 @@ class Run:
         self._options = options
         self._scenario = scenario
         self._run_dir = run_dir
-        self._records = run_dir / "records"
+        self._records = (options.record or run_dir / "records").absolute()
         self._commanded = footprint.process_started()
         self._progress = Progress(stream, scenario)
         self._problems: list[str] = []
         self._stop = False
         names = scenario.config.names
-        self._records.mkdir()
+        _make_records(self._records)
         for name in names:
             (run_dir / name).mkdir()
         (run_dir / "swarm.toml").write_text(dump(scenario.config))
-        self._services = (*SERVICES, f"app/{scenario.app}") if scenario.app else SERVICES
+        self._services = (*SERVICE_MODULES, *([f"app/{scenario.app}"] if scenario.app else []))
         self._processes = Processes(self._environment())
         self._monitor = Monitor(run_dir, names)
         self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
@@ -101,16 +109,14 @@ class Run:
 
     def _start_robot(self, name: str) -> None:
         directory = self._run_dir / name
-        self._processes.add(name, "bus", ["services.bus"], directory)
-        self._processes.add(name, "mesh", ["services.mesh"], directory)
-        self._processes.add(name, "balancer", ["services.sim.body"], directory)
-        self._processes.add(name, "dwm", ["services.dwm"], directory)
+        for service, module in SERVICE_MODULES.items():
+            self._processes.add(name, service, [module], directory)
         if self._scenario.app is not None and self._scenario.program is not None:
             limit = [] if self._scenario.iterations is None else ["--iterations", str(self._scenario.iterations)]
             self._processes.add(
                 name,
                 f"app/{self._scenario.app}",
-                ["services.apps", self._scenario.program, *limit],
+                [APP_SERVICE, self._scenario.program, *limit],
                 directory,
             )
 
@@ -125,6 +131,7 @@ class Run:
         return {
             "SWARM_CONFIG": str(self._run_dir / "swarm.toml"),
             "SWARM_RECORD": str(self._records),
+            "SWARM_RUN": os.urandom(8).hex(),  # frames of another run, should one still be about, are told apart by it
             "SWARM_SEED": str(options.seed),
             "SWARM_SIM_LINK": ",".join(f"{name}={value}" for name, value in link.items() if value is not None),
         }
@@ -186,6 +193,13 @@ class Run:
             restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
             problems=tuple(self._problems),
         )
+
+
+def _make_records(directory: Path) -> None:
+    """Recordings are never written over: a run's data may be all there is of an experiment."""
+    directory.mkdir(parents=True, exist_ok=True)
+    if next(directory.iterdir(), None) is not None:
+        raise LocalError(f"--record {directory}: the folder is not empty; name a new one")
 
 
 def _iteration(seen: Seen) -> int:

@@ -71,7 +71,8 @@ class World:
     def _run(self) -> None:
         while not self._closing:
             timeout = min(1.0, max(0.0, self._modules.next_deadline() - clock.now()))
-            readable, _, _ = select.select([self._wake, self._socket, self._modules], [], [], timeout)
+            sources: list[int | socket.socket | ModuleBoard] = [self._wake, self._socket, self._modules]
+            readable, _, _ = select.select(sources, [], [], timeout)
             if self._socket in readable:
                 self._take_reports()
             self._modules.poll(0.0)

@@ -1,0 +1,89 @@
+from dataclasses import replace
+
+import pytest
+
+from services.sim import options, scenario
+from swarm.config import parse
+from swarm.config.dump import dump
+from swarm.errors import BusError, ConfigError, RecordingError
+
+
+def build(tmp_path, *arguments):
+    return scenario.build(options.parse(list(arguments)), tmp_path)
+
+
+def test_the_defaults_are_the_thesis_values(tmp_path):
+    three = build(tmp_path, "consensus")
+    assert [three.parameters[name]["value"] for name in ("r0", "r1", "r2")] == [0.5, 3.0, 5.0]
+    six = build(tmp_path, "consensus", "--robots", "6", "--topology", "thesis-d")
+    assert [parameters["value"] for parameters in six.parameters.values()] == [0.5, 1, 2, 3, 4, 5]
+    assert len(six.config.edges) == 9
+    assert six.config.simulation.target == (0.5, 1.0)
+    assert six.config.simulation.places["r1"][:2] == (1.0, 0.5)
+
+
+def test_settings_hold_for_all_or_for_one(tmp_path):
+    plan = build(tmp_path, "consensus", "--set", "value=7", "--set", "r2.value=3", "--algorithm", "thesis")
+    assert [parameters["value"] for parameters in plan.parameters.values()] == [7, 7, 3]
+    assert plan.algorithm == "thesis"
+    with pytest.raises(ConfigError, match="the robots are r0, r1, r2"):
+        build(tmp_path, "consensus", "--set", "r9.value=3")
+
+
+def test_step_sizes_are_given_in_the_thesis_unit(tmp_path):
+    plan = build(tmp_path, "localization", "--algorithm", "thesis", "--step-size", "4e-6")
+    assert plan.parameters["r0"]["step_size"] == pytest.approx(0.04)
+
+
+def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
+    for robots in (1, 2, 6, 40):
+        plan = build(tmp_path, "localization", "--robots", str(robots), "--topology", "loop")
+        text = dump(plan.config)
+        assert parse(text, plan.config.path) == plan.config
+        assert len(set(plan.config.simulation.places.values())) == robots
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["consensus", "--topology", "star"], "--topology star: expected line"),
+        (["consensus", "--topology", "thesis-d"], "six robots"),
+        (["consensus", "--cut", "r0-r2@1s,1s"], "no such link"),
+        (["missing.py"], "no such file"),
+    ],
+)
+def test_wrong_scenarios_are_refused(tmp_path, arguments, words):
+    with pytest.raises(ConfigError, match=words):
+        build(tmp_path, *arguments)
+
+
+def test_a_matrix_file_is_a_topology(tmp_path):
+    matrix = tmp_path / "ring.csv"
+    matrix.write_text("0,1,1\n1,0,1\n1,1,0\n")
+    assert len(build(tmp_path, "consensus", "--topology", str(matrix)).config.edges) == 3
+    matrix.write_text("0,1,1\n0,0,1\n1,1,0\n")
+    with pytest.raises(ConfigError, match="not symmetric"):
+        build(tmp_path, "consensus", "--topology", str(matrix))
+    matrix.write_text("0,x\n1,0\n")
+    with pytest.raises(ConfigError, match="ring.csv"):
+        build(tmp_path, "consensus", "--topology", str(matrix))
+
+
+def test_a_missing_recording_is_named(tmp_path):
+    with pytest.raises(RecordingError, match="nowhere"):
+        build(tmp_path, "localization", "--replay", str(tmp_path / "nowhere"))
+
+
+def test_a_run_directory_too_deep_for_sockets_is_refused(tmp_path):
+    deep = tmp_path / ("d" * 100)
+    with pytest.raises(BusError, match="107"):
+        scenario.build(options.parse(["consensus"]), deep)
+
+
+def test_a_file_describes_the_swarm(tmp_path):
+    plan = build(tmp_path, "consensus", "--robots", "2")
+    path = tmp_path / "swarm.toml"
+    path.write_text(dump(replace(plan.config, network="mine")))
+    again = build(tmp_path, "consensus", "--config", str(path), "--set", "value=1")
+    assert again.config.network == "mine"
+    assert again.config.names == ("r0", "r1")
