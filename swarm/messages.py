@@ -153,6 +153,7 @@ class Pose:
     """Where the robot is, on `swarm/<robot>/dwm/pose` at 10 Hz."""
 
     t: float
+    """When it was measured: a repeat of the module keeps time and sequence."""
     sequence: int
     """The number of the module report it comes from, as in `Ranges`."""
     x: float
@@ -171,6 +172,7 @@ class Measurement:
     """Row k of a replayed recording, answered by `dwm/measurement?sequence=k`: range to target, own place."""
 
     t: float
+    """The recording's own time, s since its start: a row has one answer, whenever it is asked for."""
     sequence: int
     distance: float
     """Range to the target, m."""
