@@ -87,13 +87,7 @@ def _checker(kind: Any) -> _Check:
 
 def _wrong(value: object, path: str, wanted: str) -> PayloadError:
     # A map or list is only named: it may be nested deeper than repr can follow.
-    shown = (
-        "a map"
-        if isinstance(value, dict)
-        else "a list"
-        if isinstance(value, list)
-        else _shortened(repr(value))
-    )
+    shown = "a map" if isinstance(value, dict) else "a list" if isinstance(value, list) else _shortened(repr(value))
     return PayloadError(f"{path or 'payload'}: expected {wanted}, got {shown}")
 
 

@@ -12,9 +12,7 @@ _PRIORITY = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERRO
 
 class _Formatter(logging.Formatter):
     def __init__(self, *, journal: bool) -> None:
-        super().__init__(
-            "%(name)s: %(message)s" if journal else "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
-        )
+        super().__init__("%(name)s: %(message)s" if journal else "%(asctime)s %(levelname)-7s %(name)s: %(message)s")
         self._journal = journal
 
     def format(self, record: logging.LogRecord) -> str:

