@@ -45,9 +45,7 @@ def modules_of(config: Config) -> list[Module]:
         Module(
             address,
             *place,
-            Position(known[address].x, known[address].y, known[address].z, 100)
-            if address in known
-            else nowhere,
+            Position(known[address].x, known[address].y, known[address].z, 100) if address in known else nowhere,
         )
         for address, place in places.items()
     ]

@@ -78,9 +78,7 @@ class Module:
 class Tag:
     """The module of one robot."""
 
-    def __init__(
-        self, modules: Sequence[Module], generator: Generator, model: ErrorModel | None = None
-    ) -> None:
+    def __init__(self, modules: Sequence[Module], generator: Generator, model: ErrorModel | None = None) -> None:
         self._modules = tuple(modules)
         self._generator = generator
         self._model = model or ErrorModel()
@@ -101,9 +99,7 @@ class Tag:
         model, generator = self._model, self._generator
         measured = model.slope * distance + model.offset + model.heading * math.cos(heading - self._phase)
         if generator.random() < model.hidden:
-            measured += generator.expovariate(1 / model.hidden_excess) + generator.gauss(
-                0.0, model.hidden_noise
-            )
+            measured += generator.expovariate(1 / model.hidden_excess) + generator.gauss(0.0, model.hidden_noise)
         else:
             measured += generator.gauss(0.0, model.noise)
         if generator.random() < model.outlier:
