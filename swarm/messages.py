@@ -80,6 +80,10 @@ class BalancerState:
     late_max: float
     fault: str
     """Why the motors are off; empty when there is no fault."""
+    missed: int = 0
+    """Ticks left out since the start because the loop was late by a period or more."""
+    bus_errors: int = 0
+    """Failed I2C transfers since the start."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,8 @@ answered to queries) and to a liveliness token `swarm/<robot>/<service>/alive`. 
 with its parent.
 """
 
-import ctypes
-import logging
 import os
 import signal
-import socket
-import sys
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -23,31 +19,14 @@ from swarm import clock, log
 from swarm.bus import Bus
 from swarm.codec import encode
 from swarm.config import Config, load, who_am_i
-from swarm.errors import LocalError, SwarmError
 from swarm.keys import key
 from swarm.messages import Status
 from swarm.paths import runtime_dir
+from swarm.process import die_with_parent, notify, run
 
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+__all__ = ["Service", "die_with_parent", "notify", "run"]
+
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
-
-
-def die_with_parent() -> None:
-    """End with SIGKILL when the process named by SWARM_PARENT dies, however it dies. Does nothing without it.
-
-    The kernel ties the signal to the parent *thread* that started us, so simulations start services from
-    their main thread. The parent may be gone before the call takes effect: hence the look afterwards. A
-    service that starts a process of its own sets SWARM_PARENT to its own pid for it.
-    """
-    parent = os.environ.get("SWARM_PARENT")
-    if not parent:
-        return
-    if not parent.isdecimal():
-        raise LocalError(f"SWARM_PARENT={parent!r}: expected the pid of the process that started this one")
-    if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL) != 0:
-        raise LocalError(f"prctl(PR_SET_PDEATHSIG): {os.strerror(ctypes.get_errno())}")
-    if os.getppid() != int(parent):
-        os._exit(1)
 
 
 class Service:
@@ -151,29 +130,3 @@ class Service:
         self.log.debug("bus connected=%s", connected)
         if connected:
             self.bus.publish(self._status_key, self.status())
-
-
-def notify(message: str) -> None:
-    """Send a message to systemd (sd_notify(3)): one datagram to NOTIFY_SOCKET, where there is one."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-        sock.settimeout(1.0)  # a service must not hang on a systemd that does
-        try:
-            sock.sendto(message.encode(), "\0" + address[1:] if address.startswith("@") else address)
-        except OSError as error:
-            logging.getLogger("service").warning("systemd was not notified: %s", error)
-
-
-def run(main: Callable[[], int | None]) -> None:
-    """Run a process' main function: our own errors become one line on stderr and exit code 2."""
-    try:
-        code = main()
-    except SwarmError as error:
-        path = Path(sys.argv[0])
-        sys.stderr.write(f"{path.parent.name if path.name == '__main__.py' else path.name}: {error}\n")
-        code = 2
-    except KeyboardInterrupt:
-        code = 128 + signal.SIGINT
-    sys.exit(code or 0)

@@ -1,0 +1,1 @@
+"""The balancer: 100 Hz loop, drivers of the I2C devices, safety, and the bridge to the bus (docs/balancer.md)."""

@@ -1,0 +1,1 @@
+"""Registers, model, regulator, estimator and modes of the balancer: all pure, with time as an argument."""

@@ -1,0 +1,82 @@
+"""LSM6DS33 inertial unit: registers, and raw words to SI units (ST datasheet DocID026899, sections 4.1 and 9).
+
+Axes on the Balboa, when it stands: X up, Y along the axle, Z backward. Gyro Y is positive when the robot falls forward.
+"""
+
+import math
+import struct
+from typing import NamedTuple
+
+from swarm.errors import RemoteError
+
+ADDRESS = 0x6B
+"""SA0 is high on the Balboa (0x6A otherwise)."""
+
+WHO_AM_I = 0x0F
+CTRL1_XL = 0x10
+CTRL2_G = 0x11
+CTRL3_C = 0x12
+OUTX_L_G = 0x22
+
+IDENTITY = 0x69
+
+SETUP: tuple[tuple[int, int], ...] = (
+    (CTRL3_C, 0x04),  # IF_INC: a block read steps through the registers
+    (CTRL1_XL, 0x50),  # 208 Hz, +-2 g
+    (CTRL2_G, 0x58),  # 208 Hz, +-1000 dps
+)
+"""Register values, in the order they are written."""
+
+BLOCK = 12
+"""Bytes from OUTX_L_G on: gyro X Y Z, then accelerometer X Y Z, int16, low byte first."""
+
+GYRO_SCALE = math.radians(0.035)
+"""rad/s a count at 1000 dps (35 mdps)."""
+STANDARD_GRAVITY = 9.80665
+ACCELERATION_SCALE = 0.061e-3 * STANDARD_GRAVITY
+"""m/s^2 a count at 2 g (0.061 mg)."""
+
+_WORDS = struct.Struct("<6h")
+
+
+class Reading(NamedTuple):
+    """One sample of both sensors, of the axes the balancer uses."""
+
+    pitch_rate: float
+    """About the axle, rad/s; positive = falling forward; with the sensor's zero offset."""
+    up: float
+    """Specific force along the body's X axis, m/s^2: +g when it stands."""
+    back: float
+    """Along Z, m/s^2: +g when it lies on its front."""
+
+
+def check_identity(value: int) -> None:
+    """Raises `RemoteError` where WHO_AM_I does not belong to an LSM6DS33."""
+    if value != IDENTITY:
+        hint = " (an LSM6DSO?)" if value == 0x6C else ""
+        raise RemoteError(f"IMU at 0x{ADDRESS:02X}: WHO_AM_I is 0x{value:02X}{hint}, expected 0x{IDENTITY:02X}")
+
+
+def decode(block: bytes) -> Reading:
+    """Turn a block read into SI units.
+
+    Raises `RemoteError` on a short block, and on one whose acceleration is exactly zero on all axes: that is no free
+    fall (its noise would show) but a sensor that was reset and lost its set-up.
+    """
+    if len(block) != BLOCK:
+        raise RemoteError(f"IMU: {len(block)} bytes instead of {BLOCK}")
+    _, rate, _, up, side, back = _WORDS.unpack(block)
+    if up == side == back == 0:
+        raise RemoteError("IMU: no data, it was reset")
+    return Reading(rate * GYRO_SCALE, up * ACCELERATION_SCALE, back * ACCELERATION_SCALE)
+
+
+def gravity_tilt(reading: Reading, tilt: float = 0.0, acceleration: float = 0.0) -> float:
+    """Tilt from upright by gravity, rad.
+
+    The sensor feels gravity and its own acceleration alike: while the wheels accelerate the body, give what is known of
+    that (m/s^2, forward) and the `tilt` it is felt at.
+    """
+    back = reading.back + acceleration * math.cos(tilt)
+    up = reading.up - acceleration * math.sin(tilt)
+    return math.atan2(back, up)

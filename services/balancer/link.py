@@ -1,0 +1,31 @@
+"""What the loop and the bridge tell each other: one datagram a message, a kind byte and the message as msgpack.
+
+They share a pair of connected Unix sockets (SOCK_SEQPACKET: whole messages in order, and the end of one side shows at
+the other). The loop's end never blocks: what does not fit is dropped, so a bridge that hangs costs telemetry and
+nothing else.
+"""
+
+from swarm.codec import MAX_PAYLOAD, decode, encode
+from swarm.errors import PayloadError
+from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop
+
+Message = BalancerState | Odometry | Leds | SetMode | Stop
+
+_KINDS: dict[bytes, type[Message]] = {b"s": BalancerState, b"o": Odometry, b"l": Leds, b"m": SetMode, b"x": Stop}
+_BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
+
+MAX_DATAGRAM = MAX_PAYLOAD + 1
+
+
+def pack(message: Message) -> bytes:
+    """The datagram that carries `message`."""
+    return _BYTES[type(message)] + encode(message)
+
+
+def unpack(datagram: bytes) -> Message:
+    """The message of a datagram; raises `PayloadError` where it is none."""
+    try:
+        kind = _KINDS[datagram[:1]]
+    except KeyError:
+        raise PayloadError(f"datagram of kind {datagram[:1]!r}: there is none") from None
+    return decode(kind, datagram[1:], "link")

@@ -1,0 +1,179 @@
+"""The 100 Hz loop: one thread on absolute deadlines, the control step first, all else in what is left of the tick.
+
+    wake -> read, estimate, decide, command the motors -> commands in, telemetry out, LEDs, battery, bridge -> sleep
+
+It never touches the bus (Zenoh): a second process does (`services.balancer.bridge`), joined by a socket that never
+blocks. A tick that comes late works with the time that really passed; ticks that were missed are not made up for.
+"""
+
+import logging
+import signal
+import time
+from collections.abc import Callable
+
+from services.balancer import realtime
+from services.balancer.balancer import Balancer
+from services.balancer.child import Bridge
+from services.balancer.core.body import body_model
+from services.balancer.core.lateness import Lateness
+from services.balancer.core.lqr import PERIOD_S
+from services.balancer.i2c import I2CBus, KernelBus
+from services.balancer.link import Message
+from swarm import clock, log
+from swarm.config import Config, load, who_am_i
+from swarm.errors import LocalError
+from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop
+from swarm.process import die_with_parent, notify
+
+TELEMETRY_TICKS = 4
+"""25 Hz."""
+SECOND_TICKS = 100
+
+_log = logging.getLogger("balancer")
+
+
+class Loop:
+    """Ticks until told to stop."""
+
+    def __init__(self, balancer: Balancer, bridge: Bridge) -> None:
+        self._balancer = balancer
+        self._bridge = bridge
+        self._lateness = Lateness()
+        self._stopping = False
+        self._announced = False
+        self._sequence = 0
+        self.ticks = 0
+        self.missed = 0
+
+    def stop(self) -> None:
+        """End after the running tick; safe in a signal handler."""
+        self._stopping = True
+
+    def run(self) -> None:
+        """The loop itself."""
+        now, sleep, step = clock.now, time.sleep, self._balancer.step
+        deadline = now()
+        while not self._stopping:
+            # time.sleep waits for an absolute time of the monotonic clock (clock_nanosleep, since Python 3.11).
+            wait = deadline - now()
+            if wait > 0.0:
+                sleep(wait)
+            started = now()
+            self._lateness.add(started - deadline)
+            step(started)
+            self.ticks += 1
+            self._use_slack()
+            deadline += PERIOD_S
+            behind = now() - deadline
+            if behind > 0.0:
+                skipped = int(behind / PERIOD_S) + 1
+                self.missed += skipped
+                deadline += skipped * PERIOD_S
+
+    def _use_slack(self) -> None:
+        """A little at each tick: no tick shall have to do all of it."""
+        for message in self._bridge.commands():
+            self._obey(message)
+        if self._balancer.show_leds():
+            self._tell_leds()
+        part = self.ticks % TELEMETRY_TICKS
+        if part == 0:
+            self._bridge.send(self._state())
+        elif part == 2 and (odometry := self._odometry()) is not None:
+            self._bridge.send(odometry)
+        elif part == 1:
+            self._each_second(self.ticks % SECOND_TICKS)
+
+    def _each_second(self, tick: int) -> None:
+        if tick == 1:
+            self._balancer.read_housekeeping()
+        elif tick == 25:
+            self._bridge.keep_up(clock.now())
+        elif tick == 49:
+            self._tell_leds()  # again, for whoever came to the bus meanwhile
+        elif tick == 73:
+            ready = self._balancer.ready and not self._announced
+            self._announced |= ready
+            notify("READY=1\nWATCHDOG=1" if ready else "WATCHDOG=1", timeout_s=0.0)
+
+    def _obey(self, message: Message) -> None:
+        match message:
+            case SetMode(mode):
+                try:
+                    self._balancer.command(mode, clock.now())
+                except LocalError as error:
+                    _log.warning("command refused: %s", error)
+                else:
+                    _log.info("commanded mode=%s", mode)
+            case Leds(red, yellow, green):
+                self._balancer.claim_leds((red, yellow, green))
+            case Stop(_, origin, reason):
+                self._balancer.stop(f"{reason or 'no reason given'} (by {origin})")
+                _log.warning("stopped by=%s reason=%s", origin, reason)
+            case _:
+                _log.warning("the bridge sent a %s", type(message).__name__)
+
+    def _tell_leds(self) -> None:
+        if self._balancer.leds is not None:
+            self._bridge.send(Leds(*self._balancer.leds))
+
+    def _state(self) -> BalancerState:
+        balancer, estimate = self._balancer, self._balancer.estimate
+        late_p99, late_max = self._lateness.p99_and_max()
+        return BalancerState(
+            t=clock.now() if estimate is None else estimate.t,
+            mode=balancer.mode,
+            tilt=0.0 if estimate is None else estimate.tilt,
+            tilt_rate=0.0 if estimate is None else estimate.tilt_rate,
+            speed=0.0 if estimate is None else estimate.speed,
+            duty_left=balancer.duty[0],
+            duty_right=balancer.duty[1],
+            battery=balancer.battery,
+            ticks=self.ticks,
+            late_p99=late_p99,
+            late_max=late_max,
+            fault=balancer.fault,
+            missed=self.missed,
+            bus_errors=balancer.bus_errors,
+        )
+
+    def _odometry(self) -> Odometry | None:
+        estimate = self._balancer.estimate
+        if estimate is None:
+            return None
+        self._sequence += 1
+        return Odometry(estimate.t, self._sequence, estimate.left, estimate.right, estimate.heading)
+
+
+def main(
+    open_bus: Callable[[Config, str], I2CBus] = lambda _config, _robot: KernelBus(), *, start_mode: str = "rest"
+) -> None:
+    """Balance until SIGTERM or SIGINT; the motors are off afterwards, however it ends.
+
+    `open_bus(config, robot)` gives the I2C bus; `start_mode` (stand or rest) is obeyed when the gyro's zero is known.
+    """
+    die_with_parent()
+    log.setup("balancer")
+    config = load()
+    robot = who_am_i(config)
+    body = body_model(config.robot(robot).board, config.body)
+    bus = open_bus(config, robot)
+    try:
+        balancer = Balancer(bus, body, config.body.trim, clock.now, time.sleep, start_mode=start_mode)
+        try:
+            bridge = Bridge(clock.now())
+            try:
+                loop = Loop(balancer, bridge)
+                for number in (signal.SIGTERM, signal.SIGINT):
+                    signal.signal(number, lambda *_: loop.stop())
+                realtime.enter(_log)
+                loop.run()
+                _log.info("stopping ticks=%d missed=%d bus_errors=%d", loop.ticks, loop.missed, balancer.bus_errors)
+            finally:
+                balancer.motors_off()  # first of all: ending the bridge takes its time
+                notify("STOPPING=1")
+                bridge.close()
+        finally:
+            balancer.motors_off()
+    finally:
+        bus.close()

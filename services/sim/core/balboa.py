@@ -1,0 +1,161 @@
+"""A Balboa's body as physics: planar pendulum on two wheels, turning by their difference, resting on the floor.
+
+Equations of motion, th from upright and x the axle's way (both of `services.balancer.core.body.BodyModel`):
+
+    m11 x'' + (m l cos th - J/r) th'' = tau/r + m l sin(th) th'^2
+    (m l cos th - J/r) x'' + m22 th''  = m g l sin th - tau
+    tau = ts u - (ts/w0) q' - friction,   q' = x'/r - th'   (wheel against body)
+
+Integrated with fixed steps up to the time asked for: by the clock of whoever looks, so that a controller that is late
+finds a body that has fallen meanwhile. Left out: wheel slip, backlash, battery sag, a lying body's friction on the
+floor.
+"""
+
+import math
+
+from services.balancer.core.body import GRAVITY, BodyModel
+
+STEP_S = 0.001
+"""Integration step: semi-implicit Euler; the fastest pole is near -56 per second."""
+LONGEST_S = 2.0
+"""What is integrated at most in one go. A body left alone for longer lies on the floor."""
+REST_TILT = math.radians(110)
+"""Where the body touches the floor, to the front and to the back."""
+
+
+class BalboaBody:
+    """State of one body. Starts held upright, as by a hand, until the first motor command that is not zero."""
+
+    def __init__(
+        self,
+        model: BodyModel,
+        now: float,
+        *,
+        place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        tilt: float = 0.0,
+        held: bool = True,
+    ) -> None:
+        """`place` is x, y in m and heading in rad; `tilt` of the centre of mass from upright."""
+        self.model = model
+        self.x, self.y, self.heading = place
+        self.tilt, self.tilt_rate = tilt, 0.0
+        self.travel, self.speed = 0.0, 0.0
+        self.turn, self.turn_rate = 0.0, 0.0
+        self.acceleration, self.tilt_acceleration = 0.0, 0.0
+        self.held = held
+        self.now = now
+        self._left = self._right = 0.0
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Everything of the equations that does not change."""
+        model, r = self.model, self.model.wheel_radius
+        self._m11 = model.mass + model.wheel_mass + (model.wheel_inertia + model.rotor_inertia) / r**2
+        self._m22 = model.inertia + model.mass * model.lever**2 + model.rotor_inertia
+        self._ml = model.mass * model.lever
+        self._rotor_coupling = model.rotor_inertia / r
+        self._damping = model.stall_torque / model.free_speed
+
+    def drive(self, left: float, right: float) -> None:
+        """Set both motors' duty, -1..1, from now on."""
+        self._left, self._right = left, right
+        if left or right:
+            self.held = False
+
+    def push(self, momentum: float) -> None:
+        """Hit the body at the height of its centre of mass, forward positive, N s. A hand that held it lets go."""
+        self.held = False
+        # The impulse acts on both coordinates: its generalized momenta are P and P l cos(th).
+        m12 = self._ml * math.cos(self.tilt) - self._rotor_coupling
+        determinant = self._m11 * self._m22 - m12 * m12
+        turning = momentum * self.model.lever * math.cos(self.tilt)
+        self.speed += (momentum * self._m22 - turning * m12) / determinant
+        self.tilt_rate += (turning * self._m11 - momentum * m12) / determinant
+
+    def wheel_angles(self) -> tuple[float, float]:
+        """Left and right wheel against the body since the start, rad: what the encoders count."""
+        half = self.turn * self.model.track / 2
+        r = self.model.wheel_radius
+        return (self.travel - half) / r - self.tilt, (self.travel + half) / r - self.tilt
+
+    def advance(self, now: float) -> None:
+        """Integrate up to `now`. A time before the last one does nothing."""
+        steps = int((now - self.now) / STEP_S)
+        if steps <= 0:
+            return
+        if self.held:
+            self.now += steps * STEP_S
+            return
+        limit = int(LONGEST_S / STEP_S)
+        self._integrate(min(steps, limit))
+        if steps > limit and not (self._left or self._right):
+            self._lie_down()
+        self.now += steps * STEP_S
+
+    def _lie_down(self) -> None:
+        if abs(self.tilt) < REST_TILT:
+            self.tilt = math.copysign(REST_TILT, self.tilt)
+        self.tilt_rate = self.speed = self.turn_rate = 0.0
+        self.acceleration = self.tilt_acceleration = 0.0
+
+    def _integrate(self, steps: int) -> None:
+        """The inner loop: some thousand steps a second for each robot, hence everything in local names."""
+        model = self.model
+        r, half_track = model.wheel_radius, model.track / 2
+        m11, m22, ml, rotor = self._m11, self._m22, self._ml, self._rotor_coupling
+        weight, damping, dt = ml * GRAVITY, self._damping, STEP_S
+        tilt, rate, speed = self.tilt, self.tilt_rate, self.speed
+        heading, turn_rate = self.heading, self.turn_rate
+        x, y, travel, turn = self.x, self.y, self.travel, self.turn
+        drive = model.stall_torque * (self._left + self._right) / 2
+        # Turning: half of the motors' torques each, on a lever of half the track; friction is shared likewise.
+        turn_drive = model.stall_torque * (self._right - self._left) / 2 / r * half_track / model.yaw_inertia
+        turn_damping = 1 + dt * damping * (half_track / r) ** 2 / model.yaw_inertia
+        turn_friction = dt * model.friction / 2 / r * half_track / model.yaw_inertia
+        friction = model.friction
+        sin, cos = math.sin, math.cos
+        a_x = a_th = 0.0
+        for _ in range(steps):
+            s, c = sin(tilt), cos(tilt)
+            m12 = ml * c - rotor
+            determinant = m11 * m22 - m12 * m12
+            torque = drive - damping * (speed / r - rate)
+            f1, f2 = torque / r + ml * s * rate * rate, weight * s - torque
+            a_x, a_th = (f1 * m22 - f2 * m12) / determinant, (f2 * m11 - f1 * m12) / determinant
+            # Dry friction takes what would stop the wheel against the body within this step, or all it has.
+            x_torque, th_torque = (m22 / r + m12) / determinant, -(m11 + m12 / r) / determinant
+            stopping = (speed / r - rate + dt * (a_x / r - a_th)) / (dt * (x_torque / r - th_torque))
+            loss = friction if stopping > friction else -friction if stopping < -friction else stopping
+            a_x -= loss * x_torque
+            a_th -= loss * th_torque
+            if (tilt >= REST_TILT and a_th > 0.0) or (tilt <= -REST_TILT and a_th < 0.0):
+                # The floor holds the body: only the wheels move.
+                torque = drive - damping * speed / r
+                stopping = speed * m11 * r / dt + torque
+                loss = friction if stopping > friction else -friction if stopping < -friction else stopping
+                a_x, a_th = (torque - loss) / r / m11, 0.0
+            speed += dt * a_x
+            rate += dt * a_th
+            tilt += dt * rate
+            if tilt > REST_TILT:
+                tilt = REST_TILT
+                rate = min(rate, 0.0)
+            elif tilt < -REST_TILT:
+                tilt = -REST_TILT
+                rate = max(rate, 0.0)
+            turn_rate = (turn_rate + dt * turn_drive) / turn_damping
+            if turn_rate > turn_friction:
+                turn_rate -= turn_friction
+            elif turn_rate < -turn_friction:
+                turn_rate += turn_friction
+            else:
+                turn_rate = 0.0
+            travel += dt * speed
+            turn += dt * turn_rate
+            heading += dt * turn_rate
+            x += dt * speed * cos(heading)
+            y += dt * speed * sin(heading)
+        self.tilt, self.tilt_rate, self.speed = tilt, rate, speed
+        self.acceleration, self.tilt_acceleration = a_x, a_th
+        self.x, self.y, self.heading, self.turn_rate = x, y, heading, turn_rate
+        self.travel, self.turn = travel, turn

@@ -1,0 +1,233 @@
+"""The I2C devices of a Balboa at the level of their registers, with a simulated body behind them.
+
+LSM6DS33 (services/balancer/core/imu.py) and ATmega32U4 (services/balancer/core/balboa.py) as a master meets them: an
+IMU that was not set up gives zeros, the ATmega counts its index up and stops the motors when nobody commands them.
+Every transfer first moves the body on to `now`, the time of the caller's clock.
+"""
+
+import errno
+import math
+import os
+import struct
+from typing import NamedTuple, Protocol
+
+from services.balancer.core import balboa, imu
+from services.sim.core.balboa import BalboaBody
+
+BITS_PER_BYTE = 9
+"""Eight and the acknowledge."""
+BITS_PER_TRANSFER = 2
+"""START and STOP (or repeated START) take about a bit each."""
+
+_WORD_LIMIT = 0x7FFF
+
+
+class Noise(Protocol):
+    """A seeded generator, as random.Random."""
+
+    def gauss(self, mu: float, sigma: float) -> float:
+        """A normally distributed number."""
+
+    def uniform(self, a: float, b: float) -> float:
+        """A number between `a` and `b`."""
+
+
+class ImuErrors(NamedTuple):
+    """Standard deviations of one sample, and offsets (datasheet, typical; bandwidth 104 Hz at 208 Hz)."""
+
+    gyro_noise: float
+    """rad/s."""
+    gyro_offset: float
+    acceleration_noise: float
+    """m/s^2."""
+    up_offset: float
+    back_offset: float
+
+
+def draw_errors(noise: Noise) -> ImuErrors:
+    """One sensor's errors. Its offsets are drawn from the datasheet's typical range (10 dps; 20 of the 40 mg of a part
+    soldered without trim, since a robot's `trim` is set with the sensor in it)."""
+    offset = 0.020 * imu.STANDARD_GRAVITY
+    return ImuErrors(
+        gyro_noise=math.radians(7e-3 * math.sqrt(104)),
+        gyro_offset=math.radians(noise.uniform(-10, 10)),
+        acceleration_noise=90e-6 * math.sqrt(104) * imu.STANDARD_GRAVITY,
+        up_offset=noise.uniform(-offset, offset),
+        back_offset=noise.uniform(-offset, offset),
+    )
+
+
+NO_ERRORS = ImuErrors(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class ImuDevice:
+    """An LSM6DS33, 3 cm above the axle [estimate], tilted by `trim` against the body's centre of mass."""
+
+    _HEIGHT = 0.03
+
+    def __init__(self, body: BalboaBody, noise: Noise, errors: ImuErrors, trim: float) -> None:
+        self._body, self._noise, self._errors, self._trim = body, noise, errors, trim
+        self._registers = bytearray(0x80)
+        self._index = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """As after power came on: the sensors are off."""
+        self._registers[:] = bytes(len(self._registers))
+        self._registers[imu.WHO_AM_I] = imu.IDENTITY
+        self._registers[imu.CTRL3_C] = 0x04
+
+    def write(self, data: bytes, now: float) -> None:
+        """Take an index and data for the registers from there on; read-only ones keep their value."""
+        del now  # configuration acts at once
+        self._index = data[0] & 0x7F
+        for value in data[1:]:
+            if self._index in (imu.CTRL1_XL, imu.CTRL2_G, imu.CTRL3_C):
+                self._registers[self._index] = value
+            self._step()
+
+    def read(self, count: int, now: float) -> bytes:
+        """Registers from the index on; with IF_INC cleared, the same one again and again."""
+        del now
+        if self._index < imu.OUTX_L_G + imu.BLOCK and self._index + count > imu.OUTX_L_G:
+            self._sample()
+        result = bytearray()
+        for _ in range(count):
+            result.append(self._registers[self._index])
+            self._step()
+        return bytes(result)
+
+    def _step(self) -> None:
+        if self._registers[imu.CTRL3_C] & 0x04:
+            self._index = (self._index + 1) & 0x7F
+
+    def _sample(self) -> None:
+        """Put what the sensors feel now into the output registers, in the ranges that were set."""
+        body, errors, gauss = self._body, self._errors, self._noise.gauss
+        gyro = acceleration = (0, 0, 0)
+        if self._registers[imu.CTRL2_G] >> 4:
+            scale = _GYRO_SCALES[self._registers[imu.CTRL2_G] >> 2 & 3]
+            rate = body.tilt_rate + errors.gyro_offset + gauss(0.0, errors.gyro_noise)
+            gyro = (0, _word(rate / scale), _word(body.turn_rate * math.cos(body.tilt) / scale))
+        if self._registers[imu.CTRL1_XL] >> 4:
+            scale = _ACCELERATION_SCALES[self._registers[imu.CTRL1_XL] >> 2 & 3]
+            # Specific force at the sensor, along body axes turned from the vertical by `tilt`; then its mounting.
+            sin, cos, h = math.sin(body.tilt), math.cos(body.tilt), self._HEIGHT
+            up = imu.STANDARD_GRAVITY * cos + body.acceleration * sin - h * body.tilt_rate**2
+            back = imu.STANDARD_GRAVITY * sin - body.acceleration * cos - h * body.tilt_acceleration
+            sin, cos = math.sin(self._trim), math.cos(self._trim)
+            up, back = up * cos - back * sin, up * sin + back * cos
+            acceleration = (
+                _word((up + errors.up_offset + gauss(0.0, errors.acceleration_noise)) / scale),
+                _word(gauss(0.0, errors.acceleration_noise) / scale),
+                _word((back + errors.back_offset + gauss(0.0, errors.acceleration_noise)) / scale),
+            )
+        struct.pack_into("<6h", self._registers, imu.OUTX_L_G, *gyro, *acceleration)
+
+
+_GYRO_SCALES = tuple(math.radians(dps) for dps in (0.00875, 0.0175, 0.035, 0.070))
+"""rad/s a count, by FS_G."""
+_ACCELERATION_SCALES = tuple(mg * 1e-3 * imu.STANDARD_GRAVITY for mg in (0.061, 0.488, 0.122, 0.244))
+"""m/s^2 a count, by FS_XL."""
+
+
+def _word(value: float) -> int:
+    return max(-_WORD_LIMIT, min(_WORD_LIMIT, round(value)))
+
+
+class AtmegaDevice:
+    """The ATmega32U4 with our firmware: buffer, motors with their watchdog, encoders, LEDs, battery."""
+
+    _WRITABLE = range(balboa.LEDS, balboa.ENCODERS)
+
+    def __init__(self, body: BalboaBody, battery: float) -> None:
+        """`battery` in V."""
+        self._body = body
+        self._buffer = bytearray(balboa.SIZE)
+        self._buffer[balboa.VERSION] = balboa.LAYOUT_VERSION
+        struct.pack_into("<H", self._buffer, balboa.BATTERY, round(battery * 1e3))
+        self._index = 0
+        self._motors_until = -math.inf
+
+    @property
+    def leds(self) -> tuple[bool, bool, bool]:
+        """Red, yellow, green as they shine."""
+        red, yellow, green = self._buffer[balboa.LEDS : balboa.LEDS + 3]
+        return bool(red), bool(yellow), bool(green)
+
+    @property
+    def motors(self) -> tuple[float, float]:
+        """Duties in force, left and right."""
+        return balboa.decode_motors(bytes(self._buffer[balboa.MOTORS : balboa.MOTORS + 4]))
+
+    def press(self, buttons: int) -> None:
+        """Hold buttons down: bit 0 A, bit 1 B, bit 2 C."""
+        self._buffer[balboa.BUTTONS] = buttons & 7
+
+    def advance(self, now: float) -> None:
+        """Move the body on; the motors stop on the way when their time is over."""
+        if now > self._motors_until and self.motors != (0.0, 0.0):
+            self._body.advance(self._motors_until)
+            self._body.drive(0.0, 0.0)
+            self._buffer[balboa.MOTORS : balboa.MOTORS + 4] = bytes(4)
+            self._buffer[balboa.STATUS] |= balboa.STOPPED_BY_WATCHDOG
+        self._body.advance(now)
+
+    def write(self, data: bytes, now: float) -> None:
+        """Take an index and data; a write that does not fit is dropped whole, as at STOP on the chip."""
+        self._index = data[0]
+        values = data[1:]
+        if not values or self._index + len(values) > balboa.SIZE:
+            return
+        touched = range(self._index, self._index + len(values))
+        for position, value in zip(touched, values, strict=True):
+            if position in self._WRITABLE:
+                self._buffer[position] = value
+        if touched.start < balboa.ENCODERS and touched.stop > balboa.MOTORS:
+            self._body.drive(*self.motors)
+            self._motors_until = now + balboa.MOTOR_TIMEOUT_S
+            self._buffer[balboa.STATUS] &= ~balboa.STOPPED_BY_WATCHDOG
+
+    def read(self, count: int, now: float) -> bytes:
+        """Bytes from the index on; zeros beyond the buffer."""
+        del now
+        per_radian = self._body.model.counts_per_turn / math.tau
+        left, right = (math.floor(angle * per_radian) for angle in self._body.wheel_angles())
+        struct.pack_into("<2H", self._buffer, balboa.ENCODERS, left & 0xFFFF, right & 0xFFFF)
+        result = bytes(self._buffer[self._index : self._index + count]).ljust(count, b"\0")
+        self._index += count
+        return result
+
+
+class SimulatedRobot:
+    """One robot's I2C bus: dispatches transfers to the devices and counts the time they would take on the wire."""
+
+    def __init__(
+        self, body: BalboaBody, noise: Noise, *, errors: ImuErrors, trim: float = 0.0, battery: float = 7.4
+    ) -> None:
+        """`trim` as in the config's [body]; `battery` in V."""
+        self.body = body
+        self.imu = ImuDevice(body, noise, errors, trim)
+        self.atmega = AtmegaDevice(body, battery)
+        self._devices: dict[int, ImuDevice | AtmegaDevice] = {
+            imu.ADDRESS: self.imu,
+            balboa.ADDRESS: self.atmega,
+        }
+        self.bits = 0
+        """Clock periods of SCL so far: at 100 kHz, 10 us each."""
+
+    def write(self, address: int, data: bytes, now: float) -> None:
+        """A write transaction; OSError 121 where no device has this address."""
+        self._reach(address, len(data), now).write(data, now)
+
+    def read(self, address: int, count: int, now: float) -> bytes:
+        """A read transaction; OSError 121 where no device has this address."""
+        return self._reach(address, count, now).read(count, now)
+
+    def _reach(self, address: int, count: int, now: float) -> ImuDevice | AtmegaDevice:
+        self.atmega.advance(now)
+        self.bits += BITS_PER_TRANSFER + BITS_PER_BYTE * (1 + count)
+        try:
+            return self._devices[address]
+        except KeyError:
+            raise OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO)) from None
