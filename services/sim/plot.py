@@ -69,7 +69,7 @@ def _map(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
     # A first estimate may be far out; the picture is about the table.
     places = [place[:2] for place in config.simulation.places.values()] + [(a.x, a.y) for a in config.anchors]
     xs, ys = zip(*places, config.simulation.target, strict=True)
-    axes.set(xlim=(min(xs) - 0.3, max(xs) + 0.3), ylim=(min(ys) - 0.3, max(ys) + 0.3))
+    axes.set(xlim=(min(xs) - 0.3, max(xs) + 0.45), ylim=(min(ys) - 0.3, max(ys) + 0.3))
     axes.legend(loc="lower center", ncols=3, fontsize="small")
     axes.grid(alpha=0.3)
 

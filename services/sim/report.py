@@ -184,7 +184,8 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
     if report["messages_per_iteration"] is not None:
         lines.append(f"messages    {report['messages_per_iteration']} an iteration")
     if outcome.started_s is not None:
-        lines.append(f"start       {outcome.started_s:.2f} s from the command to the first iteration")
+        ready = "the first iteration" if outcome.scenario.app else "all services ready"
+        lines.append(f"start       {outcome.started_s:.2f} s from the command to {ready}")
     if report["rss_mib_per_robot"] is not None:
         lines.append(
             f"memory      {report['rss_mib_per_robot']} MiB resident a robot (shared pages counted in each process)"

@@ -29,6 +29,9 @@ DISTANCE = Linear(0.946976, -0.05964849)
 POSITION = Affine(((0.93538932, 0.00353817), (-0.01071457, 0.94470965)), (0.046239576, 0.050861534))
 """The thesis' calibrations, equations 2.8 and 2.10 with the digits its programs used."""
 
+WINDOW = 30
+"""Measurements averaged, as in the thesis' run of figure 4.10 (b): simulated robots stand in their places."""
+
 START_VALUES = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
 """The thesis' starting values of consensus (figure 4.4)."""
 
@@ -121,7 +124,7 @@ def _default(options: Options, recorded: int) -> Config:
         relay=DEFAULT_RELAY,
         anchors=ANCHORS,
         mesh=Mesh(insecure=True),
-        dwm=Dwm(target=TARGET, distance=DISTANCE, position=POSITION),
+        dwm=Dwm(target=TARGET, window=WINDOW, distance=DISTANCE, position=POSITION),
     )
 
 

@@ -45,7 +45,7 @@ class World:
     def __init__(self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth], None]) -> None:
         """`publish(robot, truth)` is called 10 times a second for each robot, from the world's thread."""
         self._publish = publish
-        self._published = dict.fromkeys(config.names, 0.0)
+        self._publish_at = dict.fromkeys(config.names, 0.0)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(socket_path(run_dir, SOCKET)))
         self._socket.setblocking(False)
@@ -85,12 +85,14 @@ class World:
                     report = decode(BodyReport, data, SOCKET)
                 except PayloadError:
                     continue  # only our own bodies write here; a torn datagram cannot happen
-                if report.robot in self._published:
+                if report.robot in self._publish_at:
                     self._place(report)
 
     def _place(self, report: BodyReport) -> None:
         if self._ranging:
             self._modules.update_pose(report.robot, report.x, report.y, report.heading)
-        if report.t - self._published[report.robot] >= TRUTH_PERIOD_S:
-            self._published[report.robot] = report.t
+        due = self._publish_at[report.robot]
+        if report.t >= due:
+            # From when it was due, not from now: reports come every 40 ms, and 100 is no multiple of that.
+            self._publish_at[report.robot] = max(due + TRUTH_PERIOD_S, report.t)
             self._publish(report.robot, Truth(report.t, report.x, report.y, report.heading, report.tilt))

@@ -65,7 +65,7 @@ def test_a_matrix_file_is_a_topology(tmp_path):
     with pytest.raises(ConfigError, match="not symmetric"):
         build(tmp_path, "consensus", "--topology", str(matrix))
     matrix.write_text("0,x\n1,0\n")
-    with pytest.raises(ConfigError, match="ring.csv"):
+    with pytest.raises(ConfigError, match=r"ring\.csv"):
         build(tmp_path, "consensus", "--topology", str(matrix))
 
 
