@@ -1,9 +1,10 @@
-"""The threads around a node: one reader for each connection, one pump for timers, callers and full sockets.
+"""The threads around a node: one that reads, accepts and keeps time, and a short-lived one for each dialling.
 
-Whoever makes the node produce bytes sends them at once, be it a reader, the pump or Zenoh's callback: no
-hand-over between threads delays a message. The node runs under one lock, in which nothing waits. What is to
-be published on the bus is published after the lock is released, by the reader that got it, so each link's
-messages keep their order.
+Whoever makes the node produce bytes sends them at once, be it the reading thread or Zenoh's callback: no hand-over
+between threads delays a message. The node runs under one lock, in which nothing waits. What is to be published on the
+bus is published after the lock is released, by the reading thread, so each link's messages keep their order. One
+reading thread costs less than one for each link: what arrives together is handled in one go (six robots, full graph:
+REPLACE).
 """
 
 import contextlib
@@ -24,6 +25,8 @@ from swarm.messages import LinkState
 
 _CHUNK = 4096
 """Bytes taken from a session at a time; what is taken can no longer be overtaken."""
+
+_NEVER = float("inf")
 
 _JOIN_TIMEOUT = 2.0
 """s to wait for each thread at the end; one may hang in a dial."""
@@ -56,8 +59,8 @@ class Runner:
         deliver: Callable[[str, bytes, bool], None],
         changed: Callable[[], None],
     ) -> None:
-        """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(key, payload, urgent)`
-        for what came in, `changed()` when a link did."""
+        """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(key, payload, urgent)` for what
+        came in, `changed()` when a link did."""
         self._node = node
         self._listeners = listeners
         self._dial = dial
@@ -66,15 +69,16 @@ class Runner:
         self._lock = threading.Lock()
         self._pipes: dict[Session, Pipe] = {}
         self._blocked: dict[Session, Pipe] = {}
-        self._threads: set[threading.Thread] = set()
+        self._ended: list[Pipe] = []
+        self._dials: set[threading.Thread] = set()
         self._stopping = False
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._pump_until = 0.0
-        self._pump = threading.Thread(target=self._run, name="mesh-pump")
+        self._deadline = 0.0
+        self._thread = threading.Thread(target=self._run, name="mesh")
 
     def start(self) -> None:
         """Begin to dial and to listen."""
-        self._pump.start()
+        self._thread.start()
 
     def publish(self, source: int, key: str, payload: bytes) -> None:
         """A sample of the own bus; may be called on Zenoh's thread, never waits for a socket."""
@@ -94,14 +98,16 @@ class Runner:
             self._stopping = True
             self._node.close(clock.now())
             actions = self._carry_out()
+            self._wake_up()
         self._report(actions)
-        os.eventfd_write(self._wake, 1)
-        self._pump.join()
-        for thread in tuple(self._threads):
+        self._thread.join()
+        for thread in tuple(self._dials):
             thread.join(_JOIN_TIMEOUT)
+        for pipe in self._ended:
+            pipe.close()
         os.close(self._wake)
 
-    # -- one step of the node, under the lock ------------------------------------------------------
+    # -- one step of the node, under the lock ----------------------------------------------------------------
 
     def _carry_out(self) -> list[Action]:
         """Send what is to be sent, do what the node asks for, and return what is left for after the lock."""
@@ -113,15 +119,19 @@ class Runner:
         for action in actions:
             if type(action) is Dial:
                 if not self._stopping:
-                    self._start(self._call, action.peer)
+                    thread = threading.Thread(target=self._call, args=(action.peer,), name="dial", daemon=True)
+                    self._dials.add(thread)
+                    thread.start()
             elif type(action) is Close and (pipe := self._pipes.pop(action.session, None)) is not None:
                 self._flush(action.session, pipe)
                 self._blocked.pop(action.session, None)
                 pipe.shutdown()
+                self._ended.append(pipe)
+                self._wake_up()
         deadline = node.next_deadline()
-        if deadline is not None and deadline < self._pump_until:
-            self._pump_until = deadline
-            os.eventfd_write(self._wake, 1)
+        if deadline is not None and deadline < self._deadline:
+            self._deadline = deadline
+            self._wake_up()
         return actions
 
     def _flush(self, session: Session, pipe: Pipe) -> None:
@@ -133,8 +143,10 @@ class Runner:
             pipe.offer(data)
         if session not in self._blocked:
             self._blocked[session] = pipe
-            self._pump_until = 0.0
-            os.eventfd_write(self._wake, 1)
+            self._wake_up()
+
+    def _wake_up(self) -> None:
+        os.eventfd_write(self._wake, 1)
 
     def _report(self, actions: list[Action]) -> None:
         """After the lock: what goes to the bus and to the log."""
@@ -149,53 +161,85 @@ class Runner:
         if changed:
             self._changed()
 
-    # -- threads -----------------------------------------------------------------------------------
-
-    def _start(self, target: Callable[..., None], *arguments: object) -> None:
-        thread = threading.Thread(target=self._reader, args=(target, *arguments), name="mesh-link", daemon=True)
-        self._threads.add(thread)
-        thread.start()
-
-    def _reader(self, target: Callable[..., None], *arguments: object) -> None:
-        try:
-            target(*arguments)
-        finally:
-            self._threads.discard(threading.current_thread())
+    # -- dialling --------------------------------------------------------------------------------------------
 
     def _call(self, peer: str) -> None:
-        """Dial a neighbour and read from it until the connection ends."""
         try:
             pipe = self._dial(peer)
         except OSError as error:
+            pipe, reason = None, describe(error)
+        with self._lock:
+            self._dials.discard(threading.current_thread())
+            if self._stopping:
+                if pipe is not None:
+                    pipe.close()
+                return
+            if pipe is None:
+                self._node.dial_failed(peer, reason, clock.now())
+            else:
+                self._pipes[self._node.dialled(peer, clock.now())] = pipe
+                self._wake_up()
+            actions = self._carry_out()
+        self._report(actions)
+
+    # -- the reading thread ----------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while True:
+            now = clock.now()
             with self._lock:
-                self._node.dial_failed(peer, describe(error), clock.now())
+                if self._stopping:
+                    return
+                if now >= self._deadline:
+                    self._node.handle_timer(now)
+                    self._deadline = self._node.next_deadline() or _NEVER
+                actions = self._carry_out()
+                ended, self._ended = self._ended, []
+                pipes, blocked = list(self._pipes.items()), list(self._blocked.items())
+                deadline = self._deadline
+            self._report(actions)
+            for pipe in ended:
+                pipe.close()
+            self._wait(pipes, blocked, deadline)
+
+    def _wait(self, pipes: list[tuple[Session, Pipe]], blocked: list[tuple[Session, Pipe]], deadline: float) -> None:
+        """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it."""
+        now = clock.now()
+        for _, pipe in pipes:
+            if (change := pipe.next_change(now)) is not None and change < deadline:
+                deadline = change
+        timeout = None if deadline == _NEVER else max(0.0, deadline - now)
+        readers: list[int | Listener | Pipe] = [self._wake, *self._listeners]
+        readers += [pipe for _, pipe in pipes if pipe.wants_read(now)]
+        readable, writable, _ = select.select(readers, [pipe for _, pipe in blocked], [], timeout)
+        if self._wake in readable:
+            with contextlib.suppress(BlockingIOError):
+                os.eventfd_read(self._wake)
+        now = clock.now()
+        arrivals: list[tuple[Session, Pipe, bytes]] = []
+        for session, pipe in pipes:
+            if pipe in readable:
+                pipe.read(now)
+            while (data := pipe.take(now)) is not None:
+                arrivals.append((session, pipe, data))
+                if not data:
+                    break
+        for listener in self._listeners:
+            if listener in readable:
+                self._accept(listener)
+        if arrivals or writable:
+            with self._lock:
+                for session, pipe, data in arrivals:
+                    if data:
+                        self._node.receive(session, data, now)
+                    else:
+                        reason = pipe.fault or "closed by the other end"
+                        self._node.transport_down(session, reason, now)
+                for session, pipe in blocked:
+                    if session in self._blocked and pipe in writable:
+                        self._flush(session, pipe)
                 actions = self._carry_out()
             self._report(actions)
-            return
-        with self._lock:
-            session = self._node.dialled(peer, clock.now())
-            self._pipes[session] = pipe
-            actions = self._carry_out()
-        self._report(actions)
-        self._read(session, pipe)
-
-    def _read(self, session: Session, pipe: Pipe) -> None:
-        reason = "closed by the other end"
-        try:
-            while data := pipe.read():
-                with self._lock:
-                    self._node.receive(session, data, clock.now())
-                    actions = self._carry_out()
-                self._report(actions)
-        except OSError as error:
-            reason = describe(error)
-        with self._lock:
-            self._node.transport_down(session, pipe.fault or reason, clock.now())
-            actions = self._carry_out()
-            self._pipes.pop(session, None)
-            self._blocked.pop(session, None)
-            pipe.close()
-        self._report(actions)
 
     def _accept(self, listener: Listener) -> None:
         try:
@@ -204,40 +248,9 @@ class Runner:
             return
         with self._lock:
             session = self._node.accepted(clock.now())
-            if session is None or self._stopping:
+            if session is None:
                 pipe.close()
             else:
                 self._pipes[session] = pipe
-                self._start(self._read, session, pipe)
             actions = self._carry_out()
         self._report(actions)
-
-    def _run(self) -> None:
-        """The pump: timers, callers, and sockets that were full."""
-        while True:
-            with self._lock:
-                if self._stopping:
-                    return
-                self._node.handle_timer(clock.now())
-                actions = self._carry_out()
-                deadline = self._node.next_deadline()
-                self._pump_until = clock.now() + 3600.0 if deadline is None else deadline
-                blocked = dict(self._blocked)
-            self._report(actions)
-            timeout = max(0.0, self._pump_until - clock.now())
-            readers: list[int | Listener] = [self._wake, *self._listeners]
-            try:
-                readable, writable, _ = select.select(readers, [*blocked.values()], [], timeout)
-            except (OSError, ValueError):
-                continue  # A blocked pipe was closed meanwhile.
-            if self._wake in readable:
-                with contextlib.suppress(BlockingIOError):
-                    os.eventfd_read(self._wake)
-            for listener in self._listeners:
-                if listener in readable:
-                    self._accept(listener)
-            if writable:
-                with self._lock:
-                    for session, pipe in blocked.items():
-                        if pipe in writable and session in self._blocked:
-                            self._flush(session, pipe)

@@ -20,7 +20,7 @@ from swarm.paths import bus_endpoint
 
 SYNC = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
 
-SHORT = "heartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n"
+SHORT = "heartbeat = 0.1\nsuspect = 0.4\ndead = 2.0\n"
 """Shorter times than normal, so that tests of silence are short."""
 
 
@@ -244,7 +244,7 @@ def test_a_cut_link_returns(build: Build) -> None:
     swarm.start()
     for robot, peer in (("r0", "r1"), ("r1", "r0")):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-            sock.sendto(msgpack.packb({"cut": peer, "seconds": 1.5}), str(swarm.runtime / robot / "air.sock"))
+            sock.sendto(msgpack.packb({"cut": peer, "seconds": 2.5}), str(swarm.runtime / robot / "air.sock"))
     wait_until(lambda: swarm["r0"].links["r1"].state in ("down", "connecting"))
     assert ("r1", "suspect") in swarm["r0"].seen
     wait_until(lambda: swarm["r0"].links["r1"].reason == "unreachable")

@@ -1,10 +1,8 @@
-"""A connected stream socket: one thread reads and waits, whoever holds the mesh's lock writes and never
-waits.
+"""A connected stream socket that never waits: one thread reads when select says so, any thread writes under a lock.
 
-The rules come from what RFCOMM sockets do (docs/frames.md, faults): the end of a connection may be an empty
-read or any error, a second read after it may block for ever, and closing the descriptor under a blocked
-reader is unsafe. So every fault only shuts the socket down, which wakes the reader, and the reader alone
-closes it.
+The rules come from what RFCOMM sockets do (docs/frames.md, sockets): the end of a connection may be an empty read or
+any error, and a read after it may never return. So a socket is not read again after either, and a fault while writing
+only shuts it down: the reading thread finds out, says why, and closes it.
 """
 
 import contextlib
@@ -17,28 +15,53 @@ class Pipe:
     """One connection over a stream socket. Subclasses may wrap what is written and delay what is read."""
 
     def __init__(self, sock: socket.socket) -> None:
+        sock.setblocking(False)
         self._sock = sock
+        self._arrived: bytes | None = None
         self._rest = b""
         self._shut = False
         self.fault = ""
-        """Why a write failed; the reader, woken by it, reports it."""
+        """Why reading or writing failed."""
 
     def fileno(self) -> int:
         """For select."""
         return self._sock.fileno()
 
-    # -- the reader's side -------------------------------------------------------------------------
+    # -- the reading thread's side ---------------------------------------------------------------------------
 
-    def read(self) -> bytes:
-        """Wait for bytes; b"" or an OSError is the end, after which it must not be called again."""
-        return self._sock.recv(READ_SIZE)
+    def wants_read(self, now: float) -> bool:
+        """Whether `read` is to be called when the socket is readable."""
+        return True
+
+    def read(self, now: float) -> None:
+        """Take what is there; `take` gives it."""
+        self._arrived = self._receive()
+
+    def take(self, now: float) -> bytes | None:
+        """Bytes that have arrived, b"" at the end of the connection, None when there is nothing now."""
+        data, self._arrived = self._arrived, None
+        return data
+
+    def next_change(self, now: float) -> float | None:
+        """When `take` or `wants_read` may say something else than now, though nothing is read."""
+        return None
 
     def close(self) -> None:
-        """Close the descriptor. By the reader, when it will read no more and nobody can write."""
+        """Close the descriptor, when nobody can write any more."""
         self._shut = True
         self._sock.close()
 
-    # -- the writers' side, under the mesh's lock --------------------------------------------------
+    def _receive(self) -> bytes | None:
+        """One read: b"" at the end, for whatever reason; None where nothing was there."""
+        try:
+            return self._sock.recv(READ_SIZE)
+        except (BlockingIOError, InterruptedError):
+            return None
+        except OSError as error:
+            self.fault = self.fault or describe(error)
+            return b""
+
+    # -- the writers' side, under the mesh's lock ------------------------------------------------------------
 
     def offer(self, data: bytes) -> None:
         """Take bytes to be written; only when `flush` said that nothing is left."""
@@ -48,7 +71,7 @@ class Pipe:
         """Write what goes without waiting; True when nothing is left, or the connection has ended."""
         while self._rest and not self._shut:
             try:
-                count = self._sock.send(self._rest, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
+                count = self._sock.send(self._rest)
             except (BlockingIOError, InterruptedError):
                 return False
             except OSError as error:
@@ -59,7 +82,7 @@ class Pipe:
         return True
 
     def shutdown(self) -> None:
-        """End the connection and wake the reader. Harmless when repeated."""
+        """End the connection, which makes it readable. Harmless when repeated."""
         if not self._shut:
             self._shut = True
             with contextlib.suppress(OSError):

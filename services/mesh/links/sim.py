@@ -12,14 +12,13 @@ import fcntl
 import logging
 import os
 import random
-import select
 import socket
 import struct
 import threading
 from pathlib import Path
 
 from services.mesh.core.delay import AirModel, DelayLine
-from services.mesh.links.pipe import READ_SIZE, Pipe, describe
+from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
 from swarm.codec import unpack
 from swarm.errors import LocalError, PayloadError
@@ -38,6 +37,7 @@ SEND_BUFFER = 25_000
 _RECORD = struct.Struct("<Id")
 _MAX_RECORD = 64 * 1024
 _MAX_NAME = 16
+UNREACHABLE = "unreachable"
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 
 _log = logging.getLogger("mesh.sim")
@@ -62,6 +62,9 @@ class Air:
             raise LocalError(f"{directory}: another mesh of this robot runs already") from None
         self._path = socket_path(directory, AIR_SOCKET)
         self._sock = _bound(self._path, socket.SOCK_DGRAM)
+        # The kernel may delay a timer by 50 us to save power; here that would be latency nobody asked for. Threads
+        # inherit it from the one that starts them.
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
         self._closing = False
         self._thread = threading.Thread(target=self._serve, name="air", daemon=True)
         self._thread.start()
@@ -69,6 +72,10 @@ class Air:
     def cut_until(self, peer: str) -> float:
         """When the cut to `peer` ends; in the past when there is none."""
         return self._cuts.get(peer, 0.0)
+
+    def line(self, peer: str) -> DelayLine:
+        """The way of bytes from `peer` to us; both names and the seed decide its randomness."""
+        return DelayLine(self.model, random.Random(f"{self.model.seed}:{peer}>{self.me}").gauss)
 
     def is_cut(self, peer: str) -> bool:
         """Whether nothing passes between `peer` and us now."""
@@ -106,46 +113,73 @@ class SimPipe(Pipe):
         super().__init__(sock)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self._air = air
-        self._peer = peer
-        self._line: DelayLine | None = None
+        self._peer = peer or ""
+        self._line = air.line(peer) if peer else None
         self._buffer = b""
         self._ended = False
-        self._woken = threading.Event()
 
     def offer(self, data: bytes) -> None:
         """Take bytes to be written, and note when."""
         super().offer(_RECORD.pack(len(data), clock.now()) + data)
 
-    def shutdown(self) -> None:
-        """End the connection and wake the reader, even from what is still on the air."""
-        super().shutdown()
-        self._woken.set()
+    def wants_read(self, now: float) -> bool:
+        """Not while the line is busy: what comes next must wait in the sender's socket."""
+        return not self._ended and (self._line is None or now >= self._line.free_at)
 
-    def read(self) -> bytes:
-        """Wait until the next bytes have come through the air."""
-        line = self._line or self._begin()
-        assert self._peer is not None
-        while not self._shut:
-            arrival, now = line.next_arrival(), clock.now()
-            if arrival is not None:
-                arrival = max(arrival, self._air.cut_until(self._peer))
-                if arrival <= now:
-                    return line.pop()
-            if self._ended or now < line.free_at:
-                # Nothing may be read now. An Event wakes as precisely as select does.
-                ends = [end for end in (arrival, None if self._ended else line.free_at) if end is not None]
-                self._woken.wait(min(ends) - now)
-            elif arrival is None or select.select([self._sock], [], [], arrival - now)[0]:
-                self._take(line, self._sock.recv(READ_SIZE))
-        return b""
-
-    def _take(self, line: DelayLine, data: bytes) -> None:
-        if not data:
-            # That the peer is gone travels like everything else.
-            self._ended = True
-            line.push(b"", clock.now())
+    def read(self, now: float) -> None:
+        """Put what is there on the air."""
+        data = self._receive()
+        if data is None:
             return
-        buffer, at = self._buffer + data, 0
+        self._buffer += data
+        try:
+            if self._line is None and self._buffer:
+                self._learn_caller()
+            if self._line is not None:
+                self._put_on_air(self._line)
+        except ConnectionError as error:
+            self.fault = str(error)
+            self._ended, self._line = True, None
+            return
+        if not data:
+            self._ended = True
+            if self._line is not None:
+                # That the other end is gone travels like everything else.
+                self._line.push(b"", now)
+
+    def take(self, now: float) -> bytes | None:
+        """Bytes that have come through the air."""
+        if self._line is None:
+            return b"" if self._ended else None
+        arrival = self._line.next_arrival()
+        if arrival is None or max(arrival, self._air.cut_until(self._peer)) > now:
+            return None
+        return self._line.pop()
+
+    def next_change(self, now: float) -> float | None:
+        """When the next bytes arrive, or the line takes more."""
+        if self._line is None:
+            return None
+        arrival = self._line.next_arrival()
+        if arrival is not None:
+            arrival = max(arrival, self._air.cut_until(self._peer))
+        if self._ended or now >= self._line.free_at:
+            return arrival
+        return self._line.free_at if arrival is None else min(arrival, self._line.free_at)
+
+    def _learn_caller(self) -> None:
+        size = self._buffer[0]
+        if not 1 <= size <= _MAX_NAME:
+            raise ConnectionError("a caller without a name")
+        if len(self._buffer) > size:
+            self._peer = self._buffer[1 : size + 1].decode("ascii", "replace")
+            self._buffer = self._buffer[size + 1 :]
+            if self._air.is_cut(self._peer):
+                raise ConnectionError(UNREACHABLE)
+            self._line = self._air.line(self._peer)
+
+    def _put_on_air(self, line: DelayLine) -> None:
+        buffer, at = self._buffer, 0
         while len(buffer) - at >= _RECORD.size:
             length, stamp = _RECORD.unpack_from(buffer, at)
             if not 1 <= length <= _MAX_RECORD:
@@ -156,25 +190,6 @@ class SimPipe(Pipe):
             line.push(buffer[at + _RECORD.size : end], stamp)
             at = end
         self._buffer = buffer[at:]
-
-    def _begin(self) -> DelayLine:
-        """The reader's first call: learn who calls, and make the line whose randomness both names decide."""
-        # The kernel may delay a timer by 50 us to save power; here that would be latency nobody asked for.
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
-        if self._peer is None:
-            self._peer = self._read_name()
-        if self._air.is_cut(self._peer):
-            raise ConnectionError("unreachable")
-        model, me = self._air.model, self._air.me
-        self._line = DelayLine(model, random.Random(f"{model.seed}:{self._peer}>{me}").gauss)
-        return self._line
-
-    def _read_name(self) -> str:
-        size = self._sock.recv(1)
-        name = self._sock.recv(size[0]) if size and size[0] <= _MAX_NAME else b""
-        if not name:
-            raise ConnectionError("a caller without a name")
-        return name.decode("ascii", "replace")
 
 
 class Listener:
@@ -194,7 +209,6 @@ class Listener:
     def accept(self) -> Pipe:
         """The next caller; raises OSError where it has gone already."""
         sock, _ = self._sock.accept()
-        sock.setblocking(True)
         return SimPipe(sock, self._air, None)
 
     def close(self) -> None:
@@ -206,13 +220,12 @@ class Listener:
 def dial(path: Path, air: Air, peer: str) -> Pipe:
     """Connect to `peer`; raises OSError."""
     if air.is_cut(peer):
-        raise ConnectionError("unreachable")
+        raise ConnectionError(UNREACHABLE)
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     sock.settimeout(DIAL_TIMEOUT)
     try:
         sock.connect(os.fspath(path))
         sock.sendall(bytes((len(air.me),)) + air.me.encode())
-        sock.settimeout(None)
     except OSError:
         sock.close()
         raise

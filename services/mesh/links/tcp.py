@@ -16,7 +16,6 @@ SEND_BUFFER = 50_000
 def dial(address: Tcp) -> Pipe:
     """Connect; raises OSError."""
     sock = socket.create_connection((address.host, address.port), timeout=DIAL_TIMEOUT)
-    sock.settimeout(None)
     return _pipe(sock)
 
 
@@ -38,7 +37,6 @@ class Listener:
     def accept(self) -> Pipe:
         """The next caller; raises OSError where it has gone already."""
         sock, _ = self._sock.accept()
-        sock.setblocking(True)
         return _pipe(sock)
 
     def close(self) -> None:
