@@ -13,17 +13,17 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from swarm.simulations import pid_file
-
 from swarm import clock
 from swarm.errors import LocalError
+from swarm.simulations import pid_file
 
 RESTART_DELAY_S = 0.2
 """As RestartSec in the units of deploy/systemd."""
 START_LIMIT = 5
 START_LIMIT_INTERVAL_S = 10.0
 """A service that ends this often within this time is given up, as StartLimitBurst does."""
-NO_RESTART = (2, 3)
+APP_FAULT = 3
+NO_RESTART = (2, APP_FAULT)
 """Exit codes that a restart cannot mend: wrong configuration, fault of an app (RestartPreventExitStatus)."""
 
 _log = logging.getLogger("sim")
@@ -42,6 +42,8 @@ class Child:
     restarts: int = 0
     given_up: str = ""
     """Why it is not started again; empty while it is kept up."""
+    exit_code: int | None = None
+    """Of its last end."""
     restart_at: float | None = None
     _ends: list[float] = field(default_factory=list)
 
@@ -68,6 +70,7 @@ class Child:
     def ended(self, code: int, now: float) -> None:
         """Decide what follows from the end of the process."""
         self.process = None
+        self.exit_code = code
         self._ends = [at for at in self._ends if now - at < START_LIMIT_INTERVAL_S] + [now]
         if code in NO_RESTART:
             self.given_up = f"ended with code {code}"

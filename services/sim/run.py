@@ -14,7 +14,7 @@ import msgpack
 from services.sim import footprint, trajectory
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import Options
-from services.sim.processes import Processes
+from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
 from services.sim.scenario import Scenario
@@ -83,8 +83,8 @@ class Run:
         while not self._stop:
             now = clock.now()
             for child in self._processes.supervise(now):
-                # An app names its own fault on the bus; of other services the log's end is all there is.
-                reason = "" if child.service.startswith("app/") else f": {child.last_words()}"
+                # An app has named its fault on the bus; else the end of the log is all there is.
+                reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
                 self._problems.append(f"{child.robot} {child.service} {child.given_up}{reason}")
                 self._stop = True
             if now - asked > 1.0:

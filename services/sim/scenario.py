@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from services.apps import loader
 from services.sim.options import Options
 from swarm import config as configuration
 from swarm.codec import Value
@@ -66,7 +67,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
     base = _from_file(options.config) if options.config is not None else _default(options, len(recordings))
     if recordings and len(recordings) != len(base.robots):
         raise ConfigError(f"{options.replay} holds {len(recordings)} robots, the swarm has {len(base.robots)}")
-    app, program = _program(options.app)
+    app = loader.load(options.app) if options.app is not None else None
     config = replace(
         base,
         robots=tuple(
@@ -77,7 +78,8 @@ def build(options: Options, run_dir: Path) -> Scenario:
         simulation=_places(base),
     )
     if app is not None:
-        config = replace(config, apps={**config.apps, app: _parameters(config, app, options)})
+        config = replace(config, apps={**config.apps, app.name: _parameters(config, app, options)})
+        app.check(config)
     for cut in options.cuts:
         if cut.b not in config.neighbours(cut.a):
             raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
@@ -89,28 +91,24 @@ def build(options: Options, run_dir: Path) -> Scenario:
         iterations = rows if options.iterations is None else min(rows, options.iterations)
     return Scenario(
         config=config,
-        app=app,
-        program=program,
-        algorithm=str(config.app(app).parameters["algorithm"]) if app in _ALGORITHM else None,
+        app=app.name if app is not None else None,
+        program=_program(app) if app is not None else None,
+        algorithm=_algorithm(config, app) if app is not None else None,
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
         recordings=dict(zip(config.names, recordings, strict=False)),
     )
 
 
-_ALGORITHM = {"consensus": "metropolis", "localization": "info"}
-"""The built-in apps that have a choice of algorithms, with the default."""
+def _program(app: loader.App) -> str:
+    return app.name if app.name in loader.BUILT_IN else app.source
 
 
-def _program(app: str | None) -> tuple[str | None, str | None]:
-    if app is None:
-        return None, None
-    if not app.endswith(".py"):
-        return app, app
-    path = Path(app).resolve()
-    if not path.is_file():
-        raise ConfigError(f"{app}: there is no such file")
-    return path.stem, str(path)
+def _algorithm(config: Config, app: loader.App) -> str | None:
+    """What the app runs, None where it has no choice; `check` has seen to it that all robots run the same."""
+    if "" in app.algorithms:
+        return None
+    return str(config.app(app.name).of(config.names[0]).get("algorithm", next(iter(app.algorithms))))
 
 
 def _default(options: Options, recorded: int) -> Config:
@@ -168,18 +166,16 @@ def _place(index: int) -> tuple[float, float]:
     return (1.0 + radius * math.cos(angle), 1.0 + radius * math.sin(angle))
 
 
-def _parameters(config: Config, name: str, options: Options) -> App:
+def _parameters(config: Config, wanted: loader.App, options: Options) -> App:
     """The app's parameters: the file's, then the thesis' starting values, then what the command line sets."""
-    app = config.app(name)
+    app = config.app(wanted.name)
     common: dict[str, Value] = dict(app.parameters)
     robots: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}
-    if name in _ALGORITHM:
-        common.setdefault("algorithm", _ALGORITHM[name])
     if options.algorithm is not None:
         common["algorithm"] = options.algorithm
     if options.step_size is not None:
         common["step_size"] = options.step_size * 1e4  # 1/cm^2 in 1/m^2
-    if name == "consensus" and "value" not in common:
+    if wanted.name == "consensus" and "value" not in common:
         starts = START_VALUES.get(len(config.names), tuple(float(index) for index in range(len(config.names))))
         for robot, value in zip(config.names, starts, strict=True):
             robots.setdefault(robot, {}).setdefault("value", value)

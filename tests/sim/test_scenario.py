@@ -5,7 +5,7 @@ import pytest
 from services.sim import options, scenario
 from swarm.config import parse
 from swarm.config.dump import dump
-from swarm.errors import BusError, ConfigError, RecordingError
+from swarm.errors import BusError, ConfigError, LocalError, RecordingError
 
 
 def build(tmp_path, *arguments):
@@ -50,10 +50,13 @@ def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
         (["consensus", "--topology", "thesis-d"], "six robots"),
         (["consensus", "--cut", "r0-r2@1s,1s"], "no such link"),
         (["missing.py"], "no such file"),
+        (["nonsense"], "expected consensus, localization, or a file"),
+        (["consensus", "--algorithm", "magic"], "expected 'metropolis' or 'thesis'"),
+        (["consensus", "--set", "valu=3"], "unknown parameter 'valu'"),
     ],
 )
 def test_wrong_scenarios_are_refused(tmp_path, arguments, words):
-    with pytest.raises(ConfigError, match=words):
+    with pytest.raises(LocalError, match=words):
         build(tmp_path, *arguments)
 
 

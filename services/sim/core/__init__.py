@@ -1,0 +1,1 @@
+"""Physics and sensors of the simulated world, without IO."""

@@ -1,0 +1,141 @@
+"""Whole simulated swarms, started and treated as a user would."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import wait_until
+
+from bench.simulation import Simulation, SimulationError, simulate
+
+
+def processes_of(run_dir: Path) -> list[int]:
+    """Pids of all processes whose environment names the run directory."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and int(entry.name) != os.getpid():
+            with contextlib.suppress(OSError):
+                if os.fsencode(run_dir) in (entry / "environ").read_bytes():
+                    found.append(int(entry.name))
+    return found
+
+
+@pytest.fixture(scope="module")
+def undisturbed():
+    """One run that others are compared with: report and trajectories."""
+    with Simulation("consensus", "--iterations", "120", "--latency", "10ms") as simulation:
+        found = simulation.finish()
+        return found, {name: simulation.trajectory(name) for name in ("r0", "r1", "r2")}
+
+
+def test_consensus_ends_on_the_mean_and_reports_it(undisturbed):
+    report, paths = undisturbed
+    assert report["app"] == "consensus"
+    assert report["algorithm"] == "metropolis"
+    assert report["iterations"] == 120
+    assert report["error"] < 1e-9
+    assert report["problems"] == []
+    assert report["restarts"] == 0
+    assert report["messages_per_iteration"] == pytest.approx(4, abs=0.5)  # 2E, a start may add a few
+    assert report["iteration_s_median"] > 0.010
+    assert report["rss_mib_per_robot"] > 20
+    assert paths["r0"].value(0, "value") == 0.5
+
+
+@pytest.mark.parametrize("service", ["bus", "mesh", "dwm", "balancer", "app"])
+def test_a_killed_service_changes_no_bit(undisturbed, service):
+    _, expected = undisturbed
+    with Simulation("consensus", "--iterations", "120", "--latency", "10ms") as simulation:
+        simulation.wait_for("r1", 40)
+        simulation.kill("r1", service)
+        report = simulation.finish()
+        assert report["restarts"] >= 1
+        for name, path in expected.items():
+            assert simulation.trajectory(name).rows == path.rows
+
+
+def test_nothing_survives_the_end_or_a_killed_parent():
+    with Simulation("consensus", "--seconds", "60", "--latency", "10ms") as simulation:
+        simulation.wait_for("r0", 5)
+        assert len(processes_of(simulation.run_dir)) > 12
+        simulation.process.send_signal(signal.SIGKILL)
+        wait_until(lambda: not processes_of(simulation.run_dir), what="all children are gone")
+        # What the killed run left (sockets, locks, snapshots) does not hinder the next.
+        again = [sys.executable, "-m", "swarm.cli", "sim", "consensus", "--iterations", "20", "--run-dir"]
+        done = subprocess.run([*again, str(simulation.run_dir)], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert not processes_of(simulation.run_dir)
+
+
+def test_ctrl_c_ends_it_with_a_report():
+    with Simulation("consensus", "--seconds", "60") as simulation:
+        simulation.wait_for("r0", 5)
+        simulation.process.send_signal(signal.SIGINT)
+        report = simulation.finish(timeout_s=20)
+        assert report["iterations"] >= 4
+        assert not processes_of(simulation.run_dir)
+
+
+def test_a_second_simulation_at_the_same_place_is_refused():
+    with Simulation("consensus", "--seconds", "60") as simulation:
+        simulation.wait_for("r0", 1)
+        command = [sys.executable, "-m", "swarm.cli", "sim", "--run-dir", str(simulation.run_dir)]
+        second = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert second.returncode == 2
+        assert "already running" in second.stderr
+        assert "--run-dir" in second.stderr
+        simulation.wait_for("r0", 10)  # the first one did not notice
+
+
+def test_a_broken_app_file_is_named(tmp_path):
+    app = tmp_path / "broken.py"
+    app.write_text("import nonsense_that_is_not_there\n")
+    with pytest.raises(SimulationError, match="nonsense_that_is_not_there") as failure:
+        simulate(str(app), "--iterations", "5")
+    assert "Traceback" not in str(failure.value)
+
+
+def test_an_app_that_raises_is_named_with_robot_and_iteration(tmp_path):
+    app = tmp_path / "crashing.py"
+    app.write_text(
+        "from swarm import SyncApp\n"
+        "class Crashing(SyncApp):\n"
+        "    value: float = 0.0\n"
+        "    def step(self, neighbours):\n"
+        "        self.value = 1 / (7 - self.k)\n"
+    )
+    with pytest.raises(SimulationError, match=r"iteration 7"):
+        simulate(str(app), "--iterations", "20")
+
+
+def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):
+    _, expected = undisturbed
+    with Simulation("consensus", "--iterations", "120", "--latency", "10ms", "--cut", "r0-r1@0.3s,1s") as simulation:
+        report = simulation.finish()
+        assert report["problems"] == []
+        for name, path in expected.items():
+            found = simulation.trajectory(name)
+            assert found.rows == path.rows
+            assert max(at - found.times[k - 1] for k, at in found.times.items() if k) > 0.8
+
+
+def test_robots_without_an_app_just_balance():
+    report = simulate("--robots", "2", "--seconds", "2")
+    assert report["app"] is None
+    for body in report["result"].values():
+        assert body["mode"] == "balancing"
+        assert abs(body["tilt_deg"]) < 15
+
+
+def test_one_robot_alone_runs():
+    report = simulate("consensus", "--robots", "1", "--iterations", "20", "--set", "value=2")
+    assert report["result"] == {"r0": {"value": 2.0}}
+
+
+def test_localization_finds_the_target():
+    report = simulate("localization", "--iterations", "60")
+    assert report["error_cm"] < 15
