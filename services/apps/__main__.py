@@ -45,12 +45,8 @@ def main() -> int:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="services.apps", description="Run one app on this robot.")
-    parser.add_argument(
-        "app", help=f"{' or '.join(loader.BUILT_IN)}, or the path of a Python file with an app"
-    )
-    parser.add_argument(
-        "--iterations", type=_iterations, metavar="K", help="the last iteration (without: no last one)"
-    )
+    parser.add_argument("app", help=f"{' or '.join(loader.BUILT_IN)}, or the path of a Python file with an app")
+    parser.add_argument("--iterations", type=_iterations, metavar="K", help="the last iteration (without: no last one)")
     parser.add_argument(
         "--run",
         metavar="HEX",

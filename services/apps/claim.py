@@ -22,9 +22,7 @@ class Claim:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o660)
         except OSError as error:
-            raise LocalError(
-                f"{path}: {error.strerror}; is the robot's bus running? (SWARM_RUNTIME)"
-            ) from None
+            raise LocalError(f"{path}: {error.strerror}; is the robot's bus running? (SWARM_RUNTIME)") from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             text = os.pread(self._file, _DIGITS, 0)

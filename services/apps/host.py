@@ -6,6 +6,7 @@ ticker runs the core's timers and publishes state and progress. One lock is arou
 first, around the app, so that results are only looked at between steps.
 """
 
+import queue
 import struct
 import threading
 from collections.abc import Callable
@@ -71,8 +72,7 @@ class Host:
         self._recorder: Recorder | None = None
         self._lock = threading.Lock()
         self._app_lock = threading.Lock()
-        self._work = threading.Condition(self._lock)
-        self._todo: Compute | None = None
+        self._todo: queue.SimpleQueue[Compute | None] = queue.SimpleQueue()
         self._closing = False
         self._computed_at = 0.0
         self._waiting: tuple[str, ...] = ()
@@ -109,9 +109,8 @@ class Host:
 
     def close(self) -> None:
         """End the threads and let go of the files. A step that runs is waited for, but not for ever."""
-        with self._work:
-            self._closing = True
-            self._work.notify_all()
+        self._closing = True
+        self._todo.put(None)
         if self._measurements is not None:
             self._measurements.close()
         for thread in self._threads:
@@ -161,9 +160,9 @@ class Host:
     def _worker(self) -> None:
         if not self._begin():
             return
-        while (todo := self._next()) is not None:
+        while (todo := self._todo.get()) is not None:
             measurement = self._measure(todo.k)
-            if self._closing:
+            if self._closing or self._phase == "fault":
                 return
             with self._app_lock:
                 own, private = self._runner.step(todo.k, todo.own, todo.values, measurement)
@@ -178,9 +177,7 @@ class Host:
         saved = self._saved()
         if self._record is not None:
             path = self._record / f"{self._service.robot}.{self._name}.csv"
-            self._recorder = Recorder(
-                path, self._runner.schema, self._service.counters, append=saved is not None
-            )
+            self._recorder = Recorder(path, self._runner.schema, self._service.counters, append=saved is not None)
         measurement = self._measure(0) if saved is None else None
         if self._closing:
             return False
@@ -219,15 +216,6 @@ class Host:
         self._service.log.info("the snapshot is of another run (%016x), this one begins anew", snapshot.run)
         return None
 
-    def _next(self) -> Compute | None:
-        with self._work:
-            while self._todo is None:
-                if self._closing:
-                    return None
-                self._work.wait()
-            todo, self._todo = self._todo, None
-            return None if self._closing else todo
-
     # On the ticker's thread
 
     def _ticker(self) -> None:
@@ -255,9 +243,7 @@ class Host:
     def _show(self, repeat: bool) -> None:
         """Publish the state if it is new and no step is running (else the next look will find it)."""
         state = self._state
-        if self._phase not in ("running", "done") or (
-            state is not None and state.k == self._core.k and not repeat
-        ):
+        if self._phase not in ("running", "done") or (state is not None and state.k == self._core.k and not repeat):
             return
         if self._app_lock.acquire(blocking=False):
             runner = self._runner
@@ -308,16 +294,12 @@ class Host:
                     self._muted = True
                     self._fail(str(error))
             case Send(data, to):
-                self._service.bus.publish(
-                    self._sync if to is None else f"{self._sync}/{to}", data, urgent=True
-                )
+                self._service.bus.publish(self._sync if to is None else f"{self._sync}/{to}", data, urgent=True)
             case Advanced(k, _):
                 if self._recorder is not None:
                     self._recorder.write(k, self._computed_at, self._runner.state(), self._runner.result())
             case Compute():
-                if self._phase == "running":
-                    self._todo = action
-                    self._work.notify()
+                self._todo.put(action)
             case Waiting(_, peers):
                 self._waiting = peers
             case Fault(reason):
@@ -329,7 +311,6 @@ class Host:
         """Stop computing, say why, and stay: neighbours still get answers, and the reason can be read."""
         if self._phase != "fault":
             self._phase, self._reason = "fault", reason
-            self._todo = None
             self._service.log.error("%s", reason)
             self._service.degraded(reason)
 

@@ -45,9 +45,7 @@ class App:
         default = next(iter(self.algorithms))
         algorithm = rest.pop("algorithm", default)
         if not isinstance(algorithm, str) or algorithm not in self.algorithms:
-            raise AppError(
-                f"algorithm: expected {' or '.join(map(repr, self.algorithms))}, got {algorithm!r}"
-            )
+            raise AppError(f"algorithm: expected {' or '.join(map(repr, self.algorithms))}, got {algorithm!r}")
         return self.algorithms[algorithm], rest
 
     def make(self, config: Config, robot: str, seed: int = 0) -> SyncApp:

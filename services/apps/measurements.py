@@ -33,9 +33,7 @@ def source_of(service: Service, last: int | None) -> Measurements:
     if config.dwm.source.startswith("replay:"):
         return Replayed(service, last)
     if config.dwm.target is None:
-        raise AppError(
-            f"{config.path}: [dwm] target: expected the address of the target's module, this app needs it"
-        )
+        raise AppError(f"{config.path}: [dwm] target: expected the address of the target's module, this app needs it")
     return Live(service, config.dwm.target)
 
 

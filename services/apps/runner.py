@@ -51,9 +51,7 @@ class Runner:
         neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]
         answer: object = self._call(f"step {k}", lambda: app.step(neighbours))
         if answer is not None:
-            raise AppError(
-                f"{self._where(f'step {k}')}: it returned {answer!r}; a step assigns to the state instead"
-            )
+            raise AppError(f"{self._where(f'step {k}')}: it returned {answer!r}; a step assigns to the state instead")
         packed = self._pack(f"step {k}")
         self._be_at(k + 1)
         return packed
@@ -110,13 +108,9 @@ class Runner:
             return int(value)
         if isinstance(value, float) and math.isfinite(value):
             return float(value)
-        if isinstance(value, tuple | list) and all(
-            isinstance(x, float | int) and math.isfinite(x) for x in value
-        ):
+        if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
             return tuple(float(x) for x in value)
-        raise AppError(
-            f"{self._where(where)}: {name}: expected a finite number, bool, text or vector, got {value!r}"
-        )
+        raise AppError(f"{self._where(where)}: {name}: expected a finite number, bool, text or vector, got {value!r}")
 
     def _call(self, where: str, function: Callable[[], T]) -> T:
         try:

@@ -36,9 +36,7 @@ class SnapshotFile:
             os.posix_fallocate(self._file, 0, 2 * _SLOT)
         except OSError as error:
             os.close(self._file)
-            raise LocalError(
-                f"{path}: no space for a snapshot of {2 * _SLOT} bytes: {error.strerror}"
-            ) from None
+            raise LocalError(f"{path}: no space for a snapshot of {2 * _SLOT} bytes: {error.strerror}") from None
 
     def read(self) -> bytes | None:
         """The newest whole snapshot; None where there is none."""
@@ -64,9 +62,7 @@ class SnapshotFile:
         except OSError as error:
             raise LocalError(f"{self._path}: {error.strerror}") from None
         if written < len(head) + len(data):
-            raise LocalError(
-                f"{self._path}: only {written} of {len(head) + len(data)} bytes could be written"
-            )
+            raise LocalError(f"{self._path}: only {written} of {len(head) + len(data)} bytes could be written")
 
     def close(self) -> None:
         """Leave the file for the next process."""

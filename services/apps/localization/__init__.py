@@ -44,8 +44,7 @@ class Info(SyncApp):
         # The difference to each neighbour is formed first: both ends of an edge then add the same amount with
         # opposite signs, and the sum over the swarm stays (algorithm notes of docs/apps.md).
         self.q = tuple(
-            own + sum(w * (n.q[i] - own) for w, n in weighted) + (m[i] - self._m[i])
-            for i, own in enumerate(self.q)
+            own + sum(w * (n.q[i] - own) for w, n in weighted) + (m[i] - self._m[i]) for i, own in enumerate(self.q)
         )
         self._m = m
 

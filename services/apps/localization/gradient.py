@@ -36,9 +36,7 @@ def cost(x: Vector2, distance: float, place: Vector2) -> float:
     return (distance * distance - dx * dx - dy * dy) ** 2
 
 
-def iterate(
-    own: Node, weighted: Iterable[tuple[float, Node]], gamma: float, distance: float, place: Vector2
-) -> Node:
+def iterate(own: Node, weighted: Iterable[tuple[float, Node]], gamma: float, distance: float, place: Vector2) -> Node:
     """Algorithm 4. `weighted`: row-normalised weights and nodes of the neighbours and of the robot itself."""
     x = y = z = t = 0.0
     for w, node in weighted:

@@ -171,10 +171,7 @@ class _Problem:
                 return None
             if self._excess(middle) < 0.0:
                 return self._at(_bisect(self, middle, high, falling=False))
-            slope = (
-                -2 * self.along**2 / (self.big + middle) ** 3
-                - 2 * self.across**2 / (self.small + middle) ** 3
-            )
+            slope = -2 * self.along**2 / (self.big + middle) ** 3 - 2 * self.across**2 / (self.small + middle) ** 3
             if slope < 1 / (2 * self.w):
                 left = middle
             else:
