@@ -1,0 +1,3 @@
+#include "front.h"
+
+volatile layout::Front front = {};

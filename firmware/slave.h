@@ -1,0 +1,20 @@
+// The I2C protocol without the I2C hardware: what each event on the bus means. Called with interrupts off.
+//
+// Rules. The first byte of a write is the index; at that moment the values are frozen, so that a read of several bytes
+// belongs to one moment, also when it is made in several transfers without a new index. Data bytes are held and applied
+// together at STOP, or not at all: a byte that fits nowhere is not acknowledged and the whole write is forgotten.
+#pragma once
+
+#include <stdint.h>
+
+namespace slave {
+
+void started();                // addressed, the master will write
+bool index_expected();         // the next byte received is an index
+bool received(uint8_t byte);   // returns whether the next byte may be acknowledged
+void stopped();                // STOP or repeated START: apply what was held
+void refused();                // a byte was not acknowledged: forget what was held
+void abandoned();              // the transfer ended in the middle: the same, but not the master's mistake
+uint8_t transmit();            // the next byte of a read
+
+}  // namespace slave

@@ -1,0 +1,13 @@
+// Time: timer 0 counts milliseconds, and what must not depend on the main loop hangs on its interrupt.
+#pragma once
+
+#include <stdint.h>
+
+namespace ticks {
+
+void start();
+uint32_t now();               // ms, main loop
+uint32_t now_in_interrupt();  // ms, with interrupts off
+void loop_alive();            // main loop: it still goes round
+
+}  // namespace ticks

@@ -1,0 +1,10 @@
+// Whether bytes are a whole answer of the DWM1001 to whatever was asked (API guide 4.3): status, then whole parts.
+#pragma once
+
+#include <stdint.h>
+
+namespace tlv {
+
+bool whole(const uint8_t* bytes, uint16_t count);
+
+}  // namespace tlv
