@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from services.mesh.core import frames
 from services.mesh.core.frames import Bind, Decoder, Frame, Heartbeat, Hello
+from services.mesh.core.node import COUNTERS
 from swarm.errors import FrameError, LocalError
 
 HELLO = Hello("lab", "r0", 0x1122334455667788, bytes(range(16)), dialler=True, insecure=True)
@@ -51,6 +52,13 @@ def test_the_document_knows_every_bye_code() -> None:
     text = DOCUMENT.read_text()
     for code, meaning in frames.BYE_TEXT.items():
         assert f"| {code} | {meaning} |" in text
+
+
+def test_the_document_knows_every_counter() -> None:
+    (section,) = re.findall(r"## Counters\n(.*?)\n## ", DOCUMENT.read_text(), re.DOTALL)
+    documented = set(re.findall(r"`(\w+)`", section))
+    documented |= {"refused" + name for name in documented if name.startswith("_")}
+    assert set(COUNTERS) <= documented
 
 
 names = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)

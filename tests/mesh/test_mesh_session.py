@@ -67,6 +67,7 @@ def test_a_message_to_one_neighbour_goes_nowhere_else() -> None:
     world.run(1.0)
     assert not world.bots["r1"].inbox
     assert world.bots["r2"].inbox == [(SYNC_KEY.format("r0") + "/r2", b"want")]
+    assert world.bots["r0"].counters["sent_sync"] == 1
 
 
 def test_messages_for_a_link_that_is_down_are_counted() -> None:

@@ -13,7 +13,7 @@ from services.mesh.core import frames
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.relay import Relay, Send
-from services.mesh.core.session import CONNECTING, DOWN, REFUSED, Local, Session
+from services.mesh.core.session import CONNECTING, DOWN, REFUSED, SENT, Local, Session
 from swarm.messages import LinkState
 
 MAX_HALF_OPEN = 16
@@ -24,6 +24,7 @@ _MAX_NOTED = 256
 
 COUNTERS = (
     *REFUSED.values(),
+    *SENT,
     "byes",
     "half_open",
     "inbound_refused",

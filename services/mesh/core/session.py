@@ -51,6 +51,9 @@ REFUSED = {
 }
 """Which counter counts what we end a connection for."""
 
+SENT = ("sent_control", "sent_sync", "sent_bulk")
+"""Which counter counts the messages of a class that left."""
+
 
 @dataclass(frozen=True, slots=True)
 class Local:
@@ -209,6 +212,7 @@ class Session:
                 chunks.append(frames.encode_bind(frames.Bind(channel, frames.NEIGHBOURS, message.key)))
             chunks.append(frames.encode_data(message.priority, channel, message.payload))
             size += len(chunks[-1])
+            self._counters[SENT[message.priority]] += 1
         self.sent += len(chunks)
         return b"".join(chunks)
 
