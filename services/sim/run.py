@@ -63,6 +63,8 @@ class Run:
     def __enter__(self) -> "Run":
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupted)
+        for note in self._scenario.notes:
+            self._progress.say(note)
         for name in self._scenario.config.names:
             self._start_robot(name)
         return self
