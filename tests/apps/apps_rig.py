@@ -18,7 +18,9 @@ PATIENCE = 30.0
 
 
 def config_text(names: Sequence[str] = NAMES, shape: str = "line", more: str = "") -> str:
-    robots = "".join(f'[[robots]]\nname = "{name}"\nlink = "tcp:127.0.0.1:{4100 + i}"\n' for i, name in enumerate(names))
+    robots = "".join(
+        f'[[robots]]\nname = "{name}"\nlink = "tcp:127.0.0.1:{4100 + i}"\n' for i, name in enumerate(names)
+    )
     return f'network = "test"\n{robots}[topology]\nshape = "{shape}"\n[mesh]\ninsecure = true\n{more}'
 
 
@@ -92,7 +94,9 @@ class Rig:
         """Wait for samples until `condition` holds."""
         with self.changed:
             if not self.changed.wait_for(condition, PATIENCE):
-                logs = "\n".join(f"{n}: {self.log(n)}" for n in self.names if (self.directory / n / "apps.log").exists())
+                logs = "\n".join(
+                    f"{n}: {self.log(n)}" for n in self.names if (self.directory / n / "apps.log").exists()
+                )
                 pytest.fail(f"{what} did not happen within {PATIENCE:g} s: {self.progress}\n{logs}")
 
     def until_phase(self, phase: str, *names: str) -> None:
@@ -120,4 +124,10 @@ class Rig:
         for bus in self.buses.values():
             bus.close()
         for process in self.processes.values():
-            process.wait(10)
+            try:
+                process.wait(5)
+            except subprocess.TimeoutExpired:
+                print("STUCK", process.args)
+                process.send_signal(6)
+                process.wait()
+                print("".join(f"{k} {self.log(*k)}" for k, v in self.processes.items() if v is process))
