@@ -80,16 +80,17 @@ void obey()
     if (!wanted)
         return;
     cli();
-    motors::off();
+    motors::lock();
     *reinterpret_cast<volatile uint16_t*>(KEY_ADDRESS) = KEY;
     wdt_enable(WDTO_15MS);
+    wdt_reset();  // the short time counts from here
     for (;;) {
     }
 }
 
 void hung()
 {
-    motors::off();
+    motors::lock();
     hung_before = 1;
 }
 
@@ -98,7 +99,7 @@ void hung()
 // An interrupt nobody asked for: something is badly wrong. Motors off; the watchdog resets the chip.
 ISR(BADISR_vect)
 {
-    motors::off();
+    motors::lock();
     for (;;) {
     }
 }

@@ -1,4 +1,4 @@
-"""Builds what the tests run, where the tools for it are: the firmware, the GPL-3 bench, the host's copy of the pure parts.
+"""Builds what the tests run, where the tools for it are: firmware, GPL-3 bench, the pure parts for this machine.
 
 Results are kept in pytest's cache under a hash of all sources, so that an unchanged firmware is built once.
 """
