@@ -204,7 +204,6 @@ def parse(arguments: list[str]) -> Options:
             (options.settings, "--set"),
             (options.replay, "--replay"),
             (options.plot, "--plot"),
-            (options.record, "--record"),
         ):
             if given:
                 raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")

@@ -36,6 +36,7 @@ START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
 
 TICK_S = 0.02
+REFRESH_LIMIT_S = 0.5
 
 
 class Run:
@@ -169,12 +170,22 @@ class Run:
                         str(self._run_dir / robot / "air.sock"),
                     )
 
+    def _refresh(self, now: float) -> None:
+        """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""
+        self._monitor.ask_status()
+        while clock.now() < now + REFRESH_LIMIT_S:
+            seen = self._monitor.snapshot()
+            if all("mesh" in robot.status and robot.status["mesh"].t >= now for robot in seen.values()):
+                return
+            time.sleep(TICK_S)
+
     def _interrupted(self, *_: object) -> None:
         self._stop = True
 
     def _outcome(self, started: float | None) -> Outcome:
         names = self._scenario.config.names
         now = clock.now()
+        self._refresh(now)
         paths = {}
         if self._scenario.app is not None:
             paths = {name: trajectory.read(self._records / f"{name}.{self._scenario.app}.csv") for name in names}
