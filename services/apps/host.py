@@ -150,6 +150,9 @@ class Host:
             self._service.log.debug("%s", error)
             return
         up = {link.peer: link.connection for link in links if link.state == "up"}
+        rtts = [link.rtt for link in links if link.rtt is not None]
+        if rtts:
+            self._core.rtt = max(rtts)
         renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
         self._connections.update(up)
         if renewed:

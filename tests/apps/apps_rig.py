@@ -1,5 +1,6 @@
 """Real host processes on real buses, joined by a relay of this process in place of the mesh."""
 
+import itertools
 import os
 import signal
 import subprocess
@@ -48,7 +49,7 @@ class Rig:
             bus = self.buses[name] = Bus.of(directory / name)
             bus.subscribe(f"swarm/{name}/app/*/progress", self._take(self.progress, name, AppProgress))
             bus.subscribe(f"swarm/{name}/app/*/state", self._take(self.state, name, AppState))
-        for here, there in zip(names, names[1:], strict=False):
+        for here, there in itertools.pairwise(names):
             self._relay(here, there)
             self._relay(there, here)
 

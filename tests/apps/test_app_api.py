@@ -275,7 +275,7 @@ def test_a_missing_step_is_named() -> None:
     kind = type("Lazy", (SyncApp,), {"__annotations__": {"x": float}})
     runner = Runner(kind(Robot("r1", LINE)), __file__)
     runner.start(None)
-    with pytest.raises(AppError, match="Lazy on r1, step 0: .*NotImplementedError"):
+    with pytest.raises(AppError, match=r"Lazy on r1, step 0: .*NotImplementedError"):
         do_step(runner)
 
 

@@ -1,6 +1,8 @@
 """The app host as processes on real buses: runs, kills, restarts, faults. Trajectories are compared bit for bit."""
 
+import ctypes
 import math
+import platform
 import queue
 import random
 import signal
@@ -10,10 +12,10 @@ from typing import Any
 
 import pytest
 from apps_rig import NAMES, Rig, config_text
-from memory_swarm import PLACES, TARGET, MemorySwarm, MeasurementOf, config_of
+from memory_swarm import PLACES, TARGET, MeasurementOf, MemorySwarm, config_of
 
 from swarm.codec import decode, encode
-from swarm.messages import AppProgress, AppState, LinkState, Links, Measurement, Pose, Range, Ranges, Status
+from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
 
 START = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {x}\n" for i, x in enumerate((0.5, 3.0, 5.0)))
 REPLAY = '[apps.localization]\nalgorithm = "thesis"\n[dwm]\nsource = "replay:somewhere"\n'
@@ -256,6 +258,20 @@ def test_a_full_disk_for_the_recording_does_not_stop_the_run(make_rig: MakeRig) 
     rig.until_phase("done")
     assert ask(rig, "r0", "consensus/status", Status).counters["records_lost"] >= 21
     assert rig.log("r0").count("cannot be recorded, the run goes on") == 1
+
+
+def test_sigterm_is_heard_whichever_thread_it_hits(make_rig: MakeRig) -> None:
+    """The kernel may hand it to one of Zenoh's threads while the main one sleeps."""
+    rig = make_rig("", ("r0", "r1"))
+    process = rig.start("r0", "apps", "consensus")
+    rig.until(lambda: "r0" in rig.progress, "a start")
+    threads = [int(entry.name) for entry in Path(f"/proc/{process.pid}/task").iterdir()]
+    # tgkill(2) by its number: signals to one thread of another process have no call in Python.
+    number = {"x86_64": 234, "aarch64": 131}.get(platform.machine())
+    if number is None:
+        pytest.skip("the number of tgkill(2) on this machine is not known here")
+    assert ctypes.CDLL(None).syscall(number, process.pid, max(threads), signal.SIGTERM) == 0
+    assert process.wait(20) == 0
 
 
 # Measurements
