@@ -47,7 +47,7 @@ class Run:
         self._scenario = scenario
         self._run_dir = run_dir
         self._records = (options.record or run_dir / "records").absolute()
-        self._commanded = footprint.process_started()
+        self._commanded = footprint.commanded()
         self._progress = Progress(stream, scenario)
         self._problems: list[str] = []
         self._stop = False
