@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 from apps_rig import NAMES, Rig, config_text
+from conftest import wait_until
 from memory_swarm import PLACES, TARGET, MeasurementOf, MemorySwarm, config_of
 
+from services.apps.consensus import Consensus
 from swarm.codec import decode, encode
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
 
@@ -144,6 +146,33 @@ def test_a_stopped_robot_is_named_and_waited_for(make_rig: MakeRig) -> None:
     rig.until_phase("done")
     for name, rows in consensus(40).items():
         assert rig.values(name) == rows
+
+
+def test_a_robot_alone_runs_too(make_rig: MakeRig) -> None:
+    rig = make_rig("[apps.consensus]\nvalue = 4.0\n", ("r0",))
+    rig.start_all("consensus", "--iterations", "5")
+    rig.until_phase("done")
+    assert rig.values("r0") == ["4.0,4.0"] * 6
+
+
+def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
+    rig = make_rig("", ("r0", "r1"))
+    rig.start("r0", "apps", "consensus", SWARM_RUN="a1")
+    rig.until_phase("waiting", "r0")
+    schema = f"{Consensus.spec.schema.hash:08x}"
+    publish = rig.buses["r0"].publish
+    publish(f"swarm/r1/app/consensus/sync/{0xA2:016x}-0-1-{schema}", b"a frame of another run")
+    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}", b"what is this")
+    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}/r7", b"not for us")
+    publish("swarm/r1/app/consensus/sync/no-channel", b"x")
+    counters: dict[str, int] = {}
+
+    def counted() -> bool:
+        counters.update(ask(rig, "r0", "consensus/status", Status).counters)
+        return {"sync_other_run", "sync_malformed", "refused_keys"} <= set(counters)
+
+    wait_until(counted)
+    assert (counters["sync_other_run"], counters["sync_malformed"], counters["refused_keys"]) == (1, 1, 1)
 
 
 def test_a_renewed_link_is_a_reason_to_ask_at_once(make_rig: MakeRig) -> None:
