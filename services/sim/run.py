@@ -35,7 +35,7 @@ APP_SERVICE = "services.apps"
 START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
 
-TICK_S = 0.02
+TICK_S = 0.05
 REFRESH_LIMIT_S = 0.5
 
 
@@ -93,8 +93,8 @@ class Run:
             if now - asked > 1.0:
                 asked = now
                 self._monitor.ask_status()
-            seen = self._monitor.snapshot()
-            missing = {name: self._monitor.services_ready(name, self._services) for name in seen}
+            seen = self._monitor.look()
+            missing = {name: robot.not_ready(self._services) for name, robot in seen.items()}
             self._progress.show(now, now - self._commanded, seen, missing)
             if started is None:
                 if self._has_started(seen, missing):
@@ -174,7 +174,7 @@ class Run:
         """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""
         self._monitor.ask_status()
         while clock.now() < now + REFRESH_LIMIT_S:
-            seen = self._monitor.snapshot()
+            seen = self._monitor.look()
             if all("mesh" in robot.status and robot.status["mesh"].t >= now for robot in seen.values()):
                 return
             time.sleep(TICK_S)
@@ -193,7 +193,7 @@ class Run:
         reached = [at for at in firsts if at is not None]
         if len(reached) == len(names):
             started = max(reached)
-        seen = self._monitor.snapshot()
+        seen = self._monitor.look()
         return Outcome(
             scenario=self._scenario,
             seed=self._options.seed,
