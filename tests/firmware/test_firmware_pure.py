@@ -4,9 +4,9 @@ import math
 
 import pytest
 from firmware_layout import CONSTANTS, FIELDS, MAILBOX_STATE
+from firmware_pure import LOCATION, Pure
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pure import LOCATION, Pure
 
 from services.dwm.core.tlv import (
     LOC_GET,

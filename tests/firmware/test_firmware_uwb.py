@@ -54,6 +54,15 @@ def test_it_asks_ten_times_a_second_in_one_piece(bench):
     assert all(sent[i + 1].at - sent[i].at < GAP_LIMIT for i in range(0, 40, 2))
 
 
+def test_the_line_runs_at_115200_baud(bench):
+    """From the registers (datasheet table 18-1): simavr counts eleven bits a byte."""
+    double_speed = bench.call("data", 0xC8) & 2
+    divider = bench.call("data", 0xCC) + 256 * bench.call("data", 0xCD) + 1
+    baud = 16e6 / ((8 if double_speed else 16) * divider)
+    assert baud == pytest.approx(115200, rel=0.022), "with the module's own error within the 4 % that 8N1 bears"
+    assert bench.call("data", 0xCA) == 0b110, "8N1"
+
+
 def test_before_any_answer_there_is_no_report(bench):
     bench.run(0.35)
     assert bench.report()[:3] == (0, 0xFFFF, 0)
@@ -296,6 +305,20 @@ def test_what_is_no_answer_is_shown_as_it_came(bench, reply):
     bench.feed(reply)
     until_not_busy(bench, len(reply) * BYTE + 0.02)
     assert mail(bench) == (MAILBOX_STATE["broken"], 7, reply[:280])
+
+
+def test_what_a_module_in_shell_mode_echoes_is_no_answer(bench):
+    """Two carriage returns wake its shell, and let the Pi find out that it is in the wrong mode."""
+    for page, byte in enumerate(b"abc"):
+        bench.put("MAILBOX_PAGE", bytes((page,)) + bytes((byte,)) * 28)
+    bench.put("MAILBOX_TOKEN", bytes((3, 84)))
+    bench.run(0.001)
+    bench.feed(b"?" * 60)
+    bench.run(84 * BYTE + 0.002)
+    assert bench.sent_bytes() == b"a" * 28 + b"b" * 28 + b"c" * 28, "the request was not overwritten while it was sent"
+    bench.feed(b"unknown")
+    until_not_busy(bench, 0.02)
+    assert mail(bench) == (MAILBOX_STATE["broken"], 3, b"unknown")
 
 
 def test_a_busy_mailbox_cannot_be_written(bench):
