@@ -243,21 +243,21 @@ def test_the_own_float32_is_rounded_as_the_neighbours_see_it() -> None:
     [
         (
             lambda self, n: 1 / 0,
-            r"Tracker on r1, step 4: .*test_app_api.py, line \d+: ZeroDivisionError: division by zero",
+            r"Tracker on r1, iteration 4: .*test_app_api.py, line \d+: ZeroDivisionError: division by zero",
         ),
         (
             lambda self, n: setattr(self, "value", float("nan")),
-            r"Tracker on r1, step 4: value: nan is not a finite number",
+            r"Tracker on r1, iteration 4: value: nan is not a finite number",
         ),
         (
             lambda self, n: setattr(self, "count", 1.5),
-            r"Tracker on r1, step 4: count: expected an integer of 64 bits, got 1.5",
+            r"Tracker on r1, iteration 4: count: expected an integer of 64 bits, got 1.5",
         ),
-        (lambda self, n: setattr(self, "place", (1.0,)), r"Tracker on r1, step 4: place: expected 2 numbers"),
-        (lambda self, n: setattr(self, "_last", object()), r"Tracker on r1, step 4: _last: .* cannot be saved"),
-        (lambda self, n: setattr(self, "valeu", 1), r"step 4: .*line \d+: AttributeError: Tracker declares no 'valeu'"),
-        (lambda self, n: self.robot.measurement, r"step 4: .*no measurement: write `measured = True`"),
-        (lambda self, n: 5.0, r"Tracker on r1, step 4: it returned 5.0; a step assigns to the state instead"),
+        (lambda self, n: setattr(self, "place", (1.0,)), r"Tracker on r1, iteration 4: place: expected 2 numbers"),
+        (lambda self, n: setattr(self, "_last", object()), r"Tracker on r1, iteration 4: _last: .* cannot be saved"),
+        (lambda self, n: setattr(self, "valeu", 1), r"iteration 4: .*line \d+: AttributeError: Tracker declares no 'valeu'"),
+        (lambda self, n: self.robot.measurement, r"iteration 4: .*no measurement: write `measured = True`"),
+        (lambda self, n: 5.0, r"Tracker on r1, iteration 4: it returned 5.0; a step assigns to the state instead"),
     ],
 )
 def test_a_fault_names_robot_iteration_and_line(step: Callable[[Any, Any], Any], message: str) -> None:
@@ -275,7 +275,7 @@ def test_a_missing_step_is_named() -> None:
     kind = type("Lazy", (SyncApp,), {"__annotations__": {"x": float}})
     runner = Runner(kind(Robot("r1", LINE)), __file__)
     runner.start(None)
-    with pytest.raises(AppError, match=r"Lazy on r1, step 0: .*NotImplementedError"):
+    with pytest.raises(AppError, match=r"Lazy on r1, iteration 0: .*NotImplementedError"):
         do_step(runner)
 
 

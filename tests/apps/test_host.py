@@ -250,7 +250,7 @@ def test_an_app_that_raises_is_named_and_the_others_wait_for_it(make_rig: MakeRi
     rig.start_all(str(app))
     rig.until_phase("fault", "r2")
     assert rig.progress["r2"].k == 7
-    assert rig.progress["r2"].reason == f"Grumpy on r2, step 7: {app}, line 7: ValueError: I will not"
+    assert rig.progress["r2"].reason == f"Grumpy on r2, iteration 7: {app}, line 7: ValueError: I will not"
     assert ask(rig, "r2", "grumpy/status", Status).state == "degraded"
     rig.until_waits("r1", "r2")
     assert rig.stop("r2") == 3

@@ -333,7 +333,7 @@ def test_below_the_limit_it_settles_above_it_the_app_says_that_it_diverges() -> 
 
     for result in run(0.97 * gamma).final.values():
         assert (result["x"], result["y"]) == pytest.approx(TARGET, abs=0.01)
-    with pytest.raises(AppError, match=r"Thesis on r\d, step \d+: the estimate diverges: step_size"):
+    with pytest.raises(AppError, match=r"Thesis on r\d, iteration \d+: the estimate diverges: step_size"):
         run(1.1 * gamma)
 
 
