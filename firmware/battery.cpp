@@ -17,7 +17,7 @@ uint16_t sum = 0;
 void start()
 {
     DIDR0 = _BV(ADC6D);
-    ADMUX = _BV(REFS0) | 6;  // against AVcc = 5 V; PF6 (datasheet table 24-4)
+    ADMUX = _BV(REFS0) | 6;  // against AVcc = 5 V; PF6 (datasheet 24, ADMUX)
     ADCSRA = _BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0) | _BV(ADSC);  // 125 kHz
 }
 

@@ -36,7 +36,7 @@ extern "C" void boot_early() __attribute__((naked, used, section(".init3")));
 extern "C" void boot_early()
 {
     flags = MCUSR;
-    MCUSR = 0;      // WDRF must be cleared before the watchdog can be switched off (datasheet 8.0.8)
+    MCUSR = 0;      // WDRF must be cleared before the watchdog can be switched off (datasheet 8, MCUSR)
     wdt_disable();  // after a watchdog reset it runs on, at its shortest
     for (uint8_t* p = &__heap_start; p <= reinterpret_cast<uint8_t*>(RAMEND); ++p)
         *p = PAINT;

@@ -36,7 +36,7 @@ inline void off()
 
 void start()
 {
-    // Datasheet 14.8.5 and table 14-4, mode 8: phase and frequency correct, top in ICR1. 16 MHz / (2 x 400) = 20 kHz.
+    // Datasheet 14.8, Phase and Frequency Correct PWM Mode: mode 8, top in ICR1. 16 MHz / (2 x 400) = 20 kHz.
     // The comparators are zero before the pins become outputs.
     TCCR1B = 0;
     OCR1A = 0;

@@ -2,6 +2,8 @@
 
 import itertools
 
+import pytest
+from firmware_build import APT, require
 from firmware_layout import CONSTANTS, FIELDS
 
 from services.balancer.core import balboa
@@ -50,3 +52,13 @@ def test_version_1_is_where_it_always_was():
         "UWB": (32, 100),
     }
     assert {name: FIELDS[name][:2] for name in expected} == expected
+
+
+@pytest.mark.parametrize(("ci", "outcome"), [("", pytest.skip.Exception), ("true", pytest.fail.Exception)])
+def test_missing_tools_are_named_with_what_to_install(monkeypatch, ci, outcome):
+    """A user is told, continuous integration fails: nothing may be skipped there."""
+    monkeypatch.setenv("CI", ci)
+    with pytest.raises(outcome, match="no-such-compiler") as caught:
+        require(("sh", "no-such-compiler"), ("/no/such/header.h",))
+    assert APT in str(caught.value)
+    require(("sh",))

@@ -14,7 +14,7 @@ pytest_plugins = ("firmware_fixtures",)
 LOC_GET = b"\x0c\x00"
 BYTE = 10 / 115200
 GAP_LIMIT = 25 / 32768
-"""The module drops a request with a pause longer than this in it (API guide 4.2)."""
+"""The module drops a request with a pause longer than this in it (API guide, UART)."""
 
 PLACE = Position(1.234, -2.5, 0.75, 87)
 

@@ -2,7 +2,7 @@
  * The board around the chip: pins, battery, motor drivers, buzzer.
  *
  * simavr 1.6 does not run timer 1 in mode 8 and has no timer 4: what reaches motors and buzzer is worked out from the
- * registers as the datasheet says (14.8.5, 15.8.3). */
+ * registers as the datasheet says (14.8, 15.8). */
 #include "internal.h"
 
 #include <simavr/avr_adc.h>
