@@ -12,7 +12,7 @@ namespace {
 
 Tune tune;
 
-// Timer 4 has registers of 10 bits: the two upper ones go through TC4H first (datasheet 15, Accessing 10-bit Registers).
+// Timer 4 has registers of 10 bits: the upper two go through TC4H first (datasheet 15, Accessing 10-bit Registers).
 void write10(volatile uint8_t& low, uint16_t value)
 {
     TC4H = static_cast<uint8_t>(value >> 8);

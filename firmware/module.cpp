@@ -107,7 +107,8 @@ void relay_time(uint32_t now)
 {
     MailboxState state;
     if (answer_count != 0 && now - last_byte >= SILENCE_MS)
-        state = !answer_spoilt && tlv::whole(mailbox::bytes, answer_count) ? MailboxState::answered : MailboxState::broken;
+        state = !answer_spoilt && tlv::whole(mailbox::bytes, answer_count) ? MailboxState::answered
+                                                                           : MailboxState::broken;
     else if (answer_count == 0 && now - line_since >= MAILBOX_PATIENCE_MS)
         state = MailboxState::silent;
     else

@@ -23,7 +23,8 @@ volatile uint16_t left = 0;
 
 void start()
 {
-    // Datasheet 18, Examples of Baud Rate Setting: 115200 baud from 16 MHz. U2X with 16 is 2.1 % fast, the normal mode's 8 would be 3.5 % slow.
+    // Datasheet 18, Examples of Baud Rate Setting: 115200 baud from 16 MHz. U2X with 16 is 2.1 % fast, normal mode's
+    // 8 would be 3.5 % slow.
     UCSR1A = _BV(U2X1);  // before UBRR1: simavr works out its speed when that is written
     UBRR1 = 16;
     UCSR1C = _BV(UCSZ11) | _BV(UCSZ10);
