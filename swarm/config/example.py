@@ -55,8 +55,8 @@ shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:S
 # ---- Mesh: the links between robots.
 
 [mesh]
-# key = "/etc/swarm/key"   # who has the key of this file is a member: make it by `swarm key new`, copy it to all
-# insecure = true          # in place of a key: anyone in reach can join. `swarm sim` needs neither
+# key = "/etc/swarm/key"   # whoever has this key is a member: `swarm key new`, then copy it to all robots
+# insecure = true          # in place of a key: anyone in reach can join; `swarm sim` needs neither
 # listen = "0.0.0.0:7447"  # where tcp: neighbours may call; nothing listens on the network without it
 heartbeat = 0.5            # s between heartbeats
 suspect = 1.5              # s of silence until a link is suspect,
