@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from services.mesh.core.dialler import dials
 from services.mesh.core.callers import UNKNOWN, Caller
+from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
 from services.mesh.core.node import Close, Dial, Node, Note
 from services.mesh.core.relay import Relay

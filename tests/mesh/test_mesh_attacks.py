@@ -306,7 +306,7 @@ def test_a_changed_frame_ends_its_connection_only(
         done: list[bytes] = []
 
         def once(end: End, data: bytes, done: list[bytes] = done) -> bytes:
-            if end.robot != "r0" or done or not watched.world.link("r0", "r1").state == "up":
+            if end.robot != "r0" or done or watched.world.link("r0", "r1").state != "up":
                 return data
             done.append(data)
             return change(end, data)
@@ -531,7 +531,9 @@ class Siege(RuleBasedStateMachine):
             record = b"".join(self.watched.recorded(robot))[start : start + 100]
             self.raws[-1].write(data if self.random.random() < 0.5 else record)
 
-    @rule(what=st.sampled_from((last_frame_again, bit_flipped, class_changed, byte_missing, forged_bye, endless_length)))
+    @rule(
+        what=st.sampled_from((last_frame_again, bit_flipped, class_changed, byte_missing, forged_bye, endless_length))
+    )
     def tamper(self, what: Callable[[End, bytes], bytes]) -> None:
         self.change = lambda end, data: what(end, data) if len(data) > 10 else data
 

@@ -37,9 +37,7 @@ def golden(name: str) -> bytes:
 def session(robot: str, keys: dict[int, bytes] = KEYS) -> Session:
     """One end of the golden connection: r0 dials r1."""
     hello, peer = (DIALLER, "r1") if robot == "r0" else (LISTENER, "r0")
-    local = Local(
-        robot, "lab", hello.incarnation, not keys, {peer: robot == "r0"}, frozenset(("r0", "r1")), keys=keys
-    )
+    local = Local(robot, "lab", hello.incarnation, not keys, {peer: robot == "r0"}, frozenset(("r0", "r1")), keys=keys)
     dialled = peer if robot == "r0" else None
     return Session(local, hello.nonce, 0.0, dialled=dialled, admit=lambda *_: True, counters=Counter())
 
@@ -109,7 +107,7 @@ def by_the_document() -> tuple[bytes, bytes, bytes, bytes]:
 
 
 def test_the_golden_bytes_follow_from_the_formulas_of_the_document() -> None:
-    assert (D, L) == (golden("dialler-hello"), golden("listener-hello"))
+    assert (golden("dialler-hello"), golden("listener-hello")) == (D, L)
     confirm_d, confirm_l, frames_d, frames_l = by_the_document()
     assert golden("dialler-confirm") == b"\x21\x00\x02" + confirm_d
     assert golden("listener-confirm") == b"\x21\x00\x02" + confirm_l
