@@ -11,7 +11,6 @@ member of the swarm: the file must be its owner's alone.
 import contextlib
 import os
 import re
-import secrets
 from pathlib import Path
 
 from swarm.errors import LocalError
@@ -74,7 +73,7 @@ def new_key_file(path: Path, now: float) -> int:
     """Make a file with a new key; returns its id. Never touches a file that is there. `now` in s since 1970."""
     key_id = int(now) & 0xFFFFFFFF
     try:
-        _create(path, {key_id: secrets.token_bytes(KEY_SIZE)})
+        _create(path, {key_id: os.urandom(KEY_SIZE)})
     except FileExistsError:
         raise LocalError(f"{path}: is there already and is left alone (`swarm key rotate` replaces a key)") from None
     except OSError as error:
@@ -92,7 +91,7 @@ def rotate(path: Path, now: float) -> int:
     key_id = max(int(now) & 0xFFFFFFFF, max(keys) + 1)
     if key_id > 0xFFFFFFFF:
         raise LocalError(f"{path}: id {max(keys):08x} leaves no room for a higher one: make a new file")
-    _replace(path, {key_id: secrets.token_bytes(KEY_SIZE), **keys})
+    _replace(path, {key_id: os.urandom(KEY_SIZE), **keys})
     return key_id
 
 
