@@ -15,6 +15,7 @@ from services.mesh.runner import Runner
 from swarm import clock, service
 from swarm.bus import Bus
 from swarm.config import Config
+from swarm.keyfile import read_keys
 from swarm.keys import key
 from swarm.messages import Links
 from swarm.service import Service
@@ -30,6 +31,7 @@ def _local(config: Config, me: str) -> Local:
         network=config.network,
         incarnation=int.from_bytes(os.urandom(8), "little"),
         insecure=settings.insecure,
+        keys=read_keys(settings.key_file) if settings.key_file is not None and config.neighbours(me) else {},
         dials={peer: dials(own, config.robot(peer)) for peer in config.neighbours(me)},
         robots=frozenset(config.names),
         heartbeat=settings.heartbeat,

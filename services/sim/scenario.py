@@ -78,7 +78,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         robots=tuple(
             replace(robot, link=f"sim:{socket_path(run_dir / robot.name, 'mesh.sock')}") for robot in base.robots
         ),
-        mesh=replace(base.mesh, insecure=True, listen=None),
+        mesh=replace(base.mesh, insecure=True, key=None, listen=None),
         dwm=_dwm(base.dwm, options.replay, run_dir),
         simulation=_places(base),
     )
