@@ -63,7 +63,7 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Mesh settings; `facts` of the timing are in docs/frames.md."""
+    """Mesh settings; docs/frames.md says why the times are as they are."""
 
     insecure: bool = False
     """True = links are not authenticated: anyone in reach can join."""

@@ -1,4 +1,4 @@
-"""The built-in consensus against the limits of the thesis' table 4.1 and of algorithms.md section 2."""
+"""The built-in consensus against the limits of the thesis' table 4.1 and the rounds known for each graph."""
 
 import math
 
@@ -31,7 +31,7 @@ def test_metropolis_ends_on_the_mean(count: int, shape: str) -> None:
 
 @pytest.mark.parametrize(("shape", "rounds"), [("line", 58), ("loop", 13), ("thesis-d", 11), ("full", 1)])
 def test_metropolis_needs_no_more_rounds_than_known(shape: str, rounds: int) -> None:
-    """To 1e-2 of the mean at all robots (algorithms.md 2)."""
+    """To 1e-2 of the mean at all robots."""
     swarm = run(6, shape, "metropolis", rounds)
     mean = sum(THESIS_X0[6]) / 6
     assert max(abs(result["value"] - mean) for result in swarm.final.values()) <= 1e-2

@@ -140,7 +140,7 @@ def test_nothing_measured_gives_nothing() -> None:
 
 
 def test_sigma_is_the_spread_of_the_estimates() -> None:
-    """The reported deviation against 400 draws, and within a tenth of the Cramer-Rao bound of algorithms.md 1.4."""
+    """The reported deviation against 400 draws, and within a tenth of the Cramer-Rao bound."""
     numbers = random.Random(5)
     sigma = math.hypot(0.04, 0.035)
     errors, claimed = [], []
@@ -174,7 +174,7 @@ def rounds_to_own_limit(swarm: MemorySwarm) -> int:
     [(3, "line", 5), (6, "line", 18), (6, "loop", 5), (6, "thesis-d", 4), (6, "full", 1)],
 )
 def test_info_needs_few_rounds_to_its_own_limit(count: int, shape: str, rounds: int) -> None:
-    """Median over draws of the noise; that limit is where all data together put the target (algorithms.md 1.3)."""
+    """Median over draws of the noise; that limit is where all data together put the target."""
     config = config_of(count, shape, "localization")
     found = []
     for seed in range(9):
@@ -193,7 +193,7 @@ def test_info_needs_few_rounds_to_its_own_limit(count: int, shape: str, rounds: 
 
 @pytest.mark.parametrize("test", ["test_3", "test_5"])
 def test_info_needs_five_rounds_on_recorded_ranges(test: str) -> None:
-    """The thesis' gradient needs 44 and 401 on them (algorithms.md 0)."""
+    """The thesis' gradient needs 44 and 401 on them."""
     rows = recorded(test)
     middle = len(rows["r0"]) // 2
 
@@ -249,7 +249,7 @@ def test_the_origin_is_the_mean_of_the_anchors() -> None:
 
 @pytest.mark.parametrize(("gamma_cm", "rounds"), [(4e-6, 44), (5e-7, 395)])
 def test_the_thesis_needs_as_many_iterations_as_known(gamma_cm: float, rounds: int) -> None:
-    """To within 1 cm on exact data, 3-line (algorithms.md 1.2; the thesis says 50 and 400)."""
+    """To within 1 cm on exact data, 3-line (the thesis says 50 and 400)."""
     parameters = {"algorithm": "thesis", "step_size": gamma_cm * 1e4}
     swarm = MemorySwarm("localization", config_of(3, "line", "localization", parameters), rounds + 1, exact)
     worst = [max(math.dist((r[k]["x"], r[k]["y"]), TARGET) for r in swarm.results.values()) for k in range(rounds + 2)]
@@ -309,7 +309,7 @@ def limit(count: int = 3, shape: str = "line", scale: float = 1.0, start: Point 
 
 
 def test_the_limit_is_that_of_the_thesis() -> None:
-    """7.3e-6 from (0, 0), 7.9e-6 from beside the target; the thesis found 7e-6 by trial (algorithms.md 1.2)."""
+    """7.3e-6 from (0, 0), 7.9e-6 from beside the target; the thesis found 7e-6 by trial."""
     assert limit() == pytest.approx(7.3e-6, rel=0.015)
     assert limit(start=(0.5, 0.99)) == pytest.approx(7.9e-6, rel=0.015)
 

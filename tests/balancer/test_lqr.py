@@ -17,7 +17,7 @@ from swarm.errors import LocalError
 
 
 def test_open_loop_poles_of_the_bare_robot() -> None:
-    """The model of the facts, which agrees with the time constant that Pololu found by experiment (140 ms)."""
+    """The open-loop model agrees with the time constant that Pololu found by experiment (140 ms)."""
     a, _ = lqr.linear_model(bare_body_model(Body()))
     assert sorted(np.linalg.eigvals(np.array(a)).real) == pytest.approx([-55.6, -5.22, 0.0, 7.23], abs=0.1)
 
