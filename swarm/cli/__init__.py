@@ -21,6 +21,7 @@ VERBS = ("config", "kill")
 
 HANDED_ON = {
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
+    "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
 }
 """Verb: its help, and the module and first arguments that it becomes."""

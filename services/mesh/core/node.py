@@ -125,13 +125,13 @@ class Node:
 
     # -- inputs ------------------------------------------------------------------------------------
 
-    def accepted(self, now: float) -> Session | None:
-        """Somebody connected; None = too many strangers at once, close it."""
+    def accepted(self, now: float, caller: str | None = None) -> Session | None:
+        """Somebody connected, `caller` as far as the transport knows; None = too many strangers at once, close it."""
         if sum(not session.is_up for session in self._sessions if session.dialled is None) >= MAX_HALF_OPEN:
             self._counters["half_open"] += 1
             self._note("half-open connections", f"more than {MAX_HALF_OPEN} connections wait for their handshake")
             return None
-        return self._open(None, now)
+        return self._open(None, now, caller)
 
     def dialled(self, peer: str, now: float) -> Session:
         """The connection to `peer` that we asked for is there."""
@@ -206,12 +206,13 @@ class Node:
 
     # -- inside ------------------------------------------------------------------------------------
 
-    def _open(self, peer: str | None, now: float) -> Session:
+    def _open(self, peer: str | None, now: float, caller: str | None = None) -> Session:
         session = Session(
             self._local,
             self._nonce(),
             now,
             dialled=peer,
+            caller=caller,
             admit=self._admit,
             counters=self._counters,
         )

@@ -84,10 +84,12 @@ class Session:
         now: float,
         *,
         dialled: str | None,
+        caller: str | None = None,
         admit: Callable[[str, str], bool],
         counters: Counter[str],
     ) -> None:
-        """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called.
+        """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called; `caller`
+        names the only robot that may be there, where the transport knows (Bluetooth's addresses).
 
         `admit(peer, key)` says whether a key of that peer may come in.
         """
@@ -95,6 +97,7 @@ class Session:
         self._admit = admit
         self._counters = counters
         self.dialled = dialled
+        self._caller = caller
         self.peer = dialled
         """Who is at the other end; None until an unknown caller's HELLO was accepted."""
         self.state = CONNECTING
@@ -263,6 +266,8 @@ class Session:
             refusal = frames.BAD_ROBOT, f"robot {hello.robot} is not in our configuration"
         elif self.dialled is not None and hello.robot != self.dialled:
             refusal = frames.BAD_ROBOT, f"robot {hello.robot} answers where {self.dialled} should be"
+        elif self._caller is not None and hello.robot != self._caller:
+            refusal = frames.BAD_ROBOT, f"robot {hello.robot} calls from the address of {self._caller}"
         elif hello.robot not in local.dials:
             refusal = frames.NOT_NEIGHBOUR, f"robot {hello.robot} is not our neighbour in the topology"
         elif hello.dialler == (self.dialled is not None):
