@@ -56,6 +56,26 @@ class Links:
 
 
 @dataclass(frozen=True, slots=True)
+class Clock:
+    """The mesh clock C(t') = t' + offset + rate (t' - t), on `swarm/<robot>/mesh/clock`, once a second and on change.
+
+    `swarm.mesh_clock` reads it. It slews, but may step, also backwards, when robots or swarms meet.
+    """
+
+    t: float
+    offset: float
+    """Mesh time minus this robot's monotonic clock at `t`, s."""
+    rate: float
+    """Change of the offset, s/s."""
+    root: str
+    """The robot whose clock it is."""
+    hop: int
+    """Links between that robot and this one."""
+    error: float
+    """Estimated standard deviation from the root's, s; asymmetry of the links cannot be seen and is not in it."""
+
+
+@dataclass(frozen=True, slots=True)
 class BalancerState:
     """The body, on `swarm/<robot>/balancer/state` at 25 Hz."""
 
@@ -225,6 +245,7 @@ class Truth:
 TOPICS: dict[tuple[str, str], type] = {
     ("*", "status"): Status,
     ("mesh", "links"): Links,
+    ("mesh", "clock"): Clock,
     ("balancer", "state"): BalancerState,
     ("balancer", "odometry"): Odometry,
     ("balancer", "leds"): Leds,

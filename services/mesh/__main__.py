@@ -16,11 +16,11 @@ from swarm import clock, service
 from swarm.bus import Bus
 from swarm.config import Config
 from swarm.keys import key
-from swarm.messages import Links
+from swarm.messages import Clock, Links
 from swarm.service import Service
 
 _REPORT_PERIOD = 1.0
-"""s between two publications of `mesh/links` when nothing changes."""
+"""s between two publications of `mesh/links` and `mesh/clock` when nothing changes."""
 
 
 def _local(config: Config, me: str) -> Local:
@@ -47,12 +47,14 @@ class _Mesh(Runner):
         )
         self._bus = bus
         self._links_key = key(robot, "mesh", "links")
+        self._clock_key = key(robot, "mesh", "clock")
         self._reporting = threading.Lock()
 
     def report(self) -> None:
-        """Publish `mesh/links`."""
+        """Publish `mesh/links` and `mesh/clock`."""
         with self._reporting:
             self._bus.publish(self._links_key, Links(clock.now(), self.links()))
+            self._bus.publish(self._clock_key, Clock(*self.clock()))
 
     def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
         self._bus.publish(key, payload, urgent=urgent)

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from services.mesh.core.clock import ClockState
 from services.mesh.core.events import Received
 from services.mesh.core.frames import BULK
 from services.mesh.core.node import Action, Close, Dial, LinksChanged, Node, Note
@@ -91,6 +92,11 @@ class Runner:
         """All links as they are."""
         with self._lock:
             return self._node.links()
+
+    def clock(self) -> ClockState:
+        """The mesh clock now."""
+        with self._lock:
+            return self._node.clock(clock.now())
 
     def stop(self) -> None:
         """Say goodbye to the neighbours and end all threads."""

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from services.mesh.core import frames
+from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.relay import Relay, Send
@@ -118,6 +119,7 @@ class Node:
         self._links = {
             peer: Link(peer, Dialler(random) if dials else None) for peer, dials in sorted(local.dials.items())
         }
+        self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._sessions: list[Session] = []
         self._ready: list[Session] = []
         self._actions: list[Action] = []
@@ -204,6 +206,10 @@ class Node:
         """All links as they are, sorted by peer."""
         return tuple(link.state() for link in self._links.values())
 
+    def clock(self, now: float) -> ClockState:
+        """The mesh clock."""
+        return self._clock.state(now)
+
     # -- inside ------------------------------------------------------------------------------------
 
     def _open(self, peer: str | None, now: float, caller: str | None = None) -> Session:
@@ -214,6 +220,7 @@ class Node:
             dialled=peer,
             caller=caller,
             admit=self._admit,
+            clock=self._clock,
             counters=self._counters,
         )
         self._sessions.append(session)
@@ -298,6 +305,7 @@ class Node:
         self._remove(old)
 
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
+        self._clock.lost(link.peer)
         link.session = None
         link.reason = reason
         link.sent += session.sent

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from services.mesh.core import frames
 from services.mesh.core.channels import Channels
+from services.mesh.core.clock import MeshClock, decode_claim, encode_claim
 from services.mesh.core.events import (
     Event,
     HandshakeFailed,
@@ -86,6 +87,7 @@ class Session:
         dialled: str | None,
         caller: str | None = None,
         admit: Callable[[str, str], bool],
+        clock: MeshClock,
         counters: Counter[str],
     ) -> None:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called; `caller`
@@ -95,6 +97,7 @@ class Session:
         """
         self._local = local
         self._admit = admit
+        self._clock = clock
         self._counters = counters
         self.dialled = dialled
         self._caller = caller
@@ -209,6 +212,8 @@ class Session:
             self._heartbeat_due = False
             stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
             chunks.append(frames.encode_heartbeat(stamps))
+            assert self.peer is not None
+            chunks.append(encode_claim(self._clock.claim(self.peer, now)))
         while size < max_bytes and (message := self._outbox.pop()) is not None:
             channel, new = self._channels.handle(message.key)
             if new:
@@ -248,6 +253,9 @@ class Session:
             self._on_up(now)
         elif frame.kind == frames.HEARTBEAT:
             self._on_heartbeat(frames.decode_heartbeat(frame.body), now)
+        elif frame.kind == frames.CLOCK:
+            assert self.peer is not None
+            self._clock.hear(self.peer, decode_claim(frame.body), now)
         elif frame.kind == frames.BIND:
             self._on_bind(frames.decode_bind(frame.body))
         else:
@@ -298,6 +306,10 @@ class Session:
             rtt = ((arrival - stamps.echo) - (stamps.sent - stamps.received)) * 1e-6
             if 0.0 <= rtt <= _MAX_RTT:
                 self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
+                assert self.peer is not None
+                # The peer's clock minus ours: half of what the two directions' stamps differ (RFC 5905, section 8).
+                there_back = (stamps.received - stamps.echo) + (stamps.sent - arrival)
+                self._clock.sample(self.peer, now, rtt, there_back * 0.5e-6)
 
     def _on_bind(self, bind: frames.Bind) -> None:
         assert self.peer is not None
