@@ -3,6 +3,7 @@
 import os
 import random
 import threading
+from collections import Counter
 from functools import partial
 
 from services.mesh.core.dialler import dials
@@ -14,6 +15,7 @@ from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
 from swarm.bus import Bus
+from swarm.codec import MAX_BINARY
 from swarm.config import Config
 from swarm.keys import key
 from swarm.messages import Clock, Links
@@ -41,11 +43,12 @@ def _local(config: Config, me: str) -> Local:
 class _Mesh(Runner):
     """A runner that publishes its links; the newest state is always the last one published."""
 
-    def __init__(self, node: Node, network: Network, bus: Bus, robot: str) -> None:
+    def __init__(self, node: Node, network: Network, bus: Bus, robot: str, counters: Counter[str]) -> None:
         super().__init__(
             node, listeners=network.listeners, dial=network.dial, deliver=self._to_bus, changed=self.report
         )
         self._bus = bus
+        self._counters = counters
         self._links_key = key(robot, "mesh", "links")
         self._clock_key = key(robot, "mesh", "clock")
         self._reporting = threading.Lock()
@@ -57,7 +60,10 @@ class _Mesh(Runner):
             self._bus.publish(self._clock_key, Clock(*self.clock()))
 
     def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
-        self._bus.publish(key, payload, urgent=urgent)
+        if len(payload) <= MAX_BINARY:
+            self._bus.publish(key, payload, urgent=urgent)
+        else:
+            self._counters["too_large"] += 1
 
 
 def main() -> None:
@@ -68,7 +74,7 @@ def main() -> None:
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
-        mesh = _Mesh(node, network, this.bus, this.robot)
+        mesh = _Mesh(node, network, this.bus, this.robot, this.counters)
         for source, expression in enumerate(relay.subscriptions):
             this.bus.subscribe(expression, partial(mesh.publish, source))
         mesh.start()

@@ -53,7 +53,7 @@ _HELLO = struct.Struct(f"<4sBBBBQ{NONCE_SIZE}s")
 _HEARTBEAT = struct.Struct("<QQQ")
 _BIND = struct.Struct("<HB")
 
-_KINDS = frozenset((HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, CLOCK))
+_KINDS = frozenset((HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, FRAGMENT, ACK, CLOCK))
 _INSECURE, _DIALLER = 1, 2
 
 NEIGHBOURS = 0

@@ -13,6 +13,7 @@ from services.mesh.core import frames
 from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.relay import Relay, Send
 from services.mesh.core.session import CONNECTING, DOWN, REFUSED, SENT, Local, Session
 from swarm.messages import LinkState
@@ -29,8 +30,10 @@ COUNTERS = (
     "byes",
     "half_open",
     "inbound_refused",
+    "incomplete",
     "no_link",
     "overflowed",
+    "pushed_back",
     "replaced",
     "too_large",
     "transport_lost",
@@ -229,9 +232,10 @@ class Node:
 
     def _send(self, send: Send) -> None:
         leg, payload = send
-        if len(payload) > frames.MAX_PAYLOAD:
+        largest = MAX_MESSAGE if leg.priority == frames.BULK else frames.MAX_PAYLOAD
+        if len(payload) > largest:
             self._counters["too_large"] += 1
-            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {frames.MAX_PAYLOAD}")
+            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class")
             return
         for peer in leg.peers:
             session = self._links[peer].session

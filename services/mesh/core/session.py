@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from services.mesh.core import frames
+from services.mesh.core import flow, frames
 from services.mesh.core.channels import Channels
 from services.mesh.core.clock import MeshClock, decode_claim, encode_claim
 from services.mesh.core.events import (
@@ -25,8 +25,9 @@ from services.mesh.core.events import (
     LinkUp,
     Received,
 )
-from services.mesh.core.frames import BYE_TEXT, Frame, Heartbeat, Hello
-from services.mesh.core.outbox import Outbox
+from services.mesh.core.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
+from services.mesh.core.frames import BULK, BYE_TEXT, SYNC, Frame, Heartbeat, Hello
+from services.mesh.core.outbox import Outbox, Part
 from swarm.errors import FrameError, LocalError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
@@ -39,6 +40,10 @@ _RTT_GAIN = 0.125
 
 _MAX_RTT = 60.0
 """s; a longer sample comes from wrong stamps."""
+
+BULK_WRITE = 1000
+"""Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
+for each."""
 
 REFUSED = {
     frames.BAD_FRAME: "bad_frames",
@@ -113,6 +118,9 @@ class Session:
         self._decoder = frames.Decoder()
         self._events: list[Event] = []
         self._outbox = Outbox(counters)
+        self._window = flow.Window()
+        self._receipts = flow.Receipts()
+        self._reassembly = Reassembly(counters)
         self._channels = Channels()
         self._keys: dict[int, str | None] = {}
         self._urgent = [
@@ -135,7 +143,9 @@ class Session:
     @property
     def wants_to_send(self) -> bool:
         """Whether `data_to_send` has something."""
-        return bool(self._urgent) or self._heartbeat_due or bool(self._outbox)
+        if self._urgent or self._heartbeat_due or (self._receipts.due and self.is_up):
+            return True
+        return self._outbox.leaves(*self._window.room(0))
 
     def events(self) -> list[Event]:
         """What happened since the last call."""
@@ -153,6 +163,7 @@ class Session:
         if self.state == DOWN:
             return
         self._heard = now
+        self._receipts.taken += len(data)
         if self.state == SUSPECT:
             self.state = UP
             self._events.append(LinkRecovered())
@@ -169,11 +180,11 @@ class Session:
         except FrameError as error:
             self._end(frames.BAD_FRAME, f"bad frame: {error}")
 
-    def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> None:
-        """Queue a message for the other end; the link must be up."""
+    def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> bool:
+        """Queue a message for the other end; the link must be up. False = too much bulk waits, come again later."""
         if not self.is_up:
             raise LocalError(f"the link to {self.peer} is {self.state}")
-        self._outbox.push(priority, key, payload, latest)
+        return self._outbox.push(priority, key, payload, latest)
 
     def transport_down(self, reason: str) -> None:
         """The transport is gone; nothing can be sent any more."""
@@ -208,26 +219,53 @@ class Session:
         """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
         chunks, self._urgent = self._urgent, []
         size = sum(map(len, chunks))
-        if self._heartbeat_due:
-            self._heartbeat_due = False
-            stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
-            chunks.append(frames.encode_heartbeat(stamps))
-            assert self.peer is not None
-            chunks.append(encode_claim(self._clock.claim(self.peer, now)))
-        while size < max_bytes and (message := self._outbox.pop()) is not None:
-            channel, new = self._channels.handle(message.key)
-            if new:
-                chunks.append(frames.encode_bind(frames.Bind(channel, frames.NEIGHBOURS, message.key)))
-            chunks.append(frames.encode_data(message.priority, channel, message.payload))
-            size += len(chunks[-1])
-            self._counters[SENT[message.priority]] += 1
+        sync = bulk = False
+        if self.is_up:
+            beat, self._heartbeat_due = self._heartbeat_due, False
+            if beat:
+                self._beat(chunks, now)
+            if (count := self._receipts.take(at_once=beat)) is not None:
+                chunks.append(flow.encode_ack(count))
+            room, fragment = self._window.room, self._window.fragment(now)
+            while size < max_bytes and (item := self._outbox.pop(*room(size), fragment)) is not None:
+                message = item.message if isinstance(item, Part) else item
+                channel, new = self._channels.handle(message.key)
+                if new:
+                    chunks.append(frames.encode_bind(frames.Bind(channel, frames.NEIGHBOURS, message.key)))
+                if not isinstance(item, Part):
+                    chunks.append(frames.encode_data(message.priority, channel, message.payload))
+                elif new and item.number:
+                    # So many other keys were used since its last part that the key has lost its handle.
+                    self._outbox.restart(item)
+                    continue
+                else:
+                    total = 0 if item.number else len(message.payload)
+                    chunks.append(encode_fragment(Fragment(channel, item.number, item.last, total, item.data)))
+                size += len(chunks[-1])
+                sync, bulk = sync or message.priority == SYNC, bulk or message.priority == BULK
+                if not isinstance(item, Part) or item.last:
+                    self._counters[SENT[message.priority]] += 1
+                if bulk and size >= BULK_WRITE:
+                    break
         self.sent += len(chunks)
-        return b"".join(chunks)
+        data = b"".join(chunks)
+        full = self._outbox.has_bulk and not self._window.room(len(data))[1]
+        self._window.wrote(len(data), now, sync=sync, bulk=bulk, full=full)
+        return data
+
+    def _beat(self, chunks: list[bytes], now: float) -> None:
+        """A heartbeat, and what goes with it."""
+        assert self.peer is not None
+        stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
+        chunks += (frames.encode_heartbeat(stamps), encode_claim(self._clock.claim(self.peer, now)))
+        self._reassembly.expire(now)
 
     # -- frames of the other end -------------------------------------------------------------------
 
     def _on_data(self, frame: Frame) -> None:
         channel, payload = frames.decode_data(frame.body)
+        if frame.priority == BULK:
+            self._receipts.bulk = True
         try:
             key = self._keys[channel]
         except KeyError:
@@ -236,6 +274,17 @@ class Session:
             self._counters["inbound_refused"] += 1
         else:
             self._events.append(Received(key, payload, frame.priority))
+
+    def _on_fragment(self, frame: Frame, now: float) -> None:
+        fragment = decode_fragment(frame.body)
+        self._receipts.bulk = True
+        if fragment.channel not in self._keys:
+            raise FrameError(f"FRAGMENT on channel {fragment.channel}, which is not bound")
+        key = self._keys[fragment.channel]
+        if key is None:
+            self._counters["inbound_refused"] += fragment.number == 0
+        elif (payload := self._reassembly.add(fragment, now)) is not None:
+            self._events.append(Received(key, payload, BULK))
 
     def _on_control(self, frame: Frame, now: float) -> None:
         if frame.kind == frames.BYE:
@@ -251,6 +300,10 @@ class Session:
                 raise FrameError(f"frame kind {frame.kind} before CONFIRM")
             frames.decode_confirm(frame.body)
             self._on_up(now)
+        elif frame.kind == frames.FRAGMENT:
+            self._on_fragment(frame, now)
+        elif frame.kind == frames.ACK:
+            self._window.on_ack(flow.decode_ack(frame.body), now)
         elif frame.kind == frames.HEARTBEAT:
             self._on_heartbeat(frames.decode_heartbeat(frame.body), now)
         elif frame.kind == frames.CLOCK:
@@ -313,6 +366,7 @@ class Session:
 
     def _on_bind(self, bind: frames.Bind) -> None:
         assert self.peer is not None
+        self._reassembly.drop(bind.channel)
         self._keys[bind.channel] = bind.key if self._admit(self.peer, bind.key) else None
 
     # -- the end -----------------------------------------------------------------------------------
