@@ -188,7 +188,7 @@ def test_bytes_under_way_are_counted_across_the_wrap(steps: list[tuple[int, int]
     now, acknowledged = 0.0, window.sent
     for size, taken in steps:
         now += 0.01
-        window.wrote(size, now, sync=False, bulk=True, full=True)
+        window.wrote(size, now, bulk=True, waits=True)
         acknowledged = min(window.sent, acknowledged + taken)
         window.on_ack(decode_ack(encode_ack(acknowledged)[3:]), now)
         assert window.in_flight == window.sent - acknowledged
@@ -201,17 +201,17 @@ def test_receipts_are_due_by_bytes() -> None:
     receipts = Receipts()
     receipts.taken = 511
     receipts.bulk = True
-    assert not receipts.due
+    assert not receipts.due()
     assert receipts.take(at_once=False) is None
     receipts.taken = 512
-    assert receipts.due
+    assert receipts.due()
     assert receipts.take(at_once=False) == 512
     receipts.taken = 600
-    assert not receipts.due
+    assert not receipts.due()
     assert receipts.take(at_once=True) == 600
     assert receipts.take(at_once=True) is None
     receipts.taken = 600 + 1024
-    assert receipts.due, "even without bulk"
+    assert receipts.due(), "even without bulk"
 
 
 # -- fragments --
@@ -406,13 +406,20 @@ def test_control_is_never_held_back() -> None:
     outbox.push(BULK, "b", b"", latest=False)
     outbox.push(SYNC, "s", b"", latest=False)
     outbox.push(CONTROL, "c", b"", latest=False)
-    assert outbox.leaves(False, False)
-    found = outbox.pop(sync=False, bulk=False)
+    full = -flow.SYNC_EXTRA
+    assert outbox.leaves(full)
+    found = outbox.pop(full)
     assert not isinstance(found, Part)
     assert found is not None
     assert found.key == "c"
-    assert outbox.pop(sync=False, bulk=False) is None
-    assert not outbox.leaves(False, False)
+    assert outbox.pop(full) is None
+    assert not outbox.leaves(full)
+    sync = outbox.pop(full + 1)
+    assert not isinstance(sync, Part)
+    assert sync is not None
+    assert sync.key == "s"
+    assert outbox.pop(0) is None
+    assert outbox.leaves(1)
 
 
 def test_a_frame_of_a_fragment_fits_a_bluetooth_packet() -> None:

@@ -92,7 +92,6 @@ class Receipts:
         """Whether bulk was among those not acknowledged yet."""
         self._acknowledged = 0
 
-    @property
     def due(self) -> bool:
         """Whether an ACK is worth a write of its own."""
         owed = self.taken - self._acknowledged
@@ -141,19 +140,21 @@ class Window:
         """Bytes of a message that may be sent in one piece."""
         return fragments.SMALL if now < self._busy_until else fragments.LARGE
 
-    def room(self, size: int) -> tuple[bool, bool]:
-        """Whether sync and bulk may leave when `size` bytes are about to be written before them."""
-        free = self.limit - (self.sent - self.acknowledged) - size
-        return free > -SYNC_EXTRA, free > 0
+    def free(self, size: int) -> float:
+        """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number; sync may make
+        it as low as -`SYNC_EXTRA`."""
+        return self.limit - (self.sent - self.acknowledged) - size
 
-    def wrote(self, size: int, now: float, *, sync: bool, bulk: bool, full: bool) -> None:
-        """So many bytes were written; `full` = bulk waits for the window, and for nothing else."""
+    def busy(self, now: float) -> None:
+        """A sync message leaves."""
+        self._busy_until = now + BUSY_FOR
+
+    def wrote(self, size: int, now: float, *, bulk: bool, waits: bool) -> None:
+        """So many bytes were written, `bulk` among them; `waits` = there is more bulk."""
         self.sent += size
-        if sync:
-            self._busy_until = now + BUSY_FOR
         if bulk:
             self._marks.append((self.sent, now))
-        if not full:
+        if not waits or self.free(0) > 0.0:
             self._since = None
         elif self._since is None:
             self._begin(now)

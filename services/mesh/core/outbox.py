@@ -14,6 +14,7 @@ out.
 from collections import Counter, deque
 from typing import NamedTuple
 
+from services.mesh.core.flow import SYNC_EXTRA
 from services.mesh.core.fragments import MAX_BYTES
 from services.mesh.core.frames import BULK, CONTROL, MAX_PAYLOAD, SYNC
 
@@ -80,6 +81,8 @@ class Outbox:
         self._turns: deque[str] = deque()
         self._counts = [0, 0, 0]
         self._sizes = [0, 0, 0]
+        self.waiting = 0
+        """Messages that wait."""
         self._latest: dict[str, Message] = {}
         self._begun = 0
         self._credit = 0.0
@@ -87,27 +90,22 @@ class Outbox:
         """Messages overflowed or pushed back on this connection."""
 
     def __bool__(self) -> bool:
-        return any(self._counts)
-
-    @property
-    def waiting(self) -> int:
-        """How many messages wait."""
-        return sum(self._counts)
+        return self.waiting > 0
 
     @property
     def waiting_bytes(self) -> int:
         """Bytes of keys and payloads that wait; a message counts whole until its last part has left."""
         return sum(self._sizes)
 
-    def leaves(self, sync: bool, bulk: bool) -> bool:
-        """Whether `pop` has something, when sync and bulk may leave."""
+    def leaves(self, free: float) -> bool:
+        """Whether `pop` has something."""
         counts = self._counts
-        return bool(counts[CONTROL] or (sync and counts[SYNC]) or (bulk and counts[BULK]))
+        return bool(counts[CONTROL] or (free > -SYNC_EXTRA and counts[SYNC]) or (free > 0 and counts[BULK]))
 
     @property
-    def has_bulk(self) -> bool:
-        """Whether bulk waits."""
-        return bool(self._counts[BULK])
+    def bulk_waits(self) -> bool:
+        """Whether bulk is among what waits."""
+        return bool(self._turns)
 
     def push(self, priority: int, key: str, payload: bytes, latest: bool) -> bool:
         """Add a message; with `latest` it takes the place of one of the same key that still waits. False = refused."""
@@ -120,7 +118,8 @@ class Outbox:
             self._sizes[waiting.priority] += growth
             waiting.payload = payload
             self._counters["replaced"] += 1
-            self._shrink(waiting.priority)
+            if waiting.priority != BULK:
+                self._shrink(waiting.priority)
             return True
         message = Message(priority, key, payload, latest)
         if priority == BULK and not self._fits(message):
@@ -137,17 +136,19 @@ class Outbox:
             self._bulk[key] = deque((message,))
             self._turns.append(key)
         self._counts[priority] += 1
-        self._sizes[priority] += message.size
-        self._shrink(priority)
+        self.waiting += 1
+        self._sizes[priority] += len(key) + len(payload)
+        if priority != BULK:
+            self._shrink(priority)
         return True
 
-    def pop(self, sync: bool = True, bulk: bool = True, fragment: int = MAX_PAYLOAD) -> Message | Part | None:
-        """What leaves next, when sync and bulk may: a whole message, or a part of at most `fragment` bytes."""
+    def pop(self, free: float = 1.0, fragment: int = MAX_PAYLOAD) -> Message | Part | None:
+        """What leaves next: a whole message, or a part of at most `fragment` bytes. `free` as of `Window.free`."""
         control, urgent = self._urgent
         if control:
             return self._take(control)
         if urgent:
-            if not sync:
+            if free <= -SYNC_EXTRA:
                 return None
             if not self._turns or self._credit < fragment:
                 message = self._take(urgent)
@@ -156,7 +157,7 @@ class Outbox:
                 return message
             self._credit -= fragment
             return self._next_bulk(fragment)
-        if bulk and self._turns:
+        if free > 0 and self._turns:
             return self._next_bulk(fragment)
         return None
 
@@ -177,6 +178,7 @@ class Outbox:
         self._turns.clear()
         self._counts = [0, 0, 0]
         self._sizes = [0, 0, 0]
+        self.waiting = 0
         self._latest.clear()
         self._begun = 0
 
@@ -230,15 +232,14 @@ class Outbox:
 
     def _take(self, queue: deque[Message]) -> Message:
         message = queue.popleft()
+        self.waiting -= 1
         self._counts[message.priority] -= 1
-        self._sizes[message.priority] -= message.size
+        self._sizes[message.priority] -= len(message.key) + len(message.payload)
         if message.latest:
             del self._latest[message.key]
         return message
 
     def _shrink(self, priority: int) -> None:
-        if priority == BULK:
-            return
         queue, limit = self._urgent[priority], LIMITS[priority]
         while len(queue) > limit.messages or self._sizes[priority] > limit.size:
             self._take(queue)

@@ -27,7 +27,7 @@ from services.mesh.core.events import (
 )
 from services.mesh.core.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
 from services.mesh.core.frames import BULK, BYE_TEXT, SYNC, Frame, Heartbeat, Hello
-from services.mesh.core.outbox import Outbox, Part
+from services.mesh.core.outbox import Message, Outbox, Part
 from swarm.errors import FrameError, LocalError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
@@ -143,9 +143,9 @@ class Session:
     @property
     def wants_to_send(self) -> bool:
         """Whether `data_to_send` has something."""
-        if self._urgent or self._heartbeat_due or (self._receipts.due and self.is_up):
+        if self._urgent or self._heartbeat_due or (self._receipts.due() and self.is_up):
             return True
-        return self._outbox.leaves(*self._window.room(0))
+        return self._outbox.waiting > 0 and self._outbox.leaves(self._window.free(0))
 
     def events(self) -> list[Event]:
         """What happened since the last call."""
@@ -217,40 +217,47 @@ class Session:
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
         """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
+        outbox, receipts = self._outbox, self._receipts
+        if not (outbox.waiting or self._urgent or self._heartbeat_due or receipts.due()):
+            return b""
         chunks, self._urgent = self._urgent, []
-        size = sum(map(len, chunks))
-        sync = bulk = False
+        size = sum(map(len, chunks)) if chunks else 0
+        bulk = False
         if self.is_up:
             beat, self._heartbeat_due = self._heartbeat_due, False
             if beat:
                 self._beat(chunks, now)
-            if (count := self._receipts.take(at_once=beat)) is not None:
+            if (count := receipts.take(at_once=beat)) is not None:
                 chunks.append(flow.encode_ack(count))
-            room, fragment = self._window.room, self._window.fragment(now)
-            while size < max_bytes and (item := self._outbox.pop(*room(size), fragment)) is not None:
-                message = item.message if isinstance(item, Part) else item
+            window = self._window
+            fragment = window.fragment(now)
+            while size < max_bytes and (item := outbox.pop(window.free(size), fragment)) is not None:
+                part = item if isinstance(item, Part) else None
+                message = item if isinstance(item, Message) else item.message
                 channel, new = self._channels.handle(message.key)
                 if new:
                     chunks.append(frames.encode_bind(frames.Bind(channel, frames.NEIGHBOURS, message.key)))
-                if not isinstance(item, Part):
+                if part is None:
                     chunks.append(frames.encode_data(message.priority, channel, message.payload))
-                elif new and item.number:
+                elif new and part.number:
                     # So many other keys were used since its last part that the key has lost its handle.
-                    self._outbox.restart(item)
+                    outbox.restart(part)
                     continue
                 else:
-                    total = 0 if item.number else len(message.payload)
-                    chunks.append(encode_fragment(Fragment(channel, item.number, item.last, total, item.data)))
+                    total = 0 if part.number else len(message.payload)
+                    chunks.append(encode_fragment(Fragment(channel, part.number, part.last, total, part.data)))
                 size += len(chunks[-1])
-                sync, bulk = sync or message.priority == SYNC, bulk or message.priority == BULK
-                if not isinstance(item, Part) or item.last:
+                if part is None or part.last:
                     self._counters[SENT[message.priority]] += 1
-                if bulk and size >= BULK_WRITE:
-                    break
+                if message.priority == SYNC:
+                    window.busy(now)
+                elif message.priority == BULK:
+                    bulk = True
+                    if size >= BULK_WRITE:
+                        break
         self.sent += len(chunks)
         data = b"".join(chunks)
-        full = self._outbox.has_bulk and not self._window.room(len(data))[1]
-        self._window.wrote(len(data), now, sync=sync, bulk=bulk, full=full)
+        self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
         return data
 
     def _beat(self, chunks: list[bytes], now: float) -> None:
