@@ -1,5 +1,6 @@
 """The mesh service: carries chosen keys between this robot's bus and its neighbours'."""
 
+import logging
 import os
 import random
 import threading
@@ -15,10 +16,11 @@ from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
 from swarm.bus import Bus
-from swarm.codec import MAX_BINARY
+from swarm.codec import MAX_BINARY, decode
 from swarm.config import Config
+from swarm.errors import PayloadError
 from swarm.keys import key
-from swarm.messages import Clock, Links
+from swarm.messages import Clock, EchoRequest, Links
 from swarm.service import Service
 
 _REPORT_PERIOD = 1.0
@@ -40,6 +42,9 @@ def _local(config: Config, me: str) -> Local:
     )
 
 
+_log = logging.getLogger("mesh")
+
+
 class _Mesh(Runner):
     """A runner that publishes its links; the newest state is always the last one published."""
 
@@ -59,6 +64,14 @@ class _Mesh(Runner):
             self._bus.publish(self._links_key, Links(clock.now(), self.links()))
             self._bus.publish(self._clock_key, Clock(*self.clock()))
 
+    def on_ping(self, key: str, payload: bytes) -> None:
+        """A request of the own bus to measure a link."""
+        try:
+            self.ping(decode(EchoRequest, payload, key))
+        except PayloadError as error:
+            self._counters["refused_requests"] += 1
+            _log.warning("request refused: %s", error)
+
     def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
         if len(payload) <= MAX_BINARY:
             self._bus.publish(key, payload, urgent=urgent)
@@ -77,6 +90,7 @@ def main() -> None:
         mesh = _Mesh(node, network, this.bus, this.robot, this.counters)
         for source, expression in enumerate(relay.subscriptions):
             this.bus.subscribe(expression, partial(mesh.publish, source))
+        this.bus.subscribe(key(this.robot, "mesh", "set", "echo"), mesh.on_ping)
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):

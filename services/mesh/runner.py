@@ -22,7 +22,7 @@ from services.mesh.core.node import Action, Close, Dial, LinksChanged, Node, Not
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
-from swarm.messages import LinkState
+from swarm.messages import EchoRequest, LinkState
 
 _CHUNK = 4096
 """Bytes taken from a session at a time; what is taken can no longer be overtaken."""
@@ -85,6 +85,13 @@ class Runner:
         """A sample of the own bus; may be called on Zenoh's thread, never waits for a socket."""
         with self._lock:
             self._node.publish(source, key, payload, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
+
+    def ping(self, request: EchoRequest) -> None:
+        """Measure a link; what comes of it is delivered."""
+        with self._lock:
+            self._node.ping(request, clock.now())
             actions = self._carry_out()
         self._report(actions)
 

@@ -7,16 +7,19 @@ The shell moves bytes between sessions and transports, carries out `actions()`, 
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from services.mesh.core import frames
+from services.mesh.core import frames, probe
 from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.relay import Relay, Send
 from services.mesh.core.session import CONNECTING, DOWN, REFUSED, SENT, Local, Session
-from swarm.messages import LinkState
+from swarm.codec import encode
+from swarm.errors import FrameError
+from swarm.keys import key
+from swarm.messages import Echo, EchoRequest, LinkState
 
 MAX_HALF_OPEN = 16
 """Accepted connections that have not finished their handshake; more are closed at once."""
@@ -88,6 +91,11 @@ class Link:
         self.sent = 0
         """Frames of earlier connections."""
         self.received = 0
+        self.sent_bytes = 0
+        self.received_bytes = 0
+        self.dropped = 0
+        """Messages lost while the link was down, or in the queues of earlier connections."""
+        self.refused = 0
 
     def state(self) -> LinkState:
         """For the key `mesh/links`."""
@@ -98,7 +106,37 @@ class Link:
             state, rtt = session.state, session.rtt
             sent, received = self.sent + session.sent, self.received + session.received
         reason = self.reason if session is None else ""
-        return LinkState(self.peer, state, self.connection, rtt, sent, received, reason)
+        known = LinkState(
+            self.peer,
+            state,
+            self.connection,
+            rtt,
+            sent,
+            received,
+            reason,
+            sent_bytes=self.sent_bytes,
+            received_bytes=self.received_bytes,
+            dropped=self.dropped,
+            refused=self.refused,
+        )
+        return known if session is None else self._with_session(known, session)
+
+    def _with_session(self, known: LinkState, session: Session) -> LinkState:
+        rtts = sorted(session.rtts)
+        return replace(
+            known,
+            rtt_min=rtts[0] if rtts else None,
+            rtt_median=rtts[len(rtts) // 2] if rtts else None,
+            rtt_p99=rtts[len(rtts) * 99 // 100] if rtts else None,
+            sent_rate=session.sent_rate,
+            received_rate=session.received_rate,
+            sent_bytes=self.sent_bytes + session.sent_bytes,
+            received_bytes=self.received_bytes + session.received_bytes,
+            queue=session.queue.waiting_bytes,
+            in_flight=session.window.in_flight,
+            window=int(session.window.limit),
+            dropped=self.dropped + session.queue.dropped,
+        )
 
 
 class Node:
@@ -122,6 +160,9 @@ class Node:
         self._links = {
             peer: Link(peer, Dialler(random) if dials else None) for peer, dials in sorted(local.dials.items())
         }
+        self._prober = probe.Prober()
+        self._pings = {probe.ping_key(peer): peer for peer in local.dials}
+        self._pongs = {probe.pong_key(peer): peer for peer in local.dials}
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._sessions: list[Session] = []
         self._ready: list[Session] = []
@@ -167,6 +208,23 @@ class Node:
         """A sample of the own bus; `source` is the index of the subscription that delivered it."""
         for send in self._relay.publish(source, key, payload, now):
             self._send(send)
+
+    def ping(self, request: EchoRequest, now: float) -> None:
+        """Measure a link; the answers come out of `actions` as messages for the own bus."""
+        link = self._links.get(request.peer)
+        reason = probe.fault(request)
+        if link is None:
+            reason = f"{request.peer} is not a neighbour"
+        elif link.session is None:
+            reason = f"the link to {request.peer} is down"
+        elif not reason:
+            priority, name = probe.CLASSES[request.priority][0], probe.ping_key(self._local.robot)
+            for ping in self._prober.pings(request, now):
+                if not link.session.send(priority, name, ping, latest=False):
+                    reason = f"the queue of the link to {request.peer} is full"
+            self._ready.append(link.session)
+        if reason:
+            self._tell_echo(Echo(now, request.peer, request.sequence, 0, request.size, None, reason))
 
     def handle_timer(self, now: float) -> None:
         """Whatever is due. Call it at `next_deadline` or any other time."""
@@ -241,12 +299,13 @@ class Node:
             session = self._links[peer].session
             if session is None:
                 self._counters["no_link"] += 1
+                self._links[peer].dropped += 1
                 continue
             session.send(leg.priority, leg.key, payload, latest=leg.latest)
             self._ready.append(session)
 
     def _admit(self, peer: str, key: str) -> bool:
-        if self._relay.admits(peer, key):
+        if self._relay.admits(peer, key) or peer in (self._pings.get(key), self._pongs.get(key)):
             return True
         self._note(f"key from {peer}", f"key refused peer={peer} key={key[:80]!r}: no relay rule lets it in")
         return False
@@ -255,13 +314,32 @@ class Node:
         """Turn a session's events into actions and into states of links."""
         for event in session.events():
             if type(event) is Received:
-                self._actions.append(event)
+                if event.key in self._pings or event.key in self._pongs:
+                    self._on_probe(session, event, now)
+                else:
+                    self._actions.append(event)
             else:
                 self._on_event(session, event, now)
         if session.state == DOWN:
             self._remove(session)
         elif session.wants_to_send:
             self._ready.append(session)
+
+    def _on_probe(self, session: Session, event: Received, now: float) -> None:
+        """A ping that is to be answered, or an answer. One that is no such thing is dropped."""
+        try:
+            if event.key in self._pings:
+                if session.is_up:
+                    name = probe.pong_key(self._local.robot)
+                    session.send(event.priority, name, probe.answer(event.payload), latest=False)
+            elif (echo := self._prober.answered(self._pongs[event.key], event.payload, now)) is not None:
+                self._tell_echo(echo)
+        except FrameError as error:
+            self._counters["inbound_refused"] += 1
+            self._note(f"echo from {session.peer}", f"echo refused peer={session.peer} reason={error}")
+
+    def _tell_echo(self, echo: Echo) -> None:
+        self._actions.append(Received(key(self._local.robot, "mesh", "echo"), encode(echo), frames.SYNC))
 
     def _on_event(
         self,
@@ -297,6 +375,8 @@ class Node:
     def _on_failed(self, session: Session, reason: str, code: int | None, now: float) -> None:
         caller = session.dialled or "a caller"
         if code is not None:
+            if session.peer in self._links:
+                self._links[session.peer].refused += 1
             self._note(f"{caller} {code}", f"connection refused peer={caller} reason={reason}")
         if session.dialled is not None:
             self.dial_failed(session.dialled, reason, now)
@@ -314,6 +394,9 @@ class Node:
         link.reason = reason
         link.sent += session.sent
         link.received += session.received
+        link.sent_bytes += session.sent_bytes
+        link.received_bytes += session.received_bytes
+        link.dropped += session.queue.dropped
         if link.dialler is not None:
             link.dialler.ended(now)
 

@@ -9,7 +9,7 @@ leave (`data_to_send`), not when they are queued: priorities act until the last 
 true time, and a counter for authentication tags will follow the order on the wire.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -40,6 +40,9 @@ _RTT_GAIN = 0.125
 
 _MAX_RTT = 60.0
 """s; a longer sample comes from wrong stamps."""
+
+RTT_SAMPLES = 120
+"""Round-trip times kept, a minute of heartbeats."""
 
 BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
@@ -111,6 +114,12 @@ class Session:
         self.state = CONNECTING
         self.rtt: float | None = None
         """Smoothed round-trip time, s."""
+        self.rtts: deque[float] = deque(maxlen=RTT_SAMPLES)
+        """Round-trip times of the last heartbeats, s."""
+        self.sent_rate = 0.0
+        """bytes/s over the last heartbeats."""
+        self.received_rate = 0.0
+        self._rated = (now, 0, 0)
         self.sent = 0
         """Frames handed out to be sent."""
         self.received = 0
@@ -139,6 +148,26 @@ class Session:
     def is_up(self) -> bool:
         """Whether messages pass; a suspect link still carries them."""
         return self.state in (UP, SUSPECT)
+
+    @property
+    def sent_bytes(self) -> int:
+        """Bytes handed out to be sent."""
+        return self._window.sent
+
+    @property
+    def received_bytes(self) -> int:
+        """Bytes taken off the stream."""
+        return self._receipts.taken
+
+    @property
+    def queue(self) -> Outbox:
+        """What waits to leave."""
+        return self._outbox
+
+    @property
+    def window(self) -> flow.Window:
+        """What is under way."""
+        return self._window
 
     @property
     def wants_to_send(self) -> bool:
@@ -266,6 +295,11 @@ class Session:
         stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
         chunks += (frames.encode_heartbeat(stamps), encode_claim(self._clock.claim(self.peer, now)))
         self._reassembly.expire(now)
+        since, sent, received = self._rated
+        if now > since:
+            self.sent_rate = (self.sent_bytes - sent) / (now - since)
+            self.received_rate = (self.received_bytes - received) / (now - since)
+            self._rated = (now, self.sent_bytes, self.received_bytes)
 
     # -- frames of the other end -------------------------------------------------------------------
 
@@ -365,6 +399,7 @@ class Session:
         if stamps.echo:
             rtt = ((arrival - stamps.echo) - (stamps.sent - stamps.received)) * 1e-6
             if 0.0 <= rtt <= _MAX_RTT:
+                self.rtts.append(rtt)
                 self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
                 assert self.peer is not None
                 # The peer's clock minus ours: half of what the two directions' stamps differ (RFC 5905, section 8).
