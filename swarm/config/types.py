@@ -77,6 +77,10 @@ class Mesh:
     """s of silence until a link is suspect."""
     dead: float = 3.0
     """s of silence until it is closed and dialled anew."""
+    rfcomm_channel: int = 1
+    """RFCOMM channel the mesh listens at on every robot, 1 to 30 (bluetoothd -C holds 8)."""
+    rfcomm_encrypt: bool = False
+    """Whether Bluetooth itself encrypts `rfcomm:` links; needs bluetoothd and pairing without questions."""
 
     @property
     def key_file(self) -> Path | None:
