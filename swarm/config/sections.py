@@ -23,7 +23,7 @@ def is_port(text: str) -> bool:
 
 def mesh(top: Table) -> Mesh:
     """The table [mesh]."""
-    table = top.table("mesh", ("insecure", "listen", "heartbeat", "suspect", "dead"))
+    table = top.table("mesh", ("insecure", "listen", "heartbeat", "suspect", "dead", "metric"))
     normal = Mesh()
     seconds = "a number above 0, in seconds"
     listen = table.text("listen", None, expected="HOST:PORT", pattern=HOST_PORT)
@@ -35,6 +35,7 @@ def mesh(top: Table) -> Mesh:
         heartbeat=table.number("heartbeat", normal.heartbeat, above=0, expected=seconds),
         suspect=table.number("suspect", normal.suspect, above=0, expected=seconds),
         dead=table.number("dead", normal.dead, above=0, expected=seconds),
+        metric=table.choice("metric", normal.metric, ("hops", "time")),
     )
     if not found.heartbeat < found.suspect < found.dead:
         raise table.error(

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
 from services.mesh.core.node import Close, Dial, Node, Note
+from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.session import Local, Session
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
@@ -82,10 +83,20 @@ class World:
         }
         local = Local(**(settings | self.overrides.get(name, {})))  # type: ignore[arg-type]
         counters: Counter[str] = Counter()
-        relay = Relay(name, tuple(local.dials), self.rules)
+        relay = Relay(name, tuple(local.dials), self.rules, local.robots)
+        overlays = Overlays(
+            name,
+            local.robots,
+            incarnation=int((1000.0 + self.now) * 1e6),
+            random=self.random.random,
+            counters=counters,
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+        )
         node = Node(
             local,
             relay,
+            overlays,
             random=self.random.random,
             nonce=lambda: self.random.randbytes(16),
             counters=counters,
@@ -166,6 +177,8 @@ class World:
                 self._flush(bot.ends[session])
         for action in bot.node.actions():
             if isinstance(action, Received):
+                if action.key.endswith("/mesh/members"):
+                    continue
                 bot.inbox.append((action.key, action.payload))
             elif isinstance(action, Dial):
                 self.dials.append((self.now, name, action.peer))

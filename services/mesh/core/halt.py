@@ -10,7 +10,7 @@ Whatever is new to a robot it sends to its other neighbours at once (control cla
 link came up, and every 10 s, for full queues may drop anything.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.frames import CONTROL, FLOOD

@@ -23,7 +23,8 @@ JOIN, LEAVE, CRASH, PARTITION, HEAL, RETURN, RESTART = (
     "join", "leave", "crash", "partition", "heal", "return", "restart",
 )  # fmt: skip
 
-_INFINITE = float("inf")
+MAX_SHOWN = 500
+"""Robots in `mesh/members`: a message on the bus has at most 64 KiB."""
 
 
 class _State(NamedTuple):
@@ -79,7 +80,7 @@ class Membership:
     def members(self) -> tuple[Member, ...]:
         """Everybody, by name; those never seen included."""
         found = []
-        for name, state in self._members.items():
+        for name, state in list(self._members.items())[:MAX_SHOWN]:
             route = self._routes.get(name) if state.state == HERE else None
             hops, via = (route.hops, route.next_hop) if route is not None else (None, None)
             found.append(Member(name, state.state, state.since, hops, via))

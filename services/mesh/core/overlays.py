@@ -169,6 +169,8 @@ class Overlays:
     def flood(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
         """Carry a value of an own key to all robots, as a relay rule says."""
         self._now = now
+        if key == self._lsa_key:
+            return  # nobody's business but the map's, whatever a rule with ** says
         self._flood.publish(key, payload, priority, latest=latest)
 
     def send(self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:

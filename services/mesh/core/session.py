@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from services.mesh.core import frames
-from services.mesh.core.channels import Channels
+from services.mesh.core.channels import Channels, overlay_of
 from services.mesh.core.events import (
     Event,
     HandshakeFailed,
@@ -84,12 +84,12 @@ class Session:
         now: float,
         *,
         dialled: str | None,
-        admit: Callable[[str, str], bool],
+        admit: Callable[[str, int, str], bool],
         counters: Counter[str],
     ) -> None:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called.
 
-        `admit(peer, key)` says whether a key of that peer may come in.
+        `admit(peer, overlay, key)` says whether that peer may use a channel.
         """
         self._local = local
         self._admit = admit
@@ -108,7 +108,7 @@ class Session:
         self._events: list[Event] = []
         self._outbox = Outbox(counters)
         self._channels = Channels()
-        self._keys: dict[int, str | None] = {}
+        self._bound: dict[int, tuple[str, int] | None] = {}
         self._urgent = [
             frames.encode_hello(
                 Hello(local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure)
@@ -164,7 +164,7 @@ class Session:
             self._end(frames.BAD_FRAME, f"bad frame: {error}")
 
     def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> None:
-        """Queue a message for the other end; the link must be up."""
+        """Queue a message for the other end; the link must be up. `key` is the name of the channel (`channels`)."""
         if not self.is_up:
             raise LocalError(f"the link to {self.peer} is {self.state}")
         self._outbox.push(priority, key, payload, latest)
@@ -209,7 +209,7 @@ class Session:
         while size < max_bytes and (message := self._outbox.pop()) is not None:
             channel, new = self._channels.handle(message.key)
             if new:
-                chunks.append(frames.encode_bind(frames.Bind(channel, frames.NEIGHBOURS, message.key)))
+                chunks.append(frames.encode_bind(frames.Bind(channel, *overlay_of(message.key))))
             chunks.append(frames.encode_data(message.priority, channel, message.payload))
             size += len(chunks[-1])
             self._counters[SENT[message.priority]] += 1
@@ -221,13 +221,14 @@ class Session:
     def _on_data(self, frame: Frame) -> None:
         channel, payload = frames.decode_data(frame.body)
         try:
-            key = self._keys[channel]
+            bound = self._bound[channel]
         except KeyError:
             raise FrameError(f"DATA on channel {channel}, which is not bound") from None
-        if key is None:
+        if bound is None:
             self._counters["inbound_refused"] += 1
         else:
-            self._events.append(Received(key, payload, frame.priority))
+            key, overlay = bound
+            self._events.append(Received(key, payload, frame.priority, overlay))
 
     def _on_control(self, frame: Frame, now: float) -> None:
         if frame.kind == frames.BYE:
@@ -296,7 +297,8 @@ class Session:
 
     def _on_bind(self, bind: frames.Bind) -> None:
         assert self.peer is not None
-        self._keys[bind.channel] = bind.key if self._admit(self.peer, bind.key) else None
+        admitted = self._admit(self.peer, bind.overlay, bind.key)
+        self._bound[bind.channel] = (bind.key, bind.overlay) if admitted else None
 
     # -- the end -----------------------------------------------------------------------------------
 

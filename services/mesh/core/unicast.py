@@ -8,7 +8,7 @@ another way at once. Nobody is busy meanwhile: many messages are in flight, in n
 """
 
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 from services.mesh.core import packets
 from services.mesh.core.actions import Emit, Transmit
