@@ -25,6 +25,8 @@ class End:
     session: Session | None
     peer: "End | None" = None
     alive: bool = True
+    broken: bool = False
+    """The rest of what it sends is lost, as on a stream: never bytes from the middle."""
 
 
 @dataclass
@@ -239,12 +241,15 @@ class World:
 
     def send(self, end: End, data: bytes) -> None:
         """Put bytes on the way to the other end."""
+        if end.broken:
+            return
         if self.break_after is not None:
             data, self.break_after = data[: self.break_after], self.break_after - len(data)
         if data:
             self._at(self.now + self.latency, lambda: self._arrive(end, data))
         if self.break_after is not None and self.break_after <= 0:
             self.break_after = None
+            end.broken = True
             self._at(self.now + self.latency, lambda: self._lose(end))
 
     def _lose(self, end: End) -> None:
