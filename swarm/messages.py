@@ -83,7 +83,7 @@ class MemberChange:
 
 @dataclass(frozen=True, slots=True)
 class Members:
-    """Who is in the swarm, on `swarm/<robot>/mesh/members`: on change, every 5 s, and as answer to queries."""
+    """Who is in the swarm, on `swarm/<robot>/mesh/members`: on change, every 10 s, and as answer to queries."""
 
     t: float
     members: tuple[Member, ...]

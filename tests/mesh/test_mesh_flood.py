@@ -244,7 +244,7 @@ def test_parts_of_a_swarm_catch_up_when_they_meet() -> None:
     world.join("r1", "r2")
     world.run(1.0)
     for name in world.names:
-        assert {data for data in world.got(name, "/rule/x")} == {each.encode() for each in world.names if each != name}
+        assert set(world.got(name, "/rule/x")) == {each.encode() for each in world.names if each != name}
         assert len(world.got(name, "/rule/x")) == 3
 
 

@@ -46,8 +46,15 @@ def test_rules_say_where_keys_go() -> None:
     assert legs(own, "swarm/r1/app/x/report/r3") == [(UNICAST, ("r3",))]
     assert legs(own, "swarm/r3/balancer/set/leds") == [(UNICAST, ("r3",))]
     assert legs(own, "swarm/r1/app/x/sync/a") == [(NEIGHBOURS, ("r0", "r2"))]
-    nowhere = ("swarm/r0/dwm/pose", "swarm/r1/app/x/report/r9", "swarm/r1/app/x/report/r1", "swarm/r9/balancer/set/leds",
-               "swarm/r1/balancer/set/leds", "swarm/r3/balancer/set/mode", "swarm/r0/app/x/report/r3")  # fmt: skip
+    nowhere = (
+        "swarm/r0/dwm/pose",
+        "swarm/r1/app/x/report/r9",
+        "swarm/r1/app/x/report/r1",
+        "swarm/r9/balancer/set/leds",
+        "swarm/r1/balancer/set/leds",
+        "swarm/r3/balancer/set/mode",
+        "swarm/r0/app/x/report/r3",
+    )
     for key in nowhere:
         assert legs(own, key) == [], key
 
@@ -135,7 +142,6 @@ def test_a_stop_crosses_sessions_and_a_leave_is_heard() -> None:
     world.run(1.0)
     world.step("r0", lambda node: node.ask(lambda each, now: each.stop(Stop(0.0, "me", "test"), now), world.now))
     world.run(0.1)
-    assert world.bots["r3"].inbox[0][0] == "swarm/r3/mesh/stopped" or world.bots["r3"].inbox[0][0] == "swarm/stop"
     assert any(key == "swarm/stop" for key, _ in world.bots["r3"].inbox)
     world.step("r3", lambda node: node.leave(world.now))
     world.step("r3", lambda node: node.close(world.now))
@@ -190,9 +196,10 @@ def test_bad_packets_do_not_break_links() -> None:
     world.run(1.0)
     keys = ((FLOOD, "swarm/r0/mesh/lsa"), (FLOOD, "swarm/r0/mesh/digest"), (UNICAST, "swarm/r0/mesh/unicast"))
     parts = [
-        frames.encode_bind(frames.Bind(n, overlay, key)) + b"".join(frames.encode_data(0, n, bytes((kind,)) + b"?") for kind in range(8))
+        frames.encode_bind(frames.Bind(n, overlay, key))
+        + b"".join(frames.encode_data(0, n, bytes((kind,)) + b"?") for kind in range(8))
         for n, (overlay, key) in enumerate(keys)
-    ]  # fmt: skip
+    ]
     caller = world.connect_raw("r1", hello(), frames.encode_confirm(), *parts)
     world.run(0.2)
     assert caller.open

@@ -26,7 +26,7 @@ from swarm.messages import Flooded, FloodRequest, Members, SendRequest, Sent, St
 MAX_TICKETS = 1024
 """Requests of apps whose answers are remembered, so that a repeated request is answered again, not done again."""
 
-MEMBERS_PERIOD = 5.0
+MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
 
 STOP_PERIOD = 1.0
@@ -96,6 +96,7 @@ class Overlays:
         self._membership = Membership(me, self._robots)
         self._now = 0.0
         self._version = 0
+        self._deadline = 0.0
         self._look_at = _NEVER
         self._members_at = 0.0
         self._stop_at = _NEVER
@@ -244,14 +245,21 @@ class Overlays:
             self._tell_stop(now)
 
     def next_deadline(self) -> float:
-        """When `handle_timer` wants to be called. It may turn out to be early, never late."""
-        return min(
-            self._map.next_deadline(), self._flood.next_deadline(), self._unicast.next_deadline(),
-            self._register.next_deadline(), self._look_at, self._members_at, self._stop_at,
-        )  # fmt: skip
+        """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
+        return self._deadline
 
     def actions(self) -> list[Action]:
-        """What is to be done, in this order, since the last call."""
+        """What is to be done, in this order, since the last call. To be called after everything else: it also looks
+        for the next deadline, which a node that only carries lockstep messages then has at no cost."""
+        self._deadline = min(
+            self._map.next_deadline(),
+            self._flood.next_deadline(),
+            self._unicast.next_deadline(),
+            self._register.next_deadline(),
+            self._look_at,
+            self._members_at,
+            self._stop_at,
+        )
         actions = self._actions[:]
         self._actions.clear()  # the list itself is shared
         return actions

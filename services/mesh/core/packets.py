@@ -297,8 +297,9 @@ def encode_advertisement(packet: Advertisement) -> bytes:
     return _LSA.pack(packet.leaving, len(packet.neighbours)) + names
 
 
+@lru_cache(maxsize=1024)
 def decode_advertisement(data: bytes) -> Advertisement:
-    """The payload of a flooded LSA."""
+    """The payload of a flooded LSA. Most only repeat what is known: those are not taken apart again."""
     if len(data) < _LSA.size:
         raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
     flags, count = _LSA.unpack_from(data)
