@@ -17,7 +17,7 @@ uint16_t sum = 0;
 void start()
 {
     DIDR0 = _BV(ADC6D);
-    ADMUX = _BV(REFS0) | 6;  // against AVcc = 5 V; PF6 (datasheet table 24-4)
+    ADMUX = _BV(REFS0) | 6;  // against AVcc = 5 V; PF6 (datasheet 24, ADMUX)
     ADCSRA = _BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0) | _BV(ADSC);  // 125 kHz
 }
 
@@ -28,8 +28,9 @@ void sample()
     const uint16_t raw = ADC;
     ADCSRA |= _BV(ADSC);
     sum = sum == 0 ? static_cast<uint16_t>(16 * raw) : static_cast<uint16_t>(sum - (sum + 8) / 16 + raw);
-    // One third of the voltage, 5000 mV / 1024 a step: 1875 / 128 mV; and the sum counts sixteenfold.
-    const uint16_t millivolts = static_cast<uint16_t>((static_cast<uint32_t>(sum) * 1875 + 1024) / 2048);
+    // One third of the voltage, 5000 mV / 1024 a step: 1875 / 128 mV; the sum counts sixteenfold, and the converter
+    // rounds down, half a step on the average.
+    const uint16_t millivolts = static_cast<uint16_t>((static_cast<uint32_t>(sum) + 8) * 1875 / 2048);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         front.battery = millivolts;

@@ -36,7 +36,7 @@ extern "C" void boot_early() __attribute__((naked, used, section(".init3")));
 extern "C" void boot_early()
 {
     flags = MCUSR;
-    MCUSR = 0;      // WDRF must be cleared before the watchdog can be switched off (datasheet 8.0.8)
+    MCUSR = 0;      // WDRF must be cleared before the watchdog can be switched off (datasheet 8, MCUSR)
     wdt_disable();  // after a watchdog reset it runs on, at its shortest
     for (uint8_t* p = &__heap_start; p <= reinterpret_cast<uint8_t*>(RAMEND); ++p)
         *p = PAINT;
@@ -80,16 +80,17 @@ void obey()
     if (!wanted)
         return;
     cli();
-    motors::off();
+    motors::lock();
     *reinterpret_cast<volatile uint16_t*>(KEY_ADDRESS) = KEY;
     wdt_enable(WDTO_15MS);
+    wdt_reset();  // the short time counts from here
     for (;;) {
     }
 }
 
 void hung()
 {
-    motors::off();
+    motors::lock();
     hung_before = 1;
 }
 
@@ -98,7 +99,7 @@ void hung()
 // An interrupt nobody asked for: something is badly wrong. Motors off; the watchdog resets the chip.
 ISR(BADISR_vect)
 {
-    motors::off();
+    motors::lock();
     for (;;) {
     }
 }

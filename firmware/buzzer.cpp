@@ -12,7 +12,7 @@ namespace {
 
 Tune tune;
 
-// Timer 4 has registers of 10 bits: the two upper ones go through TC4H first (datasheet 15.11).
+// Timer 4 has registers of 10 bits: the upper two go through TC4H first (datasheet 15, Accessing 10-bit Registers).
 void write10(volatile uint8_t& low, uint16_t value)
 {
     TC4H = static_cast<uint8_t>(value >> 8);
@@ -42,7 +42,7 @@ void start()
     TCCR4A = 0;
     TCCR4B = 0;
     TCCR4C = 0;
-    TCCR4D = _BV(WGM40);  // phase and frequency correct, top in OCR4C (datasheet table 15-19)
+    TCCR4D = _BV(WGM40);  // phase and frequency correct, top in OCR4C (datasheet 15, TCCR4D)
     TCCR4E = 0;
 }
 

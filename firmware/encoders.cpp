@@ -37,10 +37,10 @@ void start()
     left.a = left_x() != left.b;
     right.b = right_b();
     right.a = right_x() != right.b;
-    PCMSK0 = _BV(PCINT4);      // datasheet 11.1.7
+    PCMSK0 = _BV(PCINT4);      // datasheet 11
     PCIFR = _BV(PCIF0);
     PCICR = _BV(PCIE0);
-    EICRB = _BV(ISC60);        // any edge of INT6, datasheet 11.1.2
+    EICRB = _BV(ISC60);        // any edge of INT6
     EIFR = _BV(INTF6);
     EIMSK = _BV(INT6);
 }

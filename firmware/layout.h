@@ -14,7 +14,7 @@ constexpr uint8_t ADDRESS = 20;
 constexpr uint8_t LAYOUT_VERSION = 1;  // another one means: offsets moved. New fields in reserved places keep it.
 constexpr uint8_t REVISION_NUMBER = 1;  // counts releases of the firmware
 
-constexpr uint8_t UWB_RANGES = 4;  // a PANS tag ranges to four modules at a time (DWM1001 system overview, 4.3)
+constexpr uint8_t UWB_RANGES = 4;  // a PANS tag ranges to four modules at a time (DWM1001 system overview)
 constexpr uint8_t UWB_PLACE_SIZE = 13;
 constexpr uint8_t UWB_RANGE_SIZE = 20;
 constexpr uint8_t TUNE_NOTES = 15;
@@ -62,7 +62,7 @@ constexpr uint8_t STOPPED_BY_WATCHDOG = 0x01;
 constexpr uint16_t BOOTLOADER_COMMAND = 0xB007;
 
 enum ResetCause : uint8_t {
-    POWER_ON = 0x01,     // these four as in MCUSR (ATmega32U4 datasheet 8.0.8)
+    POWER_ON = 0x01,     // these four as in MCUSR (ATmega32U4 datasheet 8)
     RESET_PIN = 0x02,
     BROWN_OUT = 0x04,
     WATCHDOG = 0x08,

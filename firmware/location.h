@@ -1,4 +1,4 @@
-// Reads the answer of a DWM1001 tag to loc_get out of a stream of bytes, among any noise (DWM1001 API guide 5.3.10).
+// Reads the answer of a DWM1001 tag to loc_get out of a stream of bytes, among any noise (API guide, dwm_loc_get).
 //
 //     40 01 err | 41 0D  place (13)  | 49 LEN  count  (address 2, distance 4, quality 1, place 13) x count
 //

@@ -21,7 +21,7 @@
 
 namespace {
 
-// The bootloader may leave USB switched on and its interrupts enabled (datasheet 21.13); nobody here serves them.
+// The bootloader may leave USB switched on and its interrupts enabled (datasheet 21); nobody here serves them.
 void usb_off()
 {
     UDIEN = 0;

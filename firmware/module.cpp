@@ -18,7 +18,7 @@ namespace {
 using layout::MailboxState;
 using layout::UwbState;
 
-constexpr uint8_t PERIOD_MS = 100;      // the module's own highest rate (API guide 5.3.3: unit of 100 ms)
+constexpr uint8_t PERIOD_MS = 100;      // the module's own highest rate (API guide, dwm_upd_rate_set: unit of 100 ms)
 constexpr uint8_t PATIENCE_MS = 90;     // for an answer to loc_get; so that polls stay 100 ms apart
 constexpr uint8_t SILENCE_MS = 5;       // 50 byte times: whatever was begun will not go on
 constexpr uint16_t MAILBOX_PATIENCE_MS = 500;  // calls that write the module's flash are slow
@@ -107,7 +107,8 @@ void relay_time(uint32_t now)
 {
     MailboxState state;
     if (answer_count != 0 && now - last_byte >= SILENCE_MS)
-        state = !answer_spoilt && tlv::whole(mailbox::bytes, answer_count) ? MailboxState::answered : MailboxState::broken;
+        state = !answer_spoilt && tlv::whole(mailbox::bytes, answer_count) ? MailboxState::answered
+                                                                           : MailboxState::broken;
     else if (answer_count == 0 && now - line_since >= MAILBOX_PATIENCE_MS)
         state = MailboxState::silent;
     else

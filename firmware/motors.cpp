@@ -16,17 +16,27 @@ constexpr uint8_t LEFT_PWM = _BV(PB6);   // OC1B
 constexpr uint8_t RIGHT_PWM = _BV(PB5);  // OC1A
 
 uint8_t left_ms = 0;  // until the motors are stopped; 0: they are not running
+bool locked = false;
 
 int16_t clamped(int16_t value)
 {
     return value > MOTOR_TOP ? MOTOR_TOP : value < -MOTOR_TOP ? static_cast<int16_t>(-MOTOR_TOP) : value;
 }
 
+inline void off()
+{
+    OCR1A = 0;
+    OCR1B = 0;
+    front.motors[0] = 0;
+    front.motors[1] = 0;
+    left_ms = 0;
+}
+
 }  // namespace
 
 void start()
 {
-    // Datasheet 14.8.5 and table 14-4, mode 8: phase and frequency correct, top in ICR1. 16 MHz / (2 x 400) = 20 kHz.
+    // Datasheet 14.8, Phase and Frequency Correct PWM Mode: mode 8, top in ICR1. 16 MHz / (2 x 400) = 20 kHz.
     // The comparators are zero before the pins become outputs.
     TCCR1B = 0;
     OCR1A = 0;
@@ -41,6 +51,10 @@ void start()
 
 void written()
 {
+    if (locked) {
+        off();
+        return;
+    }
     const int16_t left = clamped(front.motors[0]);
     const int16_t right = clamped(front.motors[1]);
     front.motors[0] = left;
@@ -60,13 +74,10 @@ void written()
     front.status = static_cast<uint8_t>(front.status & ~layout::STOPPED_BY_WATCHDOG);
 }
 
-void off()
+void lock()
 {
-    OCR1A = 0;
-    OCR1B = 0;
-    front.motors[0] = 0;
-    front.motors[1] = 0;
-    left_ms = 0;
+    locked = true;
+    off();
 }
 
 void tick()

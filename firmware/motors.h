@@ -5,7 +5,7 @@ namespace motors {
 
 void start();
 void written();  // with interrupts off: the Pi wrote front.motors
-void off();      // with interrupts off
+void lock();     // with interrupts off: off until the next reset, whatever the Pi says
 void tick();     // once a millisecond, in the timer's interrupt
 
 }  // namespace motors

@@ -22,7 +22,7 @@ volatile uint8_t loop_left = LOOP_PATIENCE_MS;
 
 void start()
 {
-    // Datasheet 13.7.2: clear on compare match; 16 MHz / 64 / 250 = 1 kHz.
+    // Datasheet 13, Clear Timer on Compare Match Mode: 16 MHz / 64 / 250 = 1 kHz.
     TCCR0A = _BV(WGM01);
     OCR0A = 249;
     TIMSK0 = _BV(OCIE0A);

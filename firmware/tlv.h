@@ -1,4 +1,4 @@
-// Whether bytes are a whole answer of the DWM1001 to whatever was asked (API guide 4.3): status, then whole parts.
+// Whether bytes are a whole answer of the DWM1001 to whatever was asked (API guide, TLV format): status, whole parts.
 #pragma once
 
 #include <stdint.h>

@@ -8,7 +8,7 @@ constexpr uint8_t LOWEST = 12;    // C0
 constexpr uint8_t HIGHEST = 119;  // B8
 
 // Timer 4 counts up to its top and back (phase and frequency correct): f = 16 MHz / (2 x prescaler x top), datasheet
-// 15.8.3. These are the tops of octave 8 (C8 4186 Hz to B8 7902 Hz) at prescaler 2; each octave below doubles it.
+// 15.8. These are the tops of octave 8 (C8 4186 Hz to B8 7902 Hz) at prescaler 2; each octave below doubles it.
 constexpr uint16_t TOPS[12] = {956, 902, 851, 804, 758, 716, 676, 638, 602, 568, 536, 506};
 
 }  // namespace

@@ -19,7 +19,7 @@ namespace {
 constexpr uint8_t GO_ON = _BV(TWEN) | _BV(TWIE) | _BV(TWINT);
 constexpr uint8_t ACKNOWLEDGE = _BV(TWEA);
 
-// SMBus gives up a transfer after 25 to 35 ms (SMBus 3.1, 4.1.1); a Pi's kernel never pauses that long inside of one.
+// SMBus gives up a transfer after 25 to 35 ms (its T_TIMEOUT); a Pi's kernel never pauses that long inside of one.
 constexpr uint8_t PATIENCE_MS = 30;
 volatile uint8_t patience = 0;  // 0: not in a transfer
 
@@ -48,7 +48,7 @@ void tick()
     if (patience != 0)
         return;
     // The master stopped clocking, or a lost clock pulse left this slave in the middle of a byte, perhaps holding SDA
-    // low: switched off, the TWI lets go of both lines (datasheet 20.9.2, TWEN).
+    // low: switched off, the TWI lets go of both lines (datasheet 20, TWCR).
     TWCR = 0;
     slave::abandoned();
     front.bus_resets = static_cast<uint8_t>(front.bus_resets + 1);
@@ -57,7 +57,7 @@ void tick()
 
 }  // namespace twi
 
-// Status codes: datasheet tables 20-4 (slave transmitter) and 20-5 (slave receiver). SCL is held from the event until
+// Status codes: datasheet tables 20-3 (slave receiver) and 20-4 (slave transmitter). SCL is held from the event until
 // TWINT is written at the end.
 ISR(TWI_vect)
 {
@@ -93,7 +93,7 @@ ISR(TWI_vect)
         break;
     case TW_BUS_ERROR:
         slave::abandoned();
-        acknowledge |= _BV(TWSTO);  // lets go of the lines, no STOP is sent (datasheet 20.7.5)
+        acknowledge |= _BV(TWSTO);  // lets go of the lines, no STOP is sent (datasheet 20, Miscellaneous States)
         break;
     default:  // the master has read enough
         hold();

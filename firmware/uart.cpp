@@ -23,9 +23,10 @@ volatile uint16_t left = 0;
 
 void start()
 {
-    // Datasheet 18.12: 115200 baud from 16 MHz. U2X with 16 is 2.1 % fast, the normal mode's 8 would be 3.5 % slow.
+    // Datasheet 18, Examples of Baud Rate Setting: 115200 baud from 16 MHz. U2X with 16 is 2.1 % fast, normal mode's
+    // 8 would be 3.5 % slow.
+    UCSR1A = _BV(U2X1);  // before UBRR1: simavr works out its speed when that is written
     UBRR1 = 16;
-    UCSR1A = _BV(U2X1);
     UCSR1C = _BV(UCSZ11) | _BV(UCSZ10);
     UCSR1B = _BV(RXEN1) | _BV(TXEN1) | _BV(RXCIE1);
 }
@@ -73,7 +74,7 @@ bool damaged()
 ISR(USART1_RX_vect)
 {
     using namespace uart;
-    const uint8_t errors = UCSR1A & (_BV(FE1) | _BV(DOR1));  // before UDR1: reading it moves on (datasheet 18.7.4)
+    const uint8_t errors = UCSR1A & (_BV(FE1) | _BV(DOR1));  // before UDR1: reading it moves on (datasheet 18)
     const uint8_t byte = UDR1;
     const uint8_t next = (head + 1) & (RING - 1);
     if (errors != 0 || next == tail) {
@@ -84,7 +85,7 @@ ISR(USART1_RX_vect)
     head = next;
 }
 
-// The bytes of a request follow each other without a gap: the module gives up after 25/32768 s (API guide 4.2).
+// The bytes of a request follow each other without a gap: the module gives up after 25/32768 s (API guide, UART).
 ISR(USART1_UDRE_vect)
 {
     using namespace uart;

@@ -1,0 +1,1 @@
+"""One process a concern: they meet on the bus, never by import (docs/architecture.md)."""

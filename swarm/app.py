@@ -14,6 +14,7 @@ docs/apps.md.
 
 import copy
 import dataclasses
+import inspect
 import keyword
 import logging
 import math
@@ -132,9 +133,7 @@ class Robot:
     def measurement(self) -> Measurement:
         """Range to the target and own place for this step, m. For apps with `measured = True`."""
         if self._measurement is None:
-            raise AppError(
-                "no measurement: write `measured = True` into the app class to get one before each step"
-            )
+            raise AppError("no measurement: write `measured = True` into the app class to get one before each step")
         return self._measurement
 
     @property
@@ -268,9 +267,7 @@ def _checked(declared: Parameter | Field, name: str, value: object) -> Value | I
 def _spec(cls: type[SyncApp]) -> Spec:
     """Read the class: annotations are fields or parameters, in declared order, base classes first."""
     if "__init__" in vars(cls):
-        raise AppError(
-            "an app has no __init__; declare fields in the class and set their first values in start()"
-        )
+        raise AppError("an app has no __init__; declare fields in the class and set their first values in start()")
     try:
         hints = typing.get_type_hints(cls, include_extras=True)
     except (NameError, TypeError, SyntaxError) as error:
@@ -286,7 +283,7 @@ def _spec(cls: type[SyncApp]) -> Spec:
         if isinstance(default, Parameter):
             parameters[name] = _typed(name, default, hint)
         elif name in reserved:
-            if name in vars(cls).get("__annotations__", {}):
+            if name in inspect.get_annotations(cls):
                 raise AppError(f"{name}: this name belongs to the platform, choose another")
         elif name.startswith("_"):
             private.append(name)

@@ -35,13 +35,14 @@ def test_example_can_be_checked(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{path}: fine; network lab"
     assert lines[2].split() == ["r0", "zero2w", "rfcomm:B8:27:EB:00:00:10", "r1", "r3", "r4", "r5"]
-    assert "links: 9, diameter 2, not authenticated" in lines
+    assert "links: 9, diameter 2, authenticated by the key in /etc/swarm/key" in lines
 
 
 def test_check_as_json(example, capsys):
     assert run("config", "check", "--json", str(example)) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["links"] == 9
+    assert summary["authenticated"] is True
     assert summary["diameter"] == 2
     assert summary["robots"]["r1"] == {
         "board": "zero2w",

@@ -105,7 +105,8 @@ def test_the_example_is_right():
 
 def test_the_example_says_the_defaults():
     config = parse(EXAMPLE, FILE)
-    assert dataclasses.replace(config.mesh, insecure=False) == Mesh()
+    assert config.mesh == Mesh()
+    assert str(config.mesh.key_file) in EXAMPLE
     assert config.body == Body()
     assert dataclasses.replace(config.dwm, target=None, distance=Linear(), position=Affine()) == Dwm()
 
@@ -230,7 +231,8 @@ def test_what_the_example_leaves_out_is_right_too():
             "[topology] shape: r0 has 8 RFCOMM links, a Bluetooth radio holds at most 7",
         ),
         # Mesh.
-        (swap("insecure = true", ""), "[mesh] insecure: expected true: this version cannot authenticate links yet"),
+        (THREE + 'key = "/etc/swarm/key"', "[mesh] key: expected either a key or insecure = true"),
+        (swap("insecure = true", 'key = "key"'), "[mesh] key: expected the whole path of a file made by `swarm key"),
         (swap("insecure = true", "insecure = 1"), "[mesh] insecure: expected true or false, got 1"),
         (THREE + "dead = 1", "[mesh]: expected heartbeat < suspect < dead, got 0.5, 1.5 and 1.0"),
         (THREE + "dead = 0", "[mesh] dead: expected a number above 0, in seconds, got 0"),
@@ -422,6 +424,7 @@ def swarms(draw):
     addresses = draw(st.lists(st.from_regex(r"[0-9A-F]{4}", fullmatch=True), max_size=4, unique=True))
     of_robots = st.sampled_from(robot_names)
     pair = st.tuples(finite, finite)
+    security = draw(st.sampled_from([(True, None), (False, None), (False, "/some/key")]))
     return Config(
         path=FILE,
         network=draw(st.from_regex(r"[A-Za-z0-9._-]{1,32}", fullmatch=True)),
@@ -429,7 +432,7 @@ def swarms(draw):
         edges=Graph.of_shape(shape, robot_names).edges,
         relay=DEFAULT_RELAY + tuple(relay),
         anchors=tuple(Anchor(address, draw(finite), draw(finite), draw(finite)) for address in addresses),
-        mesh=Mesh(True, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead),
+        mesh=Mesh(*security, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead),
         body=Body(draw(positive), draw(positive), draw(st.floats(-0.5, 0.5))),
         dwm=Dwm(
             source=draw(st.sampled_from(["serial:/dev/ttyS0", "replay:/tmp/a b/{robot}", 'replay:"\\'])),

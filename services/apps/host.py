@@ -42,6 +42,8 @@ TICK = 0.04
 EVERY = 1.0
 """s between two messages of progress and state when nothing changes; a measurement that late is given as a
 reason."""
+ALONE = 0.03
+"""s of an iteration of a robot without neighbours, who has nobody to wait for."""
 CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
 EPOCH = 0
@@ -150,6 +152,9 @@ class Host:
             self._service.log.debug("%s", error)
             return
         up = {link.peer: link.connection for link in links if link.state == "up"}
+        rtts = [link.rtt for link in links if link.rtt is not None]
+        if rtts:
+            self._core.rtt = max(rtts)
         renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
         self._connections.update(up)
         if renewed:
@@ -161,6 +166,8 @@ class Host:
         if not self._begin():
             return
         while (todo := self._todo.get()) is not None:
+            if not todo.values:
+                self._service.stopping.wait(ALONE)
             measurement = self._measure(todo.k)
             if self._closing or self._phase == "fault":
                 return
@@ -194,7 +201,8 @@ class Host:
                 self._computed_at = now
                 self._core.start(own, now, _STAMP.pack(now) + private)
             self._perform()
-        self._service.ready()
+        if not self.failed:
+            self._service.ready()
         return True
 
     def _measure(self, k: int) -> Measurement | None:
@@ -230,6 +238,9 @@ class Host:
                     self._perform()
                 news = self._report(now)
             repeat = now - told_at >= EVERY
+            if repeat:
+                for name, count in self._core.counters.copy().items():
+                    self._service.counters[f"sync_{name.replace(' ', '_')}"] = count
             self._show(repeat)
             if repeat or news != told:
                 told, told_at = news, now

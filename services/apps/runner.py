@@ -49,10 +49,11 @@ class Runner:
         view, unpack = type(app).spec.view, self.schema.unpack
         app.robot.prepare(str(k), measurement)
         neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]
-        answer: object = self._call(f"step {k}", lambda: app.step(neighbours))
+        where = f"iteration {k}"
+        answer: object = self._call(where, lambda: app.step(neighbours))
         if answer is not None:
-            raise AppError(f"{self._where(f'step {k}')}: it returned {answer!r}; a step assigns to the state instead")
-        packed = self._pack(f"step {k}")
+            raise AppError(f"{self._where(where)}: it returned {answer!r}; a step assigns to the state instead")
+        packed = self._pack(where)
         self._be_at(k + 1)
         return packed
 

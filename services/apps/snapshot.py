@@ -40,12 +40,12 @@ class SnapshotFile:
 
     def read(self) -> bytes | None:
         """The newest whole snapshot; None where there is none."""
-        newest: bytes | None = None
+        newest, self._sequence = None, 0
         for slot in range(2):
             magic, sequence, length, check = _HEAD.unpack(os.pread(self._file, _HEAD.size, slot * _SLOT))
             if magic == _MAGIC and sequence > self._sequence and length <= MAX_SNAPSHOT:
                 data = os.pread(self._file, length, slot * _SLOT + _HEAD.size)
-                if zlib.crc32(data, sequence & 0xFFFFFFFF) == check:
+                if _check(sequence, data) == check:
                     newest, self._sequence = data, sequence
         return newest
 
@@ -56,7 +56,7 @@ class SnapshotFile:
                 f"the private state makes a snapshot of {len(data)} bytes, at most {MAX_SNAPSHOT} can be kept"
             )
         self._sequence += 1
-        head = _HEAD.pack(_MAGIC, self._sequence, len(data), zlib.crc32(data, self._sequence & 0xFFFFFFFF))
+        head = _HEAD.pack(_MAGIC, self._sequence, len(data), _check(self._sequence, data))
         try:
             written = os.pwrite(self._file, head + data, (self._sequence % 2) * _SLOT)
         except OSError as error:
@@ -67,3 +67,7 @@ class SnapshotFile:
     def close(self) -> None:
         """Leave the file for the next process."""
         os.close(self._file)
+
+
+def _check(sequence: int, data: bytes) -> int:
+    return zlib.crc32(data, zlib.crc32(sequence.to_bytes(8, "little")))

@@ -28,6 +28,8 @@ from swarm.process import die_with_parent, notify
 TELEMETRY_TICKS = 4
 """25 Hz."""
 SECOND_TICKS = 100
+MAX_REASON = 100
+"""Characters of a stop's reason and origin that are kept."""
 
 _log = logging.getLogger("balancer")
 
@@ -108,8 +110,10 @@ class Loop:
             case Leds(red, yellow, green):
                 self._balancer.claim_leds((red, yellow, green))
             case Stop(_, origin, reason):
-                self._balancer.stop(f"{reason or 'no reason given'} (by {origin})")
-                _log.warning("stopped by=%s reason=%s", origin, reason)
+                # It comes back in every state message: others' prose must not make those too large to send.
+                why = f"{reason[:MAX_REASON] or 'no reason given'} (by {origin[:MAX_REASON]})"
+                self._balancer.stop(why)
+                _log.warning("stopped: %s", why)
             case _:
                 _log.warning("the bridge sent a %s", type(message).__name__)
 

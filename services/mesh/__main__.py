@@ -19,6 +19,7 @@ from swarm.bus import Bus
 from swarm.codec import encode
 from swarm.config import Config
 from swarm.errors import PayloadError
+from swarm.keyfile import read_keys
 from swarm.keys import STOP, key
 from swarm.messages import Arm, FloodRequest, Links, SendRequest, Stop, read
 from swarm.service import Service
@@ -34,6 +35,7 @@ def _local(config: Config, me: str) -> Local:
         network=config.network,
         incarnation=int.from_bytes(os.urandom(8), "little"),
         insecure=settings.insecure,
+        keys=read_keys(settings.key_file) if settings.key_file is not None and config.neighbours(me) else {},
         dials={peer: dials(own, config.robot(peer)) for peer in config.neighbours(me)},
         robots=frozenset(config.names),
         heartbeat=settings.heartbeat,

@@ -21,6 +21,8 @@ class Network:
         callers = [peer for peer, we_dial in local.dials.items() if not we_dial]
         own = monikers.of_robot(config.robot(local.robot)) if callers else None
         listen = config.mesh.listen
+        near = [monikers.of_robot(config.robot(peer)) for peer in callers]
+        hosts = {moniker.host for moniker in near if isinstance(moniker, monikers.Tcp)}
         if isinstance(own, monikers.Tcp) and listen is None:
             raise ConfigError(
                 f"{config.path}: [mesh] listen: {', '.join(callers)} will dial {local.robot} over tcp:, "
@@ -33,7 +35,7 @@ class Network:
             if isinstance(own, monikers.Sim) and self._air is not None:
                 self.listeners.append(sim.Listener(own.path, self._air))
             if listen is not None:
-                self.listeners.append(tcp.Listener(monikers.parse_address(listen, f"[mesh] listen = {listen}")))
+                self.listeners.append(tcp.Listener(monikers.parse_address(listen, f"[mesh] listen = {listen}"), hosts))
         except Exception:
             self.close()
             raise

@@ -267,7 +267,7 @@ class Runner:
         except OSError:
             return
         with self._lock:
-            session = self._node.accepted(clock.now())
+            session = self._node.accepted(clock.now(), pipe.caller)
             if session is None:
                 pipe.close()
             else:

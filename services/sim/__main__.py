@@ -8,14 +8,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from swarm.simulations import claim, default_run_dir
-
 from services.sim import options as arguments
 from services.sim import plot, report, scenario
 from services.sim.options import Options
 from services.sim.run import Run
 from swarm import log, service
 from swarm.errors import LocalError
+from swarm.simulations import claim, default_run_dir
 
 DEMO_ITERATIONS = 300
 DEMO_PLOT = Path("swarm-demo.png")

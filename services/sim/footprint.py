@@ -8,13 +8,14 @@ from pathlib import Path
 from services.sim.processes import Child
 
 
-def process_started() -> float:
-    """When this process was started, on the monotonic clock: before its interpreter was loaded.
+def commanded() -> float:
+    """When this run was asked for, on the monotonic clock: before its interpreter was loaded.
 
-    /proc gives clock ticks since boot, suspended time included; the difference of the two clocks takes that out.
+    That is when the process began, or what `./run` says, which may have set up the environment before. Both are given
+    as time since boot, suspended time included; the difference of the two clocks takes that out.
     """
     ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
-    boot = ticks / os.sysconf("SC_CLK_TCK")
+    boot = float(os.environ.get("SWARM_COMMANDED") or ticks / os.sysconf("SC_CLK_TCK"))
     return boot - (time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC))
 
 

@@ -1,13 +1,12 @@
 """What the simulation sees of its robots: the same keys anyone can watch, on every robot's bus."""
 
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from swarm.bus import Bus
 from swarm.errors import PayloadError
-from swarm.keys import key, parse
+from swarm.keys import key
 from swarm.messages import AppProgress, AppState, BalancerState, Links, Pose, Status, Truth, read
 
 
@@ -23,13 +22,20 @@ class Seen:
     progress: AppProgress | None = None
     state: AppState | None = None
 
+    def not_ready(self, services: Sequence[str]) -> list[str]:
+        """Which of `services` have not finished starting (a degraded one has)."""
+        return [name for name in services if name not in self.status or self.status[name].state == "starting"]
+
 
 class Monitor:
-    """Watches the buses of all robots and publishes the simulated truth on them."""
+    """Watches the buses of all robots and publishes the simulated truth on them.
+
+    Samples are kept as they came and decoded when somebody looks: most are replaced before that, and the simulation's
+    own process should take little from the robots it watches.
+    """
 
     def __init__(self, run_dir: Path, names: Sequence[str]) -> None:
-        self.seen = {name: Seen() for name in names}
-        self._lock = threading.Lock()
+        self._samples: dict[str, dict[str, bytes]] = {name: {} for name in names}
         self._buses = {name: Bus.of(run_dir / name) for name in names}
         for name, bus in self._buses.items():
             bus.subscribe(
@@ -42,7 +48,7 @@ class Monitor:
                     key(name, "mesh", "links"),
                     key(name, "dwm", "pose"),
                 ],
-                self._take,
+                self._samples[name].__setitem__,
             )
 
     def truth(self, robot: str, message: Truth) -> None:
@@ -53,44 +59,37 @@ class Monitor:
         """Ask every service for its status: what was published before we were connected is lost."""
         for name, bus in self._buses.items():
             for pattern in (key(name, "*", "status"), key(name, "app", "*", "status")):
-                bus.ask(pattern, self._take)
+                bus.ask(pattern, self._samples[name].__setitem__)
 
-    def services_ready(self, robot: str, services: Sequence[str]) -> list[str]:
-        """Which of `services` are not ready (or degraded, which runs too)."""
-        with self._lock:
-            status = self.seen[robot].status
-            return [name for name in services if name not in status or status[name].state == "starting"]
-
-    def snapshot(self) -> dict[str, Seen]:
-        """A consistent copy of what was seen."""
-        with self._lock:
-            return {
-                name: Seen(dict(seen.status), seen.balancer, seen.links, seen.pose, seen.progress, seen.state)
-                for name, seen in self.seen.items()
-            }
+    def look(self) -> dict[str, Seen]:
+        """The latest of every robot, by name."""
+        # dict() of a dict is one step of the interpreter: Zenoh's threads may be storing meanwhile.
+        return {name: _decoded(dict(samples)) for name, samples in self._samples.items()}
 
     def close(self) -> None:
         """Leave all buses."""
         for bus in self._buses.values():
             bus.close()
 
-    def _take(self, name: str, payload: bytes) -> None:
+
+def _decoded(samples: dict[str, bytes]) -> Seen:
+    seen = Seen()
+    for name, payload in samples.items():
         try:
             message = read(name, payload)
         except PayloadError:
-            return  # a picture for people: whoever needs the message reports what is wrong with it
-        seen = self.seen[parse(name).robot]
-        with self._lock:
-            match message:
-                case Status():
-                    seen.status[message.service] = message
-                case BalancerState():
-                    seen.balancer = message
-                case Links():
-                    seen.links = message
-                case Pose():
-                    seen.pose = message
-                case AppProgress():
-                    seen.progress = message
-                case AppState():
-                    seen.state = message
+            continue  # a picture for people: whoever needs the message reports what is wrong with it
+        match message:
+            case Status():
+                seen.status[message.service] = message
+            case BalancerState():
+                seen.balancer = message
+            case Links():
+                seen.links = message
+            case Pose():
+                seen.pose = message
+            case AppProgress():
+                seen.progress = message
+            case AppState():
+                seen.state = message
+    return seen

@@ -203,6 +203,7 @@ def parse(arguments: list[str]) -> Options:
             (options.algorithm, "--algorithm"),
             (options.settings, "--set"),
             (options.replay, "--replay"),
+            (options.plot, "--plot"),
         ):
             if given:
                 raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")

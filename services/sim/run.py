@@ -35,7 +35,8 @@ APP_SERVICE = "services.apps"
 START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
 
-TICK_S = 0.02
+TICK_S = 0.05
+REFRESH_LIMIT_S = 0.5
 
 
 class Run:
@@ -46,7 +47,7 @@ class Run:
         self._scenario = scenario
         self._run_dir = run_dir
         self._records = (options.record or run_dir / "records").absolute()
-        self._commanded = footprint.process_started()
+        self._commanded = footprint.commanded()
         self._progress = Progress(stream, scenario)
         self._problems: list[str] = []
         self._stop = False
@@ -63,6 +64,8 @@ class Run:
     def __enter__(self) -> "Run":
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupted)
+        for note in self._scenario.notes:
+            self._progress.say(note)
         for name in self._scenario.config.names:
             self._start_robot(name)
         return self
@@ -90,8 +93,8 @@ class Run:
             if now - asked > 1.0:
                 asked = now
                 self._monitor.ask_status()
-            seen = self._monitor.snapshot()
-            missing = {name: self._monitor.services_ready(name, self._services) for name in seen}
+            seen = self._monitor.look()
+            missing = {name: robot.not_ready(self._services) for name, robot in seen.items()}
             self._progress.show(now, now - self._commanded, seen, missing)
             if started is None:
                 if self._has_started(seen, missing):
@@ -167,12 +170,22 @@ class Run:
                         str(self._run_dir / robot / "air.sock"),
                     )
 
+    def _refresh(self, now: float) -> None:
+        """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""
+        self._monitor.ask_status()
+        while clock.now() < now + REFRESH_LIMIT_S:
+            seen = self._monitor.look()
+            if all("mesh" in robot.status and robot.status["mesh"].t >= now for robot in seen.values()):
+                return
+            time.sleep(TICK_S)
+
     def _interrupted(self, *_: object) -> None:
         self._stop = True
 
     def _outcome(self, started: float | None) -> Outcome:
         names = self._scenario.config.names
         now = clock.now()
+        self._refresh(now)
         paths = {}
         if self._scenario.app is not None:
             paths = {name: trajectory.read(self._records / f"{name}.{self._scenario.app}.csv") for name in names}
@@ -180,7 +193,7 @@ class Run:
         reached = [at for at in firsts if at is not None]
         if len(reached) == len(names):
             started = max(reached)
-        seen = self._monitor.snapshot()
+        seen = self._monitor.look()
         return Outcome(
             scenario=self._scenario,
             seed=self._options.seed,

@@ -5,17 +5,19 @@ its three places. The simulated modules read as its modules did, so the thesis' 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from services.apps import loader
+from services.apps.localization.guard import check_step_size, limit_step_size
 from services.sim.options import Options
 from swarm import config as configuration
 from swarm.codec import Value
 from swarm.config import Affine, Anchor, App, Config, Dwm, Linear, Mesh, Robot, Simulation
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
-from swarm.errors import ConfigError, LocalError
+from swarm.errors import AppError, ConfigError, LocalError
 from swarm.paths import socket_path
 from swarm.recordings import Recording, read_folder
 
@@ -55,6 +57,9 @@ class Scenario:
     recordings: dict[str, Recording]
     """By robot; empty without --replay."""
 
+    notes: tuple[str, ...]
+    """What to tell before it starts."""
+
     @property
     def parameters(self) -> dict[str, dict[str, Value]]:
         """The app's parameters by robot."""
@@ -73,7 +78,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         robots=tuple(
             replace(robot, link=f"sim:{socket_path(run_dir / robot.name, 'mesh.sock')}") for robot in base.robots
         ),
-        mesh=replace(base.mesh, insecure=True, listen=None),
+        mesh=replace(base.mesh, insecure=True, key=None, listen=None),
         dwm=_dwm(base.dwm, options.replay, run_dir),
         simulation=_places(base),
     )
@@ -89,6 +94,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
     if recordings:
         rows = min(len(recording.rows) for recording in recordings)
         iterations = rows if options.iterations is None else min(rows, options.iterations)
+    recorded = dict(zip(config.names, recordings, strict=False))
     return Scenario(
         config=config,
         app=app.name if app is not None else None,
@@ -96,7 +102,8 @@ def build(options: Options, run_dir: Path) -> Scenario:
         algorithm=_algorithm(config, app) if app is not None else None,
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
-        recordings=dict(zip(config.names, recordings, strict=False)),
+        recordings=recorded,
+        notes=_step_size(config, app, recorded) if app is not None else (),
     )
 
 
@@ -109,6 +116,33 @@ def _algorithm(config: Config, app: loader.App) -> str | None:
     if "" in app.algorithms:
         return None
     return str(config.app(app.name).of(config.names[0]).get("algorithm", next(iter(app.algorithms))))
+
+
+def _step_size(config: Config, app: loader.App, recordings: Mapping[str, Recording]) -> tuple[str, ...]:
+    """Hold gradient tracking's step size against the limit of this graph and geometry.
+
+    One above it is refused, but in a replay, where the places are those of the recording, it is only told.
+    """
+    if app.name != "localization" or _algorithm(config, app) != "thesis":
+        return ()
+    gamma = app.make(config, config.names[0]).step_size  # type: ignore[attr-defined]
+    places = {name: (x, y) for name, (x, y, _) in config.simulation.places.items()}
+    places |= {name: (recording.rows[0].x, recording.rows[0].y) for name, recording in recordings.items()}
+    limit = limit_step_size(Graph(config.names, config.edges), places, config.simulation.target)
+    told = (
+        f"step size {gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2, limit {limit * 1e-4:.3g} 1/cm^2 = {limit:.3g} 1/m^2"
+    )
+    try:
+        warning = check_step_size(gamma, limit)
+    except AppError as error:
+        if not recordings:
+            raise
+        warning = str(error)
+    return (told, f"warning: {warning}") if warning else (told,)
+
+
+def _both_units(gamma: float) -> str:
+    return f"{gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2"
 
 
 def _default(options: Options, recorded: int) -> Config:

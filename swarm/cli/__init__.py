@@ -16,7 +16,7 @@ from typing import NoReturn
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
-VERBS = ("config", "kill")
+VERBS = ("config", "key", "kill")
 """Modules of this package."""
 
 HANDED_ON = {

@@ -57,8 +57,14 @@ def _summary(config: Config) -> dict[str, object]:
         "anchors": [anchor.address for anchor in config.anchors],
         "target": config.dwm.target,
         "apps": sorted(config.apps),
-        "authenticated": False,
+        "authenticated": not config.mesh.insecure,
     }
+
+
+def _authentication(config: Config) -> str:
+    if not config.edges:
+        return ""
+    return ", not authenticated" if config.mesh.insecure else f", authenticated by the key in {config.mesh.key_file}"
 
 
 def _text(config: Config) -> str:
@@ -75,7 +81,7 @@ def _text(config: Config) -> str:
         [
             f"{config.path}: fine; network {config.network}",
             *table,
-            f"links: {len(graph.edges)}, diameter {graph.diameter()}" + (", not authenticated" if graph.edges else ""),
+            f"links: {len(graph.edges)}, diameter {graph.diameter()}" + _authentication(config),
             f"relay: {len(DEFAULT_RELAY)} rules of the platform, {own_rules} of the file",
             f"anchors: {anchors or 'none'}; target {config.dwm.target or 'none'}",
             f"apps with parameters: {', '.join(sorted(config.apps)) or 'none'}",

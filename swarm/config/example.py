@@ -55,7 +55,8 @@ shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:S
 # ---- Mesh: the links between robots.
 
 [mesh]
-insecure = true            # links are not authenticated yet: anyone in reach can join. A swarm has to say so.
+# key = "/etc/swarm/key"   # whoever has this key is a member: `swarm key new`, then copy it to all robots
+# insecure = true          # in place of a key: anyone in reach can join; `swarm sim` needs neither
 # listen = "0.0.0.0:7447"  # where tcp: neighbours may call; nothing listens on the network without it
 heartbeat = 0.5            # s between heartbeats
 suspect = 1.5              # s of silence until a link is suspect,

@@ -63,13 +63,6 @@ def parse(text: str, path: Path) -> Config:
     robots = _robots(top)
     names = tuple(robot.name for robot in robots)
     graph = _topology(top, robots)
-    mesh = sections.mesh(top)
-    if len(robots) > 1 and not mesh.insecure:
-        raise top.table("mesh", None).error(
-            "insecure",
-            "expected true: this version cannot authenticate links yet, so anyone in reach could join a "
-            "swarm of more than one robot; insecure = true says that you accept that",
-        )
     return Config(
         path=path,
         network=network,
@@ -77,7 +70,7 @@ def parse(text: str, path: Path) -> Config:
         edges=graph.edges,
         relay=_relay(top),
         anchors=sections.anchors(top),
-        mesh=mesh,
+        mesh=sections.mesh(top),
         body=sections.body(top),
         dwm=sections.dwm(top),
         apps=sections.apps(top, names),

@@ -12,6 +12,7 @@ from swarm.keys import is_name
 HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
 """A host name, an IPv4 address or an IPv6 address in brackets, then a port."""
 
+_PATH = re.compile(r"/.*")
 _UWB_ADDRESS = re.compile(r"[0-9A-Fa-f]{4}")
 _PARAMETER = "a finite number, a 64-bit whole number, true or false, a text or a list of finite numbers"
 
@@ -23,7 +24,7 @@ def is_port(text: str) -> bool:
 
 def mesh(top: Table) -> Mesh:
     """The table [mesh]."""
-    table = top.table("mesh", ("insecure", "listen", "heartbeat", "suspect", "dead", "metric"))
+    table = top.table("mesh", ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "metric"))
     normal = Mesh()
     seconds = "a number above 0, in seconds"
     listen = table.text("listen", None, expected="HOST:PORT", pattern=HOST_PORT)
@@ -31,12 +32,15 @@ def mesh(top: Table) -> Mesh:
         raise table.wrong("listen", "HOST:PORT with a port from 1 to 65535")
     found = Mesh(
         insecure=table.flag("insecure", normal.insecure),
+        key=table.text("key", None, expected="the whole path of a file made by `swarm key new`", pattern=_PATH),
         listen=listen,
         heartbeat=table.number("heartbeat", normal.heartbeat, above=0, expected=seconds),
         suspect=table.number("suspect", normal.suspect, above=0, expected=seconds),
         dead=table.number("dead", normal.dead, above=0, expected=seconds),
         metric=table.choice("metric", normal.metric, ("hops", "time")),
     )
+    if found.insecure and found.key is not None:
+        raise table.error("key", "expected either a key or insecure = true: links with and without never mix")
     if not found.heartbeat < found.suspect < found.dead:
         raise table.error(
             None,

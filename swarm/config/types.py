@@ -9,6 +9,8 @@ from pathlib import Path
 
 from swarm.codec import Value
 
+DEFAULT_KEY_FILE = "/etc/swarm/key"
+
 MAX_RFCOMM_LINKS = 7
 """A Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6: LT_ADDR)."""
 
@@ -62,10 +64,12 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Mesh settings; `facts` of the timing are in docs/frames.md."""
+    """Mesh settings; docs/frames.md says why the times are as they are."""
 
     insecure: bool = False
-    """True = frames are not authenticated: anyone in reach can join. This version knows no other way."""
+    """True = links are not authenticated: anyone in reach can join."""
+    key: str | None = None
+    """Path of the file with the pre-shared key; None = the usual place. Only where not insecure."""
     listen: str | None = None
     """Where to listen for `tcp:` neighbours, HOST:PORT; nothing listens on the network without it."""
     heartbeat: float = 0.5
@@ -76,6 +80,11 @@ class Mesh:
     """s of silence until it is closed and dialled anew."""
     metric: str = "hops"
     """What makes a way short: hops, or time (measured)."""
+
+    @property
+    def key_file(self) -> Path | None:
+        """Where the pre-shared key is; None when insecure."""
+        return None if self.insecure else Path(self.key or DEFAULT_KEY_FILE)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""What several processes need and that does no IO: lockstep, graphs, packed states."""

@@ -170,9 +170,7 @@ class Snapshot:
             raise LocalError("snapshot: not one of this version of the lockstep")
         body = data[: -_CHECK.size]
         if len(body) < _SNAPSHOT.size or _CHECK.pack(zlib.crc32(body)) != data[-_CHECK.size :]:
-            raise LocalError(
-                f"snapshot: truncated or damaged ({len(data)} bytes, the checksum does not match)"
-            )
+            raise LocalError(f"snapshot: truncated or damaged ({len(data)} bytes, the checksum does not match)")
         # The checksum has matched: the lengths within are those that encode() wrote.
         _, run, epoch, schema, size, k, peers, private = _SNAPSHOT.unpack_from(body)
         rest = _Reader(body, _SNAPSHOT.size)

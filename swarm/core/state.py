@@ -69,9 +69,7 @@ class Field:
     @property
     def columns(self) -> tuple[str, ...]:
         """Its column names in a table: `q[0]`, `q[1]`... for a vector."""
-        return (
-            tuple(f"{self.name}[{i}]" for i in range(self.length)) if self.kind == "vector" else (self.name,)
-        )
+        return tuple(f"{self.name}[{i}]" for i in range(self.length)) if self.kind == "vector" else (self.name,)
 
     def check(self, value: object) -> Item:
         """`value` as this field holds it, numbers as floats, lists as tuples; `AppError` says what was wrong."""
@@ -122,9 +120,7 @@ class Schema:
             raise AppError(f"{self.app} shares no state: declare at least one field, e.g. `value: float`")
         if self.size > MAX_STATE:
             sizes = ", ".join(f"{f.name} {struct.calcsize('<' + f.format)}" for f in self.fields)
-            raise AppError(
-                f"the state of {self.app} takes {self.size} bytes, a frame holds {MAX_STATE} ({sizes})"
-            )
+            raise AppError(f"the state of {self.app} takes {self.size} bytes, a frame holds {MAX_STATE} ({sizes})")
 
     def check(self, values: Mapping[str, object]) -> dict[str, Item]:
         """The fields' checked and rounded values, in order; `AppError` names the field at fault."""
@@ -175,9 +171,7 @@ def field_of(name: str, annotation: object) -> Field:
         if base == Vector:
             if type(mark) is int and mark > 0:
                 return Field(name, "vector", mark)
-            raise AppError(
-                f"{name}: expected Annotated[Vector, n] with n a positive integer, got n = {mark!r}"
-            )
+            raise AppError(f"{name}: expected Annotated[Vector, n] with n a positive integer, got n = {mark!r}")
     if annotation == Vector:
         raise AppError(f"{name}: say how long the vector is: `{name}: Annotated[Vector, 2]`")
     shown = getattr(annotation, "__name__", None) or str(annotation)

@@ -1,11 +1,14 @@
 """Real host processes on real buses, joined by a relay of this process in place of the mesh."""
 
+import itertools
 import os
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,23 +17,27 @@ from swarm.codec import decode
 from swarm.messages import AppProgress, AppState
 
 NAMES = ("r0", "r1", "r2")
-PATIENCE = 30.0
+PATIENCE = 40.0
 
 
-def config_text(names: Sequence[str] = NAMES, shape: str = "line", more: str = "") -> str:
-    robots = "".join(f'[[robots]]\nname = "{name}"\nlink = "tcp:127.0.0.1:{4100 + i}"\n' for i, name in enumerate(names))
-    return f'network = "test"\n{robots}[topology]\nshape = "{shape}"\n[mesh]\ninsecure = true\n{more}'
+def config_text(names: Sequence[str] = NAMES, more: str = "", shape: str = "line") -> str:
+    robots = [f'[[robots]]\nname = "{name}"\nlink = "tcp:127.0.0.1:{4100 + i}"\n' for i, name in enumerate(names)]
+    return f'network = "test"\n{"".join(robots)}[topology]\nshape = "{shape}"\n[mesh]\ninsecure = true\n{more}'
 
 
 class Rig:
-    """One run directory with robots; everything it started ends with it."""
+    """One run directory with robots; everything it started ends with it.
 
-    def __init__(self, directory: Path, names: Sequence[str] = NAMES, more: str = "", shape: str = "line") -> None:
+    The relay drops frames of iterations beyond `gate`, so that a test finds the swarm where it wants it.
+    """
+
+    def __init__(self, directory: Path, names: Sequence[str] = NAMES, more: str = "") -> None:
         self.directory = directory
         self.names = tuple(names)
+        self.gate = 2**32
         self.records = directory / "records"
         self.records.mkdir()
-        (directory / "swarm.toml").write_text(config_text(names, shape, more))
+        (directory / "swarm.toml").write_text(config_text(names, more))
         self.processes: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
         self.buses: dict[str, Bus] = {}
         self.changed = threading.Condition()
@@ -42,42 +49,33 @@ class Rig:
             bus = self.buses[name] = Bus.of(directory / name)
             bus.subscribe(f"swarm/{name}/app/*/progress", self._take(self.progress, name, AppProgress))
             bus.subscribe(f"swarm/{name}/app/*/state", self._take(self.state, name, AppState))
+        for here, there in itertools.pairwise(names):
+            self._relay(here, there)
+            self._relay(there, here)
 
-    def _take(self, where: dict[str, object], name: str, kind: type) -> Callable[[str, bytes], None]:
-        def take(key: str, payload: bytes) -> None:
-            with self.changed:
-                where[name] = decode(kind, payload, key)
-                self.changed.notify_all()
+    def __enter__(self) -> "Rig":
+        return self
 
-        return take
-
-    def join(self, *edges: tuple[str, str]) -> None:
-        """Carry the frames of the synchronous overlay both ways over each edge."""
-        for a, b in edges:
-            for here, there in ((a, b), (b, a)):
-                out = self.buses[there]
-
-                def carry(key: str, payload: bytes, out: Bus = out, there: str = there) -> None:
-                    receiver = key.split("/")[6:]
-                    if receiver in ([], [there]):
-                        out.publish(key, payload, urgent=True)
-
-                self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)
+    def __exit__(self, *_: object) -> None:
+        for process in self.processes.values():
+            process.kill()
+        for bus in self.buses.values():
+            bus.close()
+        for process in self.processes.values():
+            process.wait()
 
     def start(self, robot: str, service: str, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
-        log = (self.directory / robot / f"{service}.log").open("ab")
-        with log:
+        own = {
+            "SWARM_CONFIG": str(self.directory / "swarm.toml"),
+            "SWARM_ROBOT": robot,
+            "SWARM_RUNTIME": str(self.directory / robot),
+            "SWARM_RECORD": str(self.records),
+            "SWARM_PARENT": str(os.getpid()),
+        }
+        with (self.directory / robot / f"{service}.log").open("ab") as log:
             process = subprocess.Popen(
                 [sys.executable, "-m", f"services.{service}", *arguments],
-                env={
-                    **os.environ,
-                    "SWARM_CONFIG": str(self.directory / "swarm.toml"),
-                    "SWARM_ROBOT": robot,
-                    "SWARM_RUNTIME": str(self.directory / robot),
-                    "SWARM_RECORD": str(self.records),
-                    "SWARM_PARENT": str(os.getpid()),
-                    **environment,
-                },
+                env={**os.environ, **own, **environment},
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -85,14 +83,29 @@ class Rig:
         self.processes[robot, service] = process
         return process
 
+    def start_all(self, *arguments: str, **environment: str) -> None:
+        for name in self.names:
+            self.start(name, "apps", *arguments, **environment)
+
+    def kill(self, robot: str, service: str = "apps") -> None:
+        process = self.processes.pop((robot, service))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+
+    def stop(self, robot: str, service: str = "apps") -> int:
+        process = self.processes.pop((robot, service))
+        process.terminate()
+        return process.wait(PATIENCE)
+
     def log(self, robot: str, service: str = "apps") -> str:
-        return (self.directory / robot / f"{service}.log").read_text()
+        path = self.directory / robot / f"{service}.log"
+        return path.read_text() if path.exists() else ""
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
-        """Wait for samples until `condition` holds."""
+        """Wait until `condition` holds; it is looked at with every message of an app."""
         with self.changed:
             if not self.changed.wait_for(condition, PATIENCE):
-                logs = "\n".join(f"{n}: {self.log(n)}" for n in self.names if (self.directory / n / "apps.log").exists())
+                logs = "\n".join(f"{name}: {self.log(name)}" for name in self.names)
                 pytest.fail(f"{what} did not happen within {PATIENCE:g} s: {self.progress}\n{logs}")
 
     def until_phase(self, phase: str, *names: str) -> None:
@@ -101,23 +114,45 @@ class Rig:
             lambda: all(n in self.progress and self.progress[n].phase == phase for n in wanted), f"phase {phase}"
         )
 
+    def until_waits(self, robot: str, *peers: str) -> None:
+        """Wait until `robot` says that it waits for `peers`."""
+
+        def waits() -> bool:
+            progress = self.progress.get(robot)
+            return progress is not None and (progress.phase, progress.waiting_for) == ("waiting", peers)
+
+        self.until(waits, f"naming {peers}")
+
+    def until_k(self, k: int, *names: str) -> None:
+        wanted = names or self.names
+        self.until(lambda: all(n in self.state and self.state[n].k >= k for n in wanted), f"iteration {k}")
+
     def rows(self, name: str, app: str = "consensus") -> dict[int, str]:
-        """Recorded lines by iteration without the time; a line that stands there twice must be equal."""
+        """Recorded lines by iteration, without k; a line that stands there twice must be equal."""
         rows: dict[int, str] = {}
         for line in (self.records / f"{name}.{app}.csv").read_text().splitlines()[1:]:
-            k, _, rest = line.split(",", 2)
+            k, rest = line.split(",", 1)
             assert rows.setdefault(int(k), rest) == rest
         return rows
 
-    def stop(self, robot: str, service: str = "apps") -> int:
-        process = self.processes.pop((robot, service))
-        process.terminate()
-        return process.wait(10)
+    def values(self, name: str, app: str = "consensus") -> list[str]:
+        """The recorded states and results in order, without k and t."""
+        rows = self.rows(name, app)
+        assert sorted(rows) == list(range(len(rows)))
+        return [rows[k].split(",", 1)[1] for k in range(len(rows))]
 
-    def close(self) -> None:
-        for process in self.processes.values():
-            process.terminate()
-        for bus in self.buses.values():
-            bus.close()
-        for process in self.processes.values():
-            process.wait(10)
+    def _take(self, where: dict[str, Any], name: str, kind: type) -> Callable[[str, bytes], None]:
+        def take(key: str, payload: bytes) -> None:
+            with self.changed:
+                where[name] = decode(kind, payload, key)
+                self.changed.notify_all()
+
+        return take
+
+    def _relay(self, here: str, there: str) -> None:
+        def carry(key: str, payload: bytes) -> None:
+            receiver = key.split("/")[6:]
+            if receiver in ([], [there]) and int.from_bytes(payload[1:5], "little") <= self.gate:
+                self.buses[there].publish(key, payload, urgent=True)
+
+        self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)

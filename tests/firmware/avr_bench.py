@@ -1,4 +1,4 @@
-"""The simulated ATmega32U4 on its board, from Python: a ctypes binding of bench/bench.h with times in seconds.
+"""The simulated ATmega32U4 on its board, from Python: a ctypes binding of avr/bench.h with times in seconds.
 
 `Bench` is also an I2C bus in the sense of services/balancer/i2c.py: the project's drivers run on it unchanged.
 """

@@ -1,4 +1,4 @@
-"""Builds what the tests run, where the tools for it are: the firmware, the GPL-3 bench, the host's copy of the pure parts.
+"""Builds what the tests run, where the tools for it are: firmware, GPL-3 bench, the pure parts for this machine.
 
 Results are kept in pytest's cache under a hash of all sources, so that an unchanged firmware is built once.
 """
@@ -43,7 +43,7 @@ def require_host() -> None:
 
 def _digest() -> str:
     digest = hashlib.sha256()
-    for folder in (FIRMWARE, HERE / "bench", HERE / "host"):
+    for folder in (FIRMWARE, HERE / "avr", HERE / "host"):
         for path in sorted(folder.iterdir()):
             if path.is_file():
                 digest.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -82,7 +82,7 @@ def _build_firmware(into: Path) -> None:
 
 
 def _build_bench(into: Path) -> None:
-    _run("make", f"BUILD={into}", cwd=HERE / "bench")
+    _run("make", f"BUILD={into}", cwd=HERE / "avr")
 
 
 def _build_host(into: Path) -> None:

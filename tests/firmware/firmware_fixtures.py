@@ -6,7 +6,7 @@ from pathlib import Path
 import firmware_build
 import pytest
 from avr_bench import Bench
-from pure import Pure
+from firmware_pure import Pure
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,9 @@ _TEXT = (FIRMWARE / "layout.h").read_text()
 
 FIELDS = {
     name: Field(int(offset), int(size), writer)
-    for name, offset, size, writer in re.findall(r"^\s+FIELD\((\w+), (\d+), (\d+), (firmware|pi)\)", _TEXT, re.MULTILINE)
+    for name, offset, size, writer in re.findall(
+        r"^\s+FIELD\((\w+), (\d+), (\d+), (firmware|pi)\)", _TEXT, re.MULTILINE
+    )
 }
 CONSTANTS = {
     name: int(value, 0) for name, value in re.findall(r"constexpr u?int\d+_t (\w+) = (0x[0-9A-Fa-f]+|\d+);", _TEXT)

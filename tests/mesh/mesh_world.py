@@ -4,9 +4,10 @@ import heapq
 import itertools
 import random
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
 from services.mesh.core.node import Close, Dial, Node, Note
@@ -27,6 +28,8 @@ class End:
     alive: bool = True
     broken: bool = False
     """The rest of what it sends is lost, as on a stream: never bytes from the middle."""
+    heard: bytearray = field(default_factory=bytearray)
+    """What arrived here, where it is a stranger's end."""
 
 
 @dataclass
@@ -52,7 +55,10 @@ class World:
         rules: Sequence[RelayRule] = DEFAULT_RELAY,
         latency: float = 0.03,
         seed: int = 0,
+        keys: Mapping[int, bytes] | None = None,
     ) -> None:
+        """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`."""
+        self.keys = keys
         self.now = 0.0
         self.random = random.Random(seed)
         self.latency = latency
@@ -60,10 +66,14 @@ class World:
         self.rules = rules
         self.network = {name: "lab" for edge in edges for name in edge}
         self.overrides: dict[str, dict[str, object]] = {}
+        self.callers: dict[str, Caller] = {}
+        """What the transport knows of robots that call; nothing of the others."""
         self.bots: dict[str, Bot] = {}
         self.cuts: dict[frozenset[str], float] = {}
         self.dials: list[tuple[float, str, str]] = []
         self.break_after: int | None = None
+        self.tap: Callable[[End, bytes], bytes] | None = None
+        """Somebody between the robots: sees what an end sends, and decides what goes on in its place."""
         self._schedule: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         for name in self.network:
@@ -79,7 +89,8 @@ class World:
             "robot": name,
             "network": self.network[name],
             "incarnation": self.random.getrandbits(64),
-            "insecure": True,
+            "insecure": self.keys is None,
+            "keys": self.keys or {},
             "dials": {peer: dials(robots[name], robots[peer]) for peer in peers},
             "robots": frozenset(robots),
         }
@@ -132,12 +143,12 @@ class World:
         """A sample on a robot's own bus."""
         self.step(name, lambda node: node.publish(source, key, payload, self.now))
 
-    def connect_raw(self, name: str, *writes: bytes) -> "Raw":
+    def connect_raw(self, name: str, *writes: bytes, caller: Caller = UNKNOWN) -> "Raw":
         """A stranger connects and writes."""
         raw = Raw(self, End("stranger", None))
         end = End(name, None, raw.end)
         raw.end.peer = end
-        self._accept(end)
+        self._accept(end, caller)
         for data in writes:
             raw.write(data)
         return raw
@@ -217,13 +228,13 @@ class World:
             caller.ends[near.session] = near
 
         self.step(caller.name, dialled)
-        self._accept(far)
+        self._accept(far, self.callers.get(caller.name, UNKNOWN))
 
-    def _accept(self, end: End) -> None:
+    def _accept(self, end: End, caller: Caller = UNKNOWN) -> None:
         bot = self.bots[end.robot]
 
         def accepted(node: Node) -> None:
-            end.session = node.accepted(self.now)
+            end.session = node.accepted(self.now, caller)
             if end.session is None:
                 self._close(end)
             else:
@@ -234,6 +245,8 @@ class World:
     def _flush(self, end: End) -> None:
         assert end.session is not None
         while data := end.session.data_to_send(self.now, 4096):
+            if self.tap is not None:
+                data = self.tap(end, data)
             while data:
                 cut = self.random.randint(1, len(data))
                 self.send(end, data[:cut])
@@ -258,6 +271,8 @@ class World:
 
     def _arrive(self, sender: End, data: bytes) -> None:
         receiver = sender.peer
+        if receiver is not None and receiver.robot == "stranger":
+            receiver.heard += data
         if receiver is None or receiver.session is None or not receiver.alive:
             return
         bot = self.bots.get(receiver.robot)
@@ -301,6 +316,11 @@ class Raw:
     def write(self, data: bytes) -> None:
         """Send any bytes."""
         self.world.send(self.end, data)
+
+    @property
+    def heard(self) -> bytes:
+        """What the robot has sent."""
+        return bytes(self.end.heard)
 
     @property
     def open(self) -> bool:

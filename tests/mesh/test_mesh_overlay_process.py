@@ -126,7 +126,7 @@ def test_messages_go_another_way_when_a_robot_dies(build: Build) -> None:
     swarm = build(edges=LOOP, model="latency=0.005")
     swarm.start()
     wait_here(swarm)
-    assert members(swarm, "r0")["r2"].via == "r1"
+    wait_until(lambda: members(swarm, "r0")["r2"].via == "r1", what="the map is whole")
     overlays = Overlays(swarm["r0"].bus, "r0", "test")
     robot = swarm["r1"]
     assert robot.mesh is not None

@@ -1,6 +1,7 @@
 """Real mesh processes with real bus routers, over sim: and tcp: links."""
 
 import os
+import re
 import signal
 import socket
 import struct
@@ -15,6 +16,7 @@ from conftest import Processes, stop, wait_until
 from services.mesh.core import frames
 from services.mesh.core.frames import Hello
 from swarm.bus import Bus, Router
+from swarm.keyfile import new_key_file, read_keys, rotate
 from swarm.messages import LinkState, Status, read
 from swarm.paths import bus_endpoint
 
@@ -87,8 +89,16 @@ class Swarm:
     """Robots in one runtime directory."""
 
     def __init__(
-        self, processes: Processes, kind: str, edges: list[tuple[str, str]], extra: str, model: str, times: str
+        self,
+        processes: Processes,
+        kind: str,
+        edges: list[tuple[str, str]],
+        extra: str,
+        model: str,
+        times: str,
+        key: Path | None,
     ) -> None:
+        self.key = key
         self.processes = processes
         self.runtime = processes.runtime
         self.model = model
@@ -104,7 +114,7 @@ class Swarm:
         for name in self.robots:
             link = f"sim:{self.runtime}/{name}/mesh.sock" if kind == "sim" else f"tcp:127.0.0.1:{self.ports[name]}"
             text += f'[[robots]]\nname = "{name}"\nlink = "{link}"\n'
-        text += f"[mesh]\ninsecure = true\n{times}"
+        text += f'[mesh]\nkey = "{self.key}"\n{times}' if self.key else f"[mesh]\ninsecure = true\n{times}"
         return text + (f'listen = "127.0.0.1:{self.ports[me]}"\n' if kind == "tcp" else "")
 
     def start(self) -> None:
@@ -152,8 +162,9 @@ def build(processes: Processes) -> Iterator[Build]:
         extra: str = "",
         model: str = "",
         times: str = "",
+        key: Path | None = None,
     ) -> Swarm:
-        built.append(Swarm(processes, kind, list(edges), extra, model, times))
+        built.append(Swarm(processes, kind, list(edges), extra, model, times, key))
         return built[-1]
 
     yield make
@@ -362,3 +373,72 @@ def test_a_robot_alone_needs_no_link(processes: Processes) -> None:
     processes.config.write_text('network = "test"\n[[robots]]\nname = "r0"\n')
     process = processes.start_ready("-m", "services.mesh")
     assert stop(process) == 0
+
+
+# -- with a key ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["sim", "tcp"])
+def test_robots_with_the_key_meet_and_nobody_else(build: Build, runtime: Path, kind: str) -> None:
+    """r2 has another key of the same swarm's past; strangers have none."""
+    key, wrong = runtime / "key", runtime / "wrong"
+    new_key_file(key, 1000.0)
+    new_key_file(wrong, 1000.0)
+    swarm = build(kind, (("r0", "r1"), ("r1", "r2")), key=key)
+    third = swarm["r2"]
+    third.config.write_text(third.config.read_text().replace(str(key), str(wrong)))
+    for robot in swarm.robots.values():
+        robot.start()
+    wait_until(lambda: swarm["r1"].links.get("r0") and swarm["r1"].links["r0"].state == "up")
+    swarm.talk("r0", "r1")
+    swarm.talk("r1", "r0")
+    for data in (hello(), hello(insecure=False, key_ids=(1000,))):
+        with strangers(swarm, kind, data + frames.encode_confirm(bytes(32))) as sock:
+            while sock.recv(4096):
+                pass
+    reason = re.compile("another key|does not hold the key")
+    wait_until(lambda: swarm["r1"].links.get("r2") and reason.search(swarm["r1"].links["r2"].reason))
+    counters = swarm["r1"].status().counters
+    assert counters["refused_security"] == 1
+    assert counters["refused_key"] >= 1
+    assert swarm["r1"].links["r2"].connection == 0
+    assert swarm["r1"].links["r0"].connection == 1
+    # The right key, as the first half of a rotation brings it, lets r2 in beside the others.
+    assert third.mesh is not None
+    assert stop(third.mesh) == 0
+    rotate(key, 2000.0)
+    third.config.write_text(third.config.read_text().replace(str(wrong), str(key)))
+    third.start()
+    swarm.wait_up()
+    swarm.talk("r1", "r2")
+    swarm.talk("r2", "r1")
+    mesh = swarm["r1"].mesh
+    assert mesh is not None
+    log = log_of(mesh)
+    assert "Traceback" not in log
+    assert log.count("we are not") == 1
+    assert not [secret for secret in read_keys(key).values() if secret.hex() in log]
+
+
+@pytest.mark.parametrize(
+    ("bits", "problem"),
+    [
+        (None, "there is no such file, and without a key no link comes up: make one by `swarm key new"),
+        (0o640, "chmod 600"),
+    ],
+)
+def test_a_mesh_without_a_proper_key_says_so_and_ends(
+    processes: Processes, runtime: Path, bits: int | None, problem: str
+) -> None:
+    key = runtime / "key"
+    if bits is not None:
+        new_key_file(key, 1000.0)
+        key.chmod(bits)
+    text = processes.config.read_text()
+    processes.config.write_text(text.replace("insecure = true", f'key = "{key}"'))
+    process = processes.start("-m", "services.mesh", SWARM_ROBOT="r1")
+    _, log = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert f"{key}: " in log
+    assert problem in log
+    assert "Traceback" not in log

@@ -6,14 +6,15 @@ from hypothesis import strategies as st
 from mesh_world import World
 
 from services.mesh.core import frames
+from services.mesh.core.callers import MAX_HALF_OPEN
 from services.mesh.core.dialler import FIRST_DELAY, LONGEST_DELAY, Dialler, dials
 from services.mesh.core.frames import Hello
-from services.mesh.core.node import MAX_HALF_OPEN
 from services.mesh.core.session import HANDSHAKE_TIMEOUT
 from swarm.config.types import Robot
 from swarm.errors import LocalError
 
 PAIR = [("r0", "r1")]
+KEYS = {0x68A1F0C2: bytes(range(32))}
 SYNC_KEY = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
 RECOVERY = 3.0 + 1.5 * LONGEST_DELAY + HANDSHAKE_TIMEOUT + 1.0
 """s in which a link must be up again when nothing disturbs it: silence, the longest wait, a handshake."""
@@ -305,9 +306,11 @@ def disturb(world: World, kind: str, value: object, count: int) -> None:
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.lists(disturbances, max_size=25), st.integers(0, 2**16))
-def test_the_link_comes_up_again_whatever_happened(steps: list[tuple[str, object]], seed: int) -> None:
-    world = World(PAIR, seed=seed)
+@given(st.lists(disturbances, max_size=25), st.integers(0, 2**16), st.sampled_from((None, KEYS)))
+def test_the_link_comes_up_again_whatever_happened(
+    steps: list[tuple[str, object]], seed: int, keys: dict[int, bytes] | None
+) -> None:
+    world = World(PAIR, seed=seed, keys=keys)
     for count, (kind, value) in enumerate(steps):
         disturb(world, kind, value, count)
     for name in ("r0", "r1"):
@@ -327,9 +330,9 @@ def test_the_link_comes_up_again_whatever_happened(steps: list[tuple[str, object
         assert world.bots[receiver].inbox[-1] == (SYNC_KEY.format(sender), b"\xff\xff")
 
 
-@given(st.integers(1, 150))
-def test_loss_at_any_byte_of_the_handshake(count: int) -> None:
-    world = World(PAIR)
+@given(st.integers(1, 250), st.sampled_from((None, KEYS)))
+def test_loss_at_any_byte_of_the_handshake(count: int, keys: dict[int, bytes] | None) -> None:
+    world = World(PAIR, keys=keys)
     world.break_after = count
     world.run(RECOVERY)
     assert world.all_up()

@@ -90,3 +90,13 @@ def test_a_file_describes_the_swarm(tmp_path):
     again = build(tmp_path, "consensus", "--config", str(path), "--set", "value=1")
     assert again.config.network == "mine"
     assert again.config.names == ("r0", "r1")
+
+
+def test_a_step_size_beyond_the_limit_of_the_scene_is_refused(tmp_path):
+    thesis = ("localization", "--algorithm", "thesis", "--step-size")
+    plan = build(tmp_path, *thesis, "4e-6")
+    assert plan.notes[0].startswith("step size 4e-06 1/cm^2 = 0.04 1/m^2, limit 7.3")  # 7.3e-6 on the 3-line of 2 m
+    assert len(plan.notes) == 1
+    assert "warning" in build(tmp_path, *thesis, "7e-6").notes[1]
+    with pytest.raises(LocalError, match="would diverge"):
+        build(tmp_path, *thesis, "8e-6")

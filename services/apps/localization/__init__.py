@@ -9,6 +9,10 @@ from typing import Annotated, Any
 from services.apps.localization import gradient, ranges
 from swarm import SyncApp, Vector, parameter
 from swarm.codec import Value
+from swarm.errors import AppError
+
+DIVERGED = 1e6
+"""An estimate beyond this, m, is none: the iteration goes to infinity within a few more steps."""
 
 
 class Info(SyncApp):
@@ -99,6 +103,10 @@ class Thesis(SyncApp):
         weighted += [(w, gradient.Node(n.x, n.z, n.g)) for w, n in self.weighted(neighbours)]
         now = self.robot.measurement
         new = gradient.iterate(own, weighted, self.step_size, now.distance, (now.x, now.y))
+        if not abs(new.x[0]) + abs(new.x[1]) < DIVERGED:
+            raise AppError(
+                f"the estimate diverges: step_size {self.step_size:g} 1/m^2 is too large for this graph and geometry"
+            )
         self.x, self.z, self.g = new.x, new.z, new.g
         self._cost = gradient.cost(new.x, now.distance, (now.x, now.y))
 

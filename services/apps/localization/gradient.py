@@ -33,7 +33,8 @@ def gradient(x: Vector2, distance: float, place: Vector2) -> Vector2:
 def cost(x: Vector2, distance: float, place: Vector2) -> float:
     """(phi^2 - |x - p|^2)^2, m^4."""
     dx, dy = place[0] - x[0], place[1] - x[1]
-    return (distance * distance - dx * dx - dy * dy) ** 2
+    residual = distance * distance - dx * dx - dy * dy
+    return residual * residual
 
 
 def iterate(own: Node, weighted: Iterable[tuple[float, Node]], gamma: float, distance: float, place: Vector2) -> Node:

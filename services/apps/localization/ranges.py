@@ -49,8 +49,7 @@ class Estimate:
     """3: three places not in line; 2: places in line, two candidates; 1: one place, `x`, `y` is the centre of
     a circle."""
     sigma: float
-    """Standard deviation of the place, sqrt of the trace of its covariance, m; for rank 1 the circle's
-    radius."""
+    """Standard deviation of the place, sqrt of the trace of its covariance, m; at most the mean range."""
 
     @property
     def ambiguous(self) -> bool:
@@ -106,7 +105,9 @@ def solve(s: Statistics, robots: int) -> Estimate | None:
     # Fisher information of the place, from the same sums: 4 w (x - p)(x - p)' = unit vectors / s^2.
     i11, i22, i12 = big + 4 * w * u * u, small + 4 * w * h * h, 4 * w * u * h
     determinant = i11 * i22 - i12 * i12
-    sigma = math.sqrt((i11 + i22) / (robots * determinant)) if determinant > 0 else math.sqrt(v3 / w)
+    sigma = math.sqrt(u * u + h * h + (big + small) / (4 * w))
+    if determinant > 0.0:
+        sigma = min(sigma, math.sqrt((i11 + i22) / (robots * determinant)))
 
     def back(u: float, h: float) -> tuple[float, float]:
         return cx + cos * u - sin * h, cy + sin * u + cos * h

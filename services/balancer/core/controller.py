@@ -126,14 +126,14 @@ class Controller:
 
     def step(self, estimate: Estimate) -> tuple[float, float]:
         """Duties of the left and right motor for this tick."""
+        if not math.isfinite(sum(estimate)):  # one that is not spoils the sum
+            self.fail("the estimate is not a number")
         if self.mode == STANDING_UP:
             duty = self._stand_up(estimate)
         elif self.mode == BALANCING:
             duty = self._balance(estimate)
         else:
             return 0.0, 0.0
-        if not math.isfinite(duty):
-            self.fail("the estimate is not a number")
         if self.mode not in (STANDING_UP, BALANCING):
             return 0.0, 0.0
         turn = 0.0

@@ -28,6 +28,8 @@ class LinkDown:
     """A link that was up has ended."""
 
     reason: str
+    code: int | None = None
+    """Why we ended it (codes of BYE); None where the other end or the transport did."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,15 @@
 """Frames of the mesh, as two neighbours exchange them over an ordered byte stream (docs/frames.md).
 
-    length u16 | kind and class u8 | body | (tag, 8 bytes, once links are authenticated)
+    length u16 | kind and class u8 | body | (tag, 8 bytes, on authenticated links after CONFIRM)
 
 All numbers are little endian; `length` counts the bytes that follow it. The decoder checks it before anything
 else, so a peer can never make us buffer more than one frame. Whatever is wrong raises `FrameError`: a stream
 that was wrong once cannot be resynchronised, so the connection ends.
 """
 
+import hmac
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,7 +38,10 @@ MAX_HANDSHAKE = 256
 """Largest `length` until both ends have confirmed each other."""
 
 TAG_SIZE = 8
-"""Bytes kept free at the end of every frame for the tag of authenticated links."""
+"""Bytes at the end of every frame for the tag of authenticated links; insecure ones leave them out."""
+
+MAC_SIZE = 32
+"""Bytes that CONFIRM carries on authenticated links."""
 
 MAX_PAYLOAD = MAX_FRAME - 3 - TAG_SIZE
 """Largest payload of one DATA frame, in bytes."""
@@ -49,6 +54,7 @@ MAX_KEY_IDS = 4
 MAX_NETWORK = 32
 """Longest network name, in bytes."""
 
+_LENGTH = struct.Struct("<H")
 _HEAD = struct.Struct("<HB")
 _DATA_HEAD = struct.Struct("<HBH")
 _CHANNEL = struct.Struct("<H")
@@ -73,7 +79,9 @@ NEIGHBOURS, FLOOD, UNICAST = 0, 1, 2
     BAD_ROLE,
     REPLACED,
     SILENT,
-) = range(1, 11)
+    BAD_KEY,
+    BAD_TAG,
+) = range(1, 13)
 """Why one end says BYE."""
 
 BYE_TEXT = {
@@ -87,11 +95,21 @@ BYE_TEXT = {
     BAD_ROLE: "the dial rule",
     REPLACED: "a newer connection",
     SILENT: "silence",
+    BAD_KEY: "another key",
+    BAD_TAG: "a wrong tag",
 }
 
 
 class VersionError(FrameError):
     """The other end speaks no version of the protocol that we speak."""
+
+
+class TagError(FrameError):
+    """A frame that its sender's key did not tag, or not at this place of the stream."""
+
+
+Tag = Callable[[bytes], bytes]
+"""Gives the tag of the next frame of one direction, from its length up to its body's end."""
 
 
 class Frame(NamedTuple):
@@ -145,6 +163,8 @@ class Decoder:
     def __init__(self, limit: int = MAX_HANDSHAKE) -> None:
         self.limit = limit
         """Largest `length` accepted; the session raises it when the handshake is over."""
+        self.tag: Tag | None = None
+        """What the tags of the frames to come must be; None while they carry none."""
         self._buffer = b""
         self._at = 0
 
@@ -164,6 +184,7 @@ class Decoder:
         end = at + 2 + length
         if len(buffer) < end:
             return None
+        body_end = end if self.tag is None else self._check_tag(self.tag, at, end)
         first = buffer[at + 2]
         kind, priority = first & 0x0F, first >> 4
         if kind not in _KINDS:
@@ -171,7 +192,16 @@ class Decoder:
         if priority > BULK:
             raise FrameError(f"frame class {priority}: 0 to {BULK} are allowed")
         self._at = end
-        return Frame(kind, priority, buffer[at + 3 : end])
+        return Frame(kind, priority, buffer[at + 3 : body_end])
+
+    def _check_tag(self, tag: Tag, at: int, end: int) -> int:
+        """Where the body ends and the tag begins. Nothing of a frame counts before its tag was right."""
+        start = end - TAG_SIZE
+        if start < at + _HEAD.size:
+            raise TagError(f"frame length {end - at - 2}: no room for a tag")
+        if not hmac.compare_digest(tag(self._buffer[at:start]), self._buffer[start:end]):
+            raise TagError("the tag of a frame is wrong")
+        return start
 
 
 def encode(kind: int, priority: int, body: bytes) -> bytes:
@@ -180,6 +210,12 @@ def encode(kind: int, priority: int, body: bytes) -> bytes:
     if length > MAX_FRAME - TAG_SIZE:
         raise LocalError(f"frame of {length} bytes: at most {MAX_FRAME - TAG_SIZE} fit")
     return _HEAD.pack(length, kind | priority << 4) + body
+
+
+def seal(frame: bytes, tag: Tag) -> bytes:
+    """A frame as it goes over an authenticated link: with its tag, which `length` counts."""
+    frame = _LENGTH.pack(len(frame) - _LENGTH.size + TAG_SIZE) + frame[_LENGTH.size :]
+    return frame + tag(frame)
 
 
 def encode_data(priority: int, channel: int, payload: bytes) -> bytes:
@@ -223,15 +259,16 @@ def decode_heartbeat(body: bytes) -> Heartbeat:
     return Heartbeat(*_HEARTBEAT.unpack(body))
 
 
-def encode_confirm() -> bytes:
-    """A CONFIRM frame: "I accept your HELLO". Empty while links are not authenticated, a MAC later."""
-    return encode(CONFIRM, CONTROL, b"")
+def encode_confirm(mac: bytes = b"") -> bytes:
+    """A CONFIRM frame: "I accept your HELLO"; on authenticated links with `MAC_SIZE` bytes that prove it."""
+    return encode(CONFIRM, CONTROL, mac)
 
 
-def decode_confirm(body: bytes) -> None:
-    """Check the body of a CONFIRM frame."""
-    if body:
-        raise FrameError(f"CONFIRM of {len(body)} bytes on an insecure link: it has 0")
+def decode_confirm(body: bytes, size: int = 0) -> bytes:
+    """The MAC of a CONFIRM frame, `size` bytes: 0 on an insecure link."""
+    if len(body) != size:
+        raise FrameError(f"CONFIRM of {len(body)} bytes: it has {size} here")
+    return body
 
 
 def encode_bye(code: int) -> bytes:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from services.mesh.core import frames, overlays, packets
 from services.mesh.core.actions import Transmit
+from services.mesh.core.callers import MAX_HALF_OPEN, UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
@@ -18,9 +19,6 @@ from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay, Send
 from services.mesh.core.session import CONNECTING, DOWN, REFUSED, SENT, Local, Session
 from swarm.messages import LinkState
-
-MAX_HALF_OPEN = 16
-"""Accepted connections that have not finished their handshake; more are closed at once."""
 
 _LIMITS = {
     frames.NEIGHBOURS: frames.MAX_PAYLOAD,
@@ -132,19 +130,28 @@ class Node:
             peer: Link(peer, Dialler(random) if dials else None) for peer, dials in sorted(local.dials.items())
         }
         self._sessions: list[Session] = []
+        self._callers = Callers()
+        self._half_open: dict[Session, Caller] = {}
         self._ready: list[Session] = []
         self._actions: list[Action] = []
         self._noted: set[str] = set()
 
     # -- inputs ------------------------------------------------------------------------------------
 
-    def accepted(self, now: float) -> Session | None:
-        """Somebody connected; None = too many strangers at once, close it."""
-        if sum(not session.is_up for session in self._sessions if session.dialled is None) >= MAX_HALF_OPEN:
-            self._counters["half_open"] += 1
-            self._note("half-open connections", f"more than {MAX_HALF_OPEN} connections wait for their handshake")
+    def accepted(self, now: float, caller: Caller = UNKNOWN) -> Session | None:
+        """Somebody connected; None = no handshake with this one, close it."""
+        if caller.robot == "":
+            self._counters["refused_robot"] += 1
+            self._note("strange address", f"connection refused: {caller.source} is the address of no robot of ours")
             return None
-        return self._open(None, now)
+        if not self._callers.has_room(caller, self._half_open.values(), now):
+            self._counters["half_open"] += 1
+            limit = f"more than {MAX_HALF_OPEN} wait for their handshake, or the last ones from there were refused"
+            self._note("half-open connections", f"connection refused source={caller.source or 'unknown'}: {limit}")
+            return None
+        session = self._open(None, now, caller.robot)
+        self._half_open[session] = caller
+        return session
 
     def dialled(self, peer: str, now: float) -> Session:
         """The connection to `peer` that we asked for is there."""
@@ -234,7 +241,7 @@ class Node:
 
     # -- inside ------------------------------------------------------------------------------------
 
-    def _open(self, peer: str | None, now: float) -> Session:
+    def _open(self, peer: str | None, now: float, expected: str | None = None) -> Session:
         session = Session(
             self._local,
             self._nonce(),
@@ -242,6 +249,7 @@ class Node:
             dialled=peer,
             admit=self._admit,
             counters=self._counters,
+            expected=expected,
         )
         self._sessions.append(session)
         self._ready.append(session)
@@ -318,6 +326,8 @@ class Node:
         match event:
             case LinkUp(name):
                 link = self._links[name]
+                if (caller := self._half_open.pop(session, None)) is not None:
+                    self._callers.confirmed(caller)
                 if link.session is not None:
                     self._replace(link, link.session, now)
                 link.session = session
@@ -332,9 +342,11 @@ class Node:
                 self._tell(f"link suspect peer={peer}")
             case LinkRecovered():
                 self._tell(f"link heard again peer={peer}")
-            case LinkDown(reason):
+            case LinkDown(reason, code):
                 assert peer is not None
                 link = self._links[peer]
+                if code in (frames.BAD_FRAME, frames.BAD_TAG):
+                    self._note(f"{peer} {code}", f"connection ended peer={peer} reason={reason}")
                 if link.session is session:
                     self._detach(link, session, reason, now)
                     self._tell(f"link down peer={peer} reason={reason}")
@@ -342,9 +354,14 @@ class Node:
                 self._on_failed(session, reason, code, now)
 
     def _on_failed(self, session: Session, reason: str, code: int | None, now: float) -> None:
-        caller = session.dialled or "a caller"
+        caller, address = session.dialled or "a caller", ""
+        if (known := self._half_open.pop(session, None)) is not None:
+            caller, address = known.robot or caller, f" address={known.source}" if known.source else ""
+            if code is not None:
+                self._callers.refused(known, now)
         if code is not None:
-            self._note(f"{caller} {code}", f"connection refused peer={caller} reason={reason}")
+            # One line for all strangers: who calls from many addresses must not fill the log.
+            self._note(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
         if session.dialled is not None:
             self.dial_failed(session.dialled, reason, now)
 

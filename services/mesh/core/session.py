@@ -4,16 +4,18 @@
         any --transport lost, bad frame, BYE, silence--> down (for good: the next connection is a new session)
 
 Both ends send HELLO at once. Who accepts the other's HELLO sends CONFIRM, and a link is up on one side when
-the other's CONFIRM arrived: so a peer that refuses us never looks up for a moment. Frames are made when they
-leave (`data_to_send`), not when they are queued: priorities act until the last moment, heartbeats carry the
-true time, and a counter for authentication tags will follow the order on the wire.
+the other's CONFIRM arrived: so a peer that refuses us never looks up for a moment, and one without the key never
+gets beyond this object. Frames are made when they leave (`data_to_send`), not when they are queued: priorities
+act until the last moment, heartbeats carry the true time, and the counter of the tags follows the order on the
+wire.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 
 from services.mesh.core import frames
+from services.mesh.core.auth import Keys, newest_common
 from services.mesh.core.channels import Channels, overlay_of
 from services.mesh.core.events import (
     Event,
@@ -48,6 +50,8 @@ REFUSED = {
     frames.BAD_SECURITY: "refused_security",
     frames.BAD_ROLE: "refused_role",
     frames.SILENT: "silent",
+    frames.BAD_KEY: "refused_key",
+    frames.BAD_TAG: "bad_tags",
 }
 """Which counter counts what we end a connection for."""
 
@@ -64,6 +68,7 @@ class Local:
     incarnation: int
     """u64, drawn anew at each start."""
     insecure: bool
+    """True = no link of ours is authenticated, and `keys` is empty."""
     dials: Mapping[str, bool]
     """The neighbours, and whether this robot dials them (the other end does otherwise)."""
     robots: frozenset[str]
@@ -72,6 +77,8 @@ class Local:
     """s between heartbeats, on a busy link too: they carry the clock."""
     suspect: float = 1.5
     dead: float = 3.0
+    keys: Mapping[int, bytes] = field(default_factory=dict, repr=False)
+    """Pre-shared keys by id; the newest one has the highest id."""
 
 
 class Session:
@@ -86,15 +93,18 @@ class Session:
         dialled: str | None,
         admit: Callable[[str, int, str], bool],
         counters: Counter[str],
+        expected: str | None = None,
     ) -> None:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called.
 
+        `expected` names the robot whose address a caller has, where the transport knows it.
         `admit(peer, overlay, key)` says whether that peer may use a channel.
         """
         self._local = local
         self._admit = admit
         self._counters = counters
         self.dialled = dialled
+        self._expected = expected
         self.peer = dialled
         """Who is at the other end; None until an unknown caller's HELLO was accepted."""
         self.state = CONNECTING
@@ -109,11 +119,16 @@ class Session:
         self._outbox = Outbox(counters)
         self._channels = Channels()
         self._bound: dict[int, tuple[str, int] | None] = {}
-        self._urgent = [
-            frames.encode_hello(
-                Hello(local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure)
-            )
-        ]
+        ids = tuple(sorted(local.keys, reverse=True))
+        self._hello = frames.encode_hello(
+            Hello(local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure, ids)
+        )
+        self._urgent = [self._hello]
+        self._auth: Keys | None = None
+        """The keys of this connection, once the other's HELLO was accepted; None on insecure links."""
+        self._confirm = b""
+        self._tag: frames.Tag | None = None
+        """What tags our frames, once CONFIRM has left; None on insecure links."""
         self._heard = now
         self._heartbeat_at = now
         self._heartbeat_due = False
@@ -146,20 +161,23 @@ class Session:
         """Bytes from the transport, cut anyhow."""
         if self.state == DOWN:
             return
-        self._heard = now
-        if self.state == SUSPECT:
-            self.state = UP
-            self._events.append(LinkRecovered())
         self._decoder.feed(data)
         try:
             while self.state != DOWN and (frame := self._decoder.next()) is not None:
                 self.received += 1
+                # Whole frames only: whoever can add bytes to the stream must not keep a dead link looking alive.
+                self._heard = now
+                if self.state == SUSPECT:
+                    self.state = UP
+                    self._events.append(LinkRecovered())
                 if frame.kind == frames.DATA and self.is_up:
                     self._on_data(frame)
                 else:
                     self._on_control(frame, now)
         except frames.VersionError as error:
             self._end(frames.BAD_VERSION, str(error))
+        except frames.TagError as error:
+            self._end(frames.BAD_TAG, str(error))
         except FrameError as error:
             self._end(frames.BAD_FRAME, f"bad frame: {error}")
 
@@ -214,7 +232,19 @@ class Session:
             size += len(chunks[-1])
             self._counters[SENT[message.priority]] += 1
         self.sent += len(chunks)
-        return b"".join(chunks)
+        return b"".join(chunks) if self._auth is None else self._seal(self._auth, chunks)
+
+    def _seal(self, auth: Keys, chunks: list[bytes]) -> bytes:
+        """Tag what comes behind our CONFIRM."""
+        sealed = []
+        for frame in chunks:
+            if self._tag is None:
+                sealed.append(frame)
+                if frame is self._confirm:
+                    self._tag = auth.outbound
+            else:
+                sealed.append(frames.seal(frame, self._tag))
+        return b"".join(sealed)
 
     # -- frames of the other end -------------------------------------------------------------------
 
@@ -238,12 +268,11 @@ class Session:
         elif self._incarnation is None:
             if frame.kind != frames.HELLO:
                 raise FrameError(f"frame kind {frame.kind} before HELLO")
-            self._on_hello(frames.decode_hello(frame.body))
+            self._on_hello(frames.decode_hello(frame.body), frame)
         elif self.state == CONNECTING:
             if frame.kind != frames.CONFIRM:
                 raise FrameError(f"frame kind {frame.kind} before CONFIRM")
-            frames.decode_confirm(frame.body)
-            self._on_up(now)
+            self._on_confirm(frame, now)
         elif frame.kind == frames.HEARTBEAT:
             self._on_heartbeat(frames.decode_heartbeat(frame.body), now)
         elif frame.kind == frames.BIND:
@@ -251,8 +280,9 @@ class Session:
         else:
             raise FrameError(f"frame kind {frame.kind} after the handshake")
 
-    def _on_hello(self, hello: Hello) -> None:
+    def _on_hello(self, hello: Hello, frame: Frame) -> None:
         local, refusal = self._local, None
+        key_id = newest_common(local.keys, hello.key_ids)
         if hello.network != local.network:
             refusal = frames.BAD_NETWORK, f"network {hello.network!r}, ours is {local.network!r}"
         elif hello.insecure != local.insecure:
@@ -264,18 +294,44 @@ class Session:
             refusal = frames.BAD_ROBOT, f"robot {hello.robot} is not in our configuration"
         elif self.dialled is not None and hello.robot != self.dialled:
             refusal = frames.BAD_ROBOT, f"robot {hello.robot} answers where {self.dialled} should be"
+        elif self._expected is not None and hello.robot != self._expected:
+            refusal = frames.BAD_ROBOT, f"robot {hello.robot} calls from the address of {self._expected}"
         elif hello.robot not in local.dials:
             refusal = frames.NOT_NEIGHBOUR, f"robot {hello.robot} is not our neighbour in the topology"
         elif hello.dialler == (self.dialled is not None):
             refusal = frames.BAD_ROLE, "both ends claim the same role"
         elif hello.dialler and local.dials[hello.robot]:
             refusal = frames.BAD_ROLE, f"{local.robot} is to dial {hello.robot}, not the other way round"
+        elif not local.insecure and key_id is None:
+            refusal = frames.BAD_KEY, f"robot {hello.robot} has keys {_ids(hello.key_ids)}, we have {_ids(local.keys)}"
         if refusal is not None:
             self._end(*refusal)
             return
         self.peer = hello.robot
         self._incarnation = hello.incarnation
-        self._urgent.append(frames.encode_confirm())
+        if key_id is not None:
+            # The decoder takes nothing that `encode` would write differently, so this is the frame as it was sent.
+            theirs = frames.encode(frame.kind, frame.priority, frame.body)
+            self._auth = Keys(
+                local.keys[key_id],
+                key_id,
+                frames.VERSION,
+                self._hello,
+                theirs,
+                dialler=self.dialled is not None,
+            )
+        self._confirm = frames.encode_confirm(b"" if self._auth is None else self._auth.confirm)
+        self._urgent.append(self._confirm)
+
+    def _on_confirm(self, frame: Frame, now: float) -> None:
+        auth = self._auth
+        mac = frames.decode_confirm(frame.body, 0 if auth is None else frames.MAC_SIZE)
+        if auth is not None:
+            if not auth.confirms(mac):
+                self._end(frames.BAD_KEY, f"who calls itself {self.peer} does not hold the key that it offers")
+                return
+            self._decoder.tag = auth.inbound
+        self._on_up(now)
 
     def _on_up(self, now: float) -> None:
         assert self.peer is not None
@@ -315,7 +371,12 @@ class Session:
         self._urgent = []
         self._heartbeat_due = False
         self._outbox.clear()
-        self._events.append(LinkDown(reason) if was_up else HandshakeFailed(reason, code))
+        self._events.append(LinkDown(reason, code) if was_up else HandshakeFailed(reason, code))
+
+
+def _ids(ids: Iterable[int]) -> str:
+    """Key ids as the key file writes them."""
+    return " ".join(f"{key_id:08x}" for key_id in sorted(ids, reverse=True)) or "none"
 
 
 def _microseconds(now: float) -> int:

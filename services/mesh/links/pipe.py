@@ -8,14 +8,18 @@ only shuts it down: the reading thread finds out, says why, and closes it.
 import contextlib
 import socket
 
+from services.mesh.core.callers import UNKNOWN, Caller
+
 READ_SIZE = 65536
 
 
 class Pipe:
     """One connection over a stream socket. Subclasses may wrap what is written and delay what is read."""
 
-    def __init__(self, sock: socket.socket) -> None:
+    def __init__(self, sock: socket.socket, caller: Caller = UNKNOWN) -> None:
+        """`caller` is what is known of the other end where it called us."""
         sock.setblocking(False)
+        self.caller = caller
         self._sock = sock
         self._arrived: bytes | None = None
         self._rest = b""

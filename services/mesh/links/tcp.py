@@ -1,7 +1,9 @@
 """`tcp:` links, over Wi-Fi or Ethernet."""
 
 import socket
+from collections.abc import Collection
 
+from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.links.pipe import Pipe, describe
 from services.mesh.monikers import Tcp
 from swarm.errors import LocalError
@@ -22,7 +24,9 @@ def dial(address: Tcp) -> Pipe:
 class Listener:
     """Where `tcp:` neighbours reach this robot."""
 
-    def __init__(self, address: Tcp) -> None:
+    def __init__(self, address: Tcp, neighbours: Collection[str] = ()) -> None:
+        """`neighbours` are the numeric addresses that neighbours call from."""
+        self._neighbours = frozenset(neighbours)
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         try:
             self._sock = socket.create_server((address.host, address.port), family=family)
@@ -36,15 +40,16 @@ class Listener:
 
     def accept(self) -> Pipe:
         """The next caller; raises OSError where it has gone already."""
-        sock, _ = self._sock.accept()
-        return _pipe(sock)
+        sock, address = self._sock.accept()
+        source: str = address[0]
+        return _pipe(sock, Caller(source, reserved=source in self._neighbours))
 
     def close(self) -> None:
         """Stop listening."""
         self._sock.close()
 
 
-def _pipe(sock: socket.socket) -> Pipe:
+def _pipe(sock: socket.socket, caller: Caller = UNKNOWN) -> Pipe:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    return Pipe(sock)
+    return Pipe(sock, caller)

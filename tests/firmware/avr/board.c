@@ -2,7 +2,7 @@
  * The board around the chip: pins, battery, motor drivers, buzzer.
  *
  * simavr 1.6 does not run timer 1 in mode 8 and has no timer 4: what reaches motors and buzzer is worked out from the
- * registers as the datasheet says (14.8.5, 15.8.3). */
+ * registers as the datasheet says (14.8, 15.8). */
 #include "internal.h"
 
 #include <simavr/avr_adc.h>
@@ -55,9 +55,14 @@ static void drive(bench_t *b, int k)
 void board_reset(bench_t *b)
 {
     b->tone_top = b->tone_compare = 0;
-    for (int k = 1; k < 6; k++)
-        if (b->driven[k])
-            drive(b, k);
+    for (int k = 1; k < 6; k++) {
+        if (!b->driven[k])
+            continue;
+        /* The reset cleared PINx, and a pin that is raised to the level it has anyway is not passed on. */
+        uint8_t *pin = &b->avr->data[R_PINB + 3 * (k - 1)];
+        *pin = (uint8_t)((*pin & ~b->driven[k]) | (b->level[k] & b->driven[k]));
+        drive(b, k);
+    }
 }
 
 void bench_pin_in(bench_t *b, char port, int bit, int level)

@@ -48,8 +48,8 @@ static void settle(bench_t *b)
         avr_extint_set_strict_lvl_trig(avr, (uint8_t)i, 0);
     twi_reset(b);
     uart_reset(b);
-    board_reset(b);
     encoders_reset(b);
+    board_reset(b);
 }
 
 bench_t *bench_new(const char *elf, uint8_t mcusr)

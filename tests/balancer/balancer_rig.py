@@ -35,6 +35,15 @@ def scaled(model: BodyModel, name: str, factor: float) -> BodyModel:
     return replace(model, **{name: getattr(model, name) * factor})
 
 
+PLANTS = {"configured": CONFIGURED, "other": OTHER} | {
+    f"{set_name} {name} {factor:+.0%}": scaled(model, name, 1 + factor)
+    for set_name, model in (("configured", CONFIGURED), ("other", OTHER))
+    for name in ("mass", "lever", "inertia", "stall_torque", "free_speed")
+    for factor in (-0.2, 0.2)
+}
+"""Both estimates, and each with one parameter a fifth off."""
+
+
 class Rig:
     """One robot. `lateness(tick)` delays the start of a tick; `transfer_s` is the time a tick spends on the bus."""
 
@@ -93,4 +102,4 @@ def upright(**arguments: object) -> Rig:
     return rig
 
 
-__all__ = ["CONFIGURED", "NO_ERRORS", "OTHER", "Rig", "scaled", "upright"]
+__all__ = ["CONFIGURED", "NO_ERRORS", "OTHER", "PLANTS", "Rig", "scaled", "upright"]

@@ -2,7 +2,7 @@
  *
  * Test bench for the firmware: an ATmega32U4 on a Balboa, simulated by libsimavr. This directory is a program of its
  * own under the GNU General Public License 3 or later, because it links libsimavr (GPL-3); see README.md. It shares no
- * code with the firmware, which it runs as an ELF file, nor with the rest of the project, which talks to it over ctypes.
+ * code with the firmware, which it runs as an ELF file, nor with the rest of the project, which uses it over ctypes.
  *
  * A flat interface: one handle, plain numbers. Times are cycles of 62.5 ns since the bench was made; they go on through
  * resets of the chip. */

@@ -2,7 +2,7 @@
  * I2C: the slave's hardware and a master to talk to it.
  *
  * The TWI slave of simavr 1.6 reports wrong states (SLA+W as 0x80, STOP as 0xA8, nothing after a byte sent). So the
- * hooks of TWCR, TWDR and TWSR are taken over, and the slave of the ATmega32U4 datasheet 20.7.3-4 is built here: a
+ * hooks of TWCR, TWDR and TWSR are taken over, and the slave of the ATmega32U4 datasheet 20 is built here: a
  * state is shown with TWINT, SCL is held until the firmware clears it. The master clocks bits at its speed and waits
  * for SCL, as any I2C master does. Each call is one transaction. */
 #include "internal.h"
@@ -55,7 +55,7 @@ static void write_twcr(avr_t *avr, avr_io_addr_t address, uint8_t value, void *p
         avr->data[R_TWSR] = (uint8_t)((avr->data[R_TWSR] & 7) | NOTHING);
     }
     if (!(value & TWEN))
-        b->receiving = b->transmitting = 0;   /* the pins are given back (datasheet 20.9.2) */
+        b->receiving = b->transmitting = 0;   /* the pins are given back (datasheet 20, TWCR) */
     avr->data[R_TWCR] = (uint8_t)((value & (TWIE | TWEN | TWEA)) | pending);
     if (pending && (value & TWIE))
         avr_raise_interrupt(avr, b->twi_vector);

@@ -1,0 +1,86 @@
+"""What authentication costs a link: bytes and CPU time of a frame and of a handshake, without any IO."""
+
+import hmac
+import os
+import struct
+import timeit
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+from bench.rows import Row
+from services.mesh.core import frames
+from services.mesh.core.auth import Tagger
+from services.mesh.core.session import Local, Session
+
+KEYS = {1: bytes(range(32))}
+KEY = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
+LOCKSTEP = struct.pack("<BI", 1, 7)
+"""Kind and iteration, which a lockstep message carries before its values (docs/lockstep.md)."""
+
+HEADER_LIMIT = 24
+"""Bytes before and behind the values of a lockstep message, authenticated."""
+
+HANDSHAKE_BUDGET_S = 1e-3
+"""Both ends of a connection; a robot that starts makes seven at most."""
+
+
+def rows() -> Iterator[Row]:
+    """Measure; yields rows as they are there."""
+    yield Row("header of an authenticated lockstep message", _header(), "B", HEADER_LIMIT, 1.0)
+    message = frames.encode_data(frames.SYNC, 3, LOCKSTEP + bytes(16))
+    rival = hmac.new(bytes(32), digestmod="sha256")
+    tagger = Tagger(bytes(32))
+
+    def by_hmac() -> bytes:
+        mac = rival.copy()
+        mac.update(message)
+        return mac.digest()[: frames.TAG_SIZE]
+
+    yield Row("tag of a lockstep frame, beside HMAC-SHA256", _best(lambda: tagger(message)), "s", _best(by_hmac), 1.0)
+    plain, sealed = _hop({}), _hop(KEYS)
+    yield Row("session hop, both ends, beside an insecure one", sealed, "s", plain, 2.5)
+    yield Row("handshake, both ends", _best(lambda: _connect(KEYS), 200), "s", HANDSHAKE_BUDGET_S, 1.0)
+
+
+def _best(call: Callable[[], object], number: int = 5000) -> float:
+    """s of one call, the best of several batches: what the machine's other work adds is no property of ours."""
+    return min(timeit.repeat(call, number=number, repeat=9)) / number
+
+
+def _session(robot: str, peer: str, dials: bool, keys: dict[int, bytes]) -> Session:
+    local = Local(robot, "lab", 1, not keys, {peer: dials}, frozenset((robot, peer)), keys=keys)
+    dialled = peer if dials else None
+    return Session(local, os.urandom(16), 0.0, dialled=dialled, admit=lambda *_: True, counters=Counter())
+
+
+def _connect(keys: dict[int, bytes]) -> tuple[Session, Session]:
+    one, other = _session("r0", "r1", True, keys), _session("r1", "r0", False, keys)
+    for _ in range(2):
+        to_other, to_one = one.data_to_send(0.0, 4096), other.data_to_send(0.0, 4096)
+        other.receive(to_other, 0.0)
+        one.receive(to_one, 0.0)
+    assert one.is_up
+    assert other.is_up
+    return one, other
+
+
+def _header() -> int:
+    one, _ = _connect(KEYS)
+    size = 0
+    for _ in range(2):  # the first one brings its BIND along
+        one.send(frames.SYNC, KEY.format("r0"), LOCKSTEP + bytes(16), latest=False)
+        size = len(one.data_to_send(0.0, 4096)) - 16
+    return size
+
+
+def _hop(keys: dict[int, bytes]) -> float:
+    """One message: queued, made into a frame, taken apart and handed over."""
+    one, other = _connect(keys)
+    key, payload = KEY.format("r0"), LOCKSTEP + bytes(16)
+
+    def hop() -> None:
+        one.send(frames.SYNC, key, payload, latest=False)
+        other.receive(one.data_to_send(0.0, 4096), 0.0)
+        assert other.events()
+
+    return _best(hop)

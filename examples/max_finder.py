@@ -1,0 +1,25 @@
+"""Every robot finds the largest value of the swarm and who has it, in as many iterations as the graph is wide."""
+
+from swarm import SyncApp
+
+
+class MaxFinder(SyncApp):
+    """Without a parameter `value`, each robot draws its own number from 0 to 1."""
+
+    value: float = -1.0
+    owner: int
+
+    def start(self):
+        """Name the own value's owner by its place in swarm.toml."""
+        if self.value < 0:
+            self.value = self.robot.random.random()
+        self.owner = self.robot.swarm.index(self.robot.name)
+
+    def step(self, neighbours):
+        """Keep the largest; of equal ones that of the first robot."""
+        best = max([self, *neighbours], key=lambda seen: (seen.value, -seen.owner))
+        self.value, self.owner = best.value, best.owner
+
+    def result(self):
+        """Report the owner by name."""
+        return {"value": self.value, "owner": self.robot.swarm[self.owner]}

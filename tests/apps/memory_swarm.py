@@ -1,0 +1,102 @@
+"""A swarm of app runners and lockstep cores joined in memory: no process, no clock, no thread."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from services.apps import loader
+from services.apps.runner import Runner
+from swarm.config import Anchor, App, Config
+from swarm.config.types import Robot
+from swarm.core.graph import Graph
+from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send
+from swarm.messages import Measurement
+
+MeasurementOf = Callable[[str, int], Measurement]
+
+THESIS_X0 = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
+TARGET = (0.5, 1.0)
+PLACES = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5), (1.5, 0.5), (0.35, 0.4), (1.0, 1.75))
+ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
+
+
+def config_of(
+    count: int,
+    shape: str = "line",
+    app: str = "consensus",
+    parameters: Mapping[str, Any] | None = None,
+    robots: Mapping[str, Mapping[str, Any]] | None = None,
+    anchors: Sequence[Anchor] = ANCHORS,
+) -> Config:
+    names = [f"r{i}" for i in range(count)]
+    return Config(
+        path=Path("swarm.toml"),
+        network="test",
+        robots=tuple(Robot(name) for name in names),
+        edges=Graph.of_shape(shape, names).edges,
+        relay=(),
+        anchors=tuple(anchors),
+        apps={app: App(dict(parameters or {}), dict(robots or {}))},
+    )
+
+
+class MemorySwarm:
+    """Runs an app on all robots; `trajectory[name][k]` is the packed state, `results[name][k]` what it reports."""
+
+    def __init__(self, app: str, config: Config, last: int, measure: MeasurementOf | None = None) -> None:
+        found = loader.load(app)
+        found.check(config)
+        self.runners = {n: Runner(found.make(config, n, seed=1), found.source) for n in config.names}
+        self.trajectory: dict[str, list[bytes]] = {n: [] for n in config.names}
+        self.results: dict[str, list[dict[str, Any]]] = {n: [] for n in config.names}
+        self.states: dict[str, list[dict[str, Any]]] = {n: [] for n in config.names}
+        self.saved: dict[str, bytes] = {}
+        self.messages = 0
+        self._config = config
+        self._measure = measure
+        self._cores: dict[str, Lockstep] = {}
+        self._queue: list[tuple[str, str, bytes]] = []
+        for name, runner in self.runners.items():
+            channel = Channel(1, 0, 1, runner.schema.hash)
+            self._cores[name] = Lockstep(name, config.neighbours(name), channel, runner.schema.size, last=last)
+        for name, core in self._cores.items():
+            own, private = self.runners[name].start(self._measurement(name, 0))
+            core.start(own, 0.0, private)
+            self._carry_out(name)
+        while self._queue:
+            sender, receiver, data = self._queue.pop(0)
+            self._cores[receiver].receive(sender, self._cores[sender].channel, data, 0.0)
+            self._carry_out(receiver)
+        assert all(core.done for core in self._cores.values())
+
+    @property
+    def final(self) -> dict[str, dict[str, Any]]:
+        return {name: results[-1] for name, results in self.results.items()}
+
+    def _measurement(self, name: str, k: int) -> Measurement | None:
+        return None if self._measure is None else self._measure(name, k)
+
+    def _carry_out(self, name: str) -> None:
+        core, runner = self._cores[name], self.runners[name]
+        while actions := core.actions():
+            for action in actions:
+                match action:
+                    case Save(data):
+                        self.saved[name] = data
+                    case Send(data, to):
+                        receivers = self._config.neighbours(name) if to is None else (to,)
+                        self.messages += len(receivers)
+                        self._queue += [(name, receiver, data) for receiver in receivers]
+                    case Advanced(k, value):
+                        assert k == len(self.trajectory[name]) == runner.k
+                        self.trajectory[name].append(value)
+                        self.results[name].append(runner.result())
+                        self.states[name].append(runner.state())
+                    case Compute(k, own, values):
+                        core.computed(*runner.step(k, own, values, self._measurement(name, k)), 0.0)
+                    case Fault(reason):
+                        raise AssertionError(reason)
+                    case Finished(k):
+                        assert k == len(self.trajectory[name]) - 1
+                    case _:
+                        raise AssertionError(action)

@@ -1,0 +1,167 @@
+"""What the app host keeps in files: lock and incarnation, snapshot, recording."""
+
+import os
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.apps.claim import Claim
+from services.apps.recorder import Recorder
+from services.apps.snapshot import MAX_SNAPSHOT, SnapshotFile
+from services.sim.trajectory import read
+from swarm.core.state import Schema, field_of
+from swarm.errors import AppError, LocalError
+
+SCHEMA = Schema("App", [field_of("value", float)])
+
+
+# Lock and incarnation
+
+
+def test_one_process_at_a_time_and_a_number_that_goes_up(tmp_path: Path) -> None:
+    first = Claim(tmp_path, "consensus")
+    with pytest.raises(LocalError, match=r"app\.consensus\.lock: another process runs app consensus on this robot"):
+        Claim(tmp_path, "consensus")
+    other = Claim(tmp_path, "other")
+    first.close()
+    second = Claim(tmp_path, "consensus")
+    assert (first.incarnation, second.incarnation, other.incarnation) == (1, 2, 1)
+    second.close()
+    other.close()
+
+
+def test_a_runtime_directory_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LocalError, match=r"none/app\.consensus\.lock: No such file or directory"):
+        Claim(tmp_path / "none", "consensus")
+
+
+def test_a_damaged_incarnation_is_not_guessed(tmp_path: Path) -> None:
+    (tmp_path / "app.consensus.lock").write_text("what is this")
+    with pytest.raises(LocalError, match="cannot be used"):
+        Claim(tmp_path, "consensus")
+
+
+# Snapshot
+
+
+@given(st.lists(st.binary(max_size=300), max_size=5))
+def test_the_newest_snapshot_is_read(tmp_path_factory: pytest.TempPathFactory, written: list[bytes]) -> None:
+    path = tmp_path_factory.mktemp("s") / "app.x.snapshot"
+    file = SnapshotFile(path)
+    for data in written:
+        file.write(data)
+    file.close()
+    file = SnapshotFile(path)
+    assert file.read() == (written[-1] if written else None)
+    file.write(b"next")
+    file.close()
+    file = SnapshotFile(path)
+    assert file.read() == b"next"
+    file.close()
+
+
+@given(st.integers(0, 200), st.binary(min_size=1, max_size=64))
+def test_a_torn_write_leaves_the_one_before(tmp_path_factory: pytest.TempPathFactory, at: int, garbage: bytes) -> None:
+    """Whatever part of the newest slot is wrong, the older one counts."""
+    path = tmp_path_factory.mktemp("s") / "app.x.snapshot"
+    file = SnapshotFile(path)
+    file.write(b"one" * 60)
+    file.write(b"two" * 60)  # in the first slot
+    file.close()
+    whole = path.read_bytes()
+    torn = whole[:at] + garbage + whole[at + len(garbage) :]
+    path.write_bytes(torn)
+    file = SnapshotFile(path)
+    expected = b"two" * 60 if torn[:204] == whole[:204] else b"one" * 60
+    assert file.read() == expected
+    file.close()
+
+
+def test_a_snapshot_has_a_largest_size(tmp_path: Path) -> None:
+    file = SnapshotFile(tmp_path / "app.x.snapshot")
+    file.write(bytes(MAX_SNAPSHOT))
+    with pytest.raises(AppError, match=r"the private state makes a snapshot of \d+ bytes, at most \d+ can be kept"):
+        file.write(bytes(MAX_SNAPSHOT + 1))
+    assert file.read() == bytes(MAX_SNAPSHOT)
+    file.close()
+
+
+def test_a_disk_without_space_is_found_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(LocalError, match=r"app\.x\.snapshot: no space for a snapshot of 131072 bytes: No space left"):
+        SnapshotFile(tmp_path / "app.x.snapshot")
+
+
+# Recording
+
+
+def record(path: Path, counters: Counter[str] | None = None, *, append: bool = False) -> Recorder:
+    return Recorder(path, SCHEMA, Counter() if counters is None else counters, append=append)
+
+
+def test_a_recording_reads_as_the_simulation_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "r0.x.csv"
+    recorder = record(path)
+    recorder.write(0, 1.5, {"value": 0.1 + 0.2}, {"near": True, "who": 'say "a, b"', "at": (1.0, -2.0), "n": 3})
+    recorder.write(1, 2.5, {"value": 1e300}, {"near": False, "who": "r1", "at": (0.0, 0.5), "n": 4})
+    recorder.close()
+    first = path.read_text().splitlines()[0]
+    assert first == "k,t,value,result.near,result.who,result.at[0],result.at[1],result.n"
+    found = read(path)
+    assert found.rows[0] == ("0.30000000000000004", "True", 'say "a, b"', "1.0", "-2.0", "3")
+    assert found.times == {0: 1.5, 1: 2.5}
+    assert found.value(1, "value") == 1e300
+
+
+def test_a_restart_goes_on_behind_the_last_whole_line(tmp_path: Path) -> None:
+    path = tmp_path / "r0.x.csv"
+    recorder = record(path)
+    recorder.write(0, 1.0, {"value": 1.0}, {})
+    recorder.write(1, 2.0, {"value": 2.0}, {})
+    recorder.close()
+    path.write_text(path.read_text()[:-4])  # killed while it wrote
+    recorder = record(path, append=True)
+    recorder.write(1, 2.0, {"value": 2.0}, {})
+    recorder.write(2, 3.0, {"value": 3.0}, {})
+    recorder.close()
+    assert path.read_text() == "k,t,value\n0,1.0,1.0\n1,2.0,2.0\n2,3.0,3.0\n"
+
+
+def test_a_new_run_begins_the_file_anew(tmp_path: Path) -> None:
+    path = tmp_path / "r0.x.csv"
+    for value in (1.0, 2.0):
+        recorder = record(path)
+        recorder.write(0, value, {"value": value}, {})
+        recorder.close()
+    assert path.read_text() == "k,t,value\n0,2.0,2.0\n"
+
+
+def test_a_recording_that_cannot_be_made_is_counted_not_fatal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    counters: Counter[str] = Counter()
+    recorder = record(tmp_path / "none" / "r0.x.csv", counters)
+    for k in range(3):
+        recorder.write(k, 0.0, {"value": 0.0}, {})
+    recorder.close()
+    assert counters["records_lost"] >= 3
+    assert sum("cannot be recorded" in message for message in caplog.messages) == 1
+
+
+def test_a_full_disk_leaves_no_half_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counters: Counter[str] = Counter()
+    path = tmp_path / "r0.x.csv"
+    recorder = record(path, counters)
+    recorder.write(0, 0.0, {"value": 0.0}, {})
+    pwrite = os.pwrite
+    monkeypatch.setattr(os, "pwrite", lambda file, data, at: pwrite(file, data[:4], at))
+    recorder.write(1, 0.0, {"value": 0.0}, {})
+    monkeypatch.undo()
+    recorder.write(2, 0.0, {"value": 0.0}, {})
+    recorder.close()
+    assert path.read_text() == "k,t,value\n0,0.0,0.0\n2,0.0,0.0\n"
+    assert counters["records_lost"] == 1

@@ -1,0 +1,391 @@
+"""The app host as processes on real buses: runs, kills, restarts, faults. Trajectories are compared bit for bit."""
+
+import ctypes
+import math
+import platform
+import queue
+import random
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from apps_rig import NAMES, Rig, config_text
+from conftest import wait_until
+from memory_swarm import PLACES, TARGET, MeasurementOf, MemorySwarm, config_of
+
+from services.apps.consensus import Consensus
+from swarm.codec import decode, encode
+from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
+
+START = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {x}\n" for i, x in enumerate((0.5, 3.0, 5.0)))
+REPLAY = '[apps.localization]\nalgorithm = "thesis"\n[dwm]\nsource = "replay:somewhere"\n'
+LIVE = '[dwm]\nsource = "serial:/dev/null"\ntarget = "C933"\n'
+
+MakeRig = Callable[..., Rig]
+
+
+@pytest.fixture
+def make_rig(runtime: Path) -> Iterator[MakeRig]:
+    rigs: list[Rig] = []
+
+    def make(more: str = START, names: tuple[str, ...] = NAMES) -> Rig:
+        rigs.append(Rig(runtime, names, more))
+        return rigs[-1]
+
+    yield make
+    for rig in rigs:
+        rig.__exit__()
+
+
+def undisturbed(
+    app: str,
+    last: int,
+    parameters: Any = None,
+    robots: Any = None,
+    measure: MeasurementOf | None = None,
+    count: int = 3,
+) -> dict[str, list[str]]:
+    """What the same run gives in memory, in the words of a recording."""
+    config = config_of(count, app=app, parameters=parameters, robots=robots, anchors=())
+    swarm = MemorySwarm(app, config, last, measure)
+    return {
+        name: [
+            ",".join(_words({**state, **{f"r {n}": v for n, v in result.items()}}))
+            for state, result in zip(swarm.states[name], swarm.results[name], strict=True)
+        ]
+        for name in config.names
+    }
+
+
+def _words(values: dict[str, Any]) -> Iterator[str]:
+    for value in values.values():
+        yield from map(repr, value if isinstance(value, tuple) else (value,))
+
+
+def consensus(last: int) -> dict[str, list[str]]:
+    return undisturbed("consensus", last, robots={f"r{i}": {"value": x} for i, x in enumerate((0.5, 3.0, 5.0))})
+
+
+def ask(rig: Rig, robot: str, topic: str, kind: type) -> Any:
+    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    rig.buses[robot].ask(f"swarm/{robot}/app/{topic}", lambda _, payload: answers.put(payload), timeout_s=5.0)
+    return decode(kind, answers.get(timeout=5.0), topic)
+
+
+def test_a_run_to_its_end_and_the_result_stays_to_be_read(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.start_all("consensus", "--iterations", "60")
+    rig.until_phase("done")
+    rig.until_k(60)
+    for name, rows in consensus(60).items():
+        assert rig.values(name) == rows
+        assert ask(rig, name, "consensus/state", AppState).k == 60
+        assert ask(rig, name, "consensus/progress", AppProgress).phase == "done"
+        assert ask(rig, name, "consensus/status", Status).state == "ready"
+        assert rig.state[name].result["value"] == pytest.approx(8.5 / 3)
+    assert [rig.stop(name) for name in NAMES] == [0, 0, 0]
+    assert [rig.log(name) for name in NAMES] == ["", "", ""]
+
+
+@pytest.mark.parametrize("victims", [("r1",), ("r0", "r2"), NAMES])
+def test_a_killed_app_goes_on_where_it_was(make_rig: MakeRig, victims: tuple[str, ...]) -> None:
+    """kill -9 in mid-run, one robot, two and all: the trajectory is that of the undisturbed run."""
+    rig = make_rig()
+    rig.gate = 15
+    rig.start_all("consensus", "--iterations", "60")
+    rig.until_k(15)
+    for name in victims:
+        rig.kill(name)
+    for name in victims:
+        rig.start(name, "apps", "consensus", "--iterations", "60")
+    rig.gate = 60
+    rig.until_phase("done")
+    for name, rows in consensus(60).items():
+        assert rig.values(name) == rows
+    for name in victims:
+        assert "goes on at iteration 1" in rig.log(name)
+
+
+def test_kills_at_any_moment(make_rig: MakeRig) -> None:
+    """The middle robot is killed again and again while the swarm runs freely."""
+    rig = make_rig()
+    rig.start_all("consensus", "--iterations", "1500")
+    for k in (5, 400, 800):
+        rig.until_k(k, "r1")
+        rig.kill("r1")
+        rig.start("r1", "apps", "consensus", "--iterations", "1500")
+    rig.until_phase("done")
+    for name, rows in consensus(1500).items():
+        assert rig.values(name) == rows
+
+
+def test_a_killed_bus_is_survived(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.gate = 15
+    rig.start_all("consensus", "--iterations", "60")
+    rig.until_k(15)
+    rig.kill("r1", "bus")
+    rig.gate = 60
+    rig.start("r1", "bus")
+    rig.until_phase("done")
+    for name, rows in consensus(60).items():
+        assert rig.values(name) == rows
+
+
+def test_a_stopped_robot_is_named_and_waited_for(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.gate = 10
+    rig.start_all("consensus", "--iterations", "40")
+    rig.until_k(10)
+    rig.processes["r2", "apps"].send_signal(signal.SIGSTOP)
+    rig.gate = 40
+    rig.until_waits("r1", "r2")
+    rig.processes["r2", "apps"].send_signal(signal.SIGCONT)
+    rig.until_phase("done")
+    for name, rows in consensus(40).items():
+        assert rig.values(name) == rows
+
+
+def test_a_robot_alone_runs_too(make_rig: MakeRig) -> None:
+    rig = make_rig("[apps.consensus]\nvalue = 4.0\n", ("r0",))
+    rig.start_all("consensus", "--iterations", "5")
+    rig.until_phase("done")
+    assert rig.values("r0") == ["4.0,4.0"] * 6
+
+
+def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
+    rig = make_rig("", ("r0", "r1"))
+    rig.start("r0", "apps", "consensus", SWARM_RUN="a1")
+    rig.until_phase("waiting", "r0")
+    schema = f"{Consensus.spec.schema.hash:08x}"
+    publish = rig.buses["r0"].publish
+    publish(f"swarm/r1/app/consensus/sync/{0xA2:016x}-0-1-{schema}", b"a frame of another run")
+    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}", b"what is this")
+    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}/r7", b"not for us")
+    publish("swarm/r1/app/consensus/sync/no-channel", b"x")
+    counters: dict[str, int] = {}
+
+    def counted() -> bool:
+        counters.update(ask(rig, "r0", "consensus/status", Status).counters)
+        return {"sync_other_run", "sync_malformed", "refused_keys"} <= set(counters)
+
+    wait_until(counted)
+    assert (counters["sync_other_run"], counters["sync_malformed"], counters["refused_keys"]) == (1, 1, 1)
+
+
+def test_a_renewed_link_is_a_reason_to_ask_at_once(make_rig: MakeRig) -> None:
+    """The news of the link is heard and repeated samples of it are not news; the run ends as it should."""
+    rig = make_rig()
+    rig.gate = 5
+    rig.start_all("consensus", "--iterations", "20")
+    rig.until_k(5)
+    rig.gate = 20
+    link = LinkState("r1", "up", 2, 0.0, 0, 0, "")
+    for _ in range(3):
+        rig.buses["r0"].publish("swarm/r0/mesh/links", Links(0.0, (link,)))
+    rig.buses["r0"].publish("swarm/r0/mesh/links", b"no links at all")
+    rig.until_phase("done")
+    assert rig.values("r0") == consensus(20)["r0"]
+    assert ask(rig, "r0", "consensus/status", Status).counters["refused_payloads"] == 1
+
+
+def test_another_run_begins_anew(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    for run, last in (("a1", 20), ("a2", 10)):
+        rig.start_all("consensus", "--iterations", str(last), SWARM_RUN=run)
+        rig.until(
+            lambda last=last: all(
+                n in rig.progress and rig.progress[n].phase == "done" and rig.progress[n].k == last for n in NAMES
+            ),
+            f"run {run}",
+        )
+        for name in NAMES:
+            assert rig.values(name) == consensus(last)[name]
+            assert rig.stop(name) == 0
+    assert "the snapshot is of another run (00000000000000a1), this one begins anew" in rig.log("r0")
+
+
+def test_the_same_run_again_is_at_its_end_at_once(make_rig: MakeRig) -> None:
+    """Alone, the others gone: it knows that they were at the end, and answers with its result."""
+    rig = make_rig()
+    rig.start_all("consensus", "--iterations", "20")
+    rig.until_phase("done")
+    before = rig.rows("r0")
+    for name in NAMES:
+        rig.stop(name)
+    rig.progress.clear()
+    rig.start("r0", "apps", "consensus", "--iterations", "20")
+    rig.until_phase("done", "r0")
+    assert rig.rows("r0") == before
+
+
+def test_a_second_process_of_an_app_is_refused(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.start("r0", "apps", "consensus")
+    rig.until(lambda: "r0" in rig.progress, "a start")
+    first = rig.processes["r0", "apps"]
+    second = rig.start("r0", "apps", "consensus")
+    assert second.wait(20) == 2
+    assert "another process runs app consensus on this robot" in rig.log("r0")
+    assert "Traceback" not in rig.log("r0")
+    assert first.poll() is None
+    first.terminate()
+    assert first.wait(20) == 0
+
+
+def test_an_app_that_raises_is_named_and_the_others_wait_for_it(make_rig: MakeRig) -> None:
+    rig = make_rig("[apps.grumpy]\nat = 7\n")
+    app = rig.directory / "grumpy.py"
+    app.write_text(
+        "from swarm import SyncApp, parameter\n"
+        "class Grumpy(SyncApp):\n"
+        "    value: float\n"
+        "    at: int = parameter(0)\n"
+        "    def step(self, neighbours):\n"
+        "        if self.robot.name == 'r2' and self.k == self.at:\n"
+        "            raise ValueError('I will not')\n"
+    )
+    rig.start_all(str(app))
+    rig.until_phase("fault", "r2")
+    assert rig.progress["r2"].k == 7
+    assert rig.progress["r2"].reason == f"Grumpy on r2, iteration 7: {app}, line 7: ValueError: I will not"
+    assert ask(rig, "r2", "grumpy/status", Status).state == "degraded"
+    rig.until_waits("r1", "r2")
+    assert rig.stop("r2") == 3
+    assert rig.stop("r1") == 0
+    assert "Traceback" not in rig.log("r2")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nothing",), "there is no app 'nothing': expected consensus, localization, or a file FILE.py"),
+        (("consensus", "--run", "xyz"), "--run or SWARM_RUN: expected a hexadecimal number of 64 bits, got 'xyz'"),
+        (("consensus", "--iterations", "-1"), "expected 0 to 4294967295"),
+        (("localization",), "[dwm] target: expected the address of the target's module, this app needs it"),
+        (("wrong.py",), "wrong.py, line 1: ModuleNotFoundError: No module named 'nothing'"),
+        (("consensus",), "app consensus on r0: unknown parameter 'valeu'; Consensus has weights, value"),
+    ],
+)
+def test_wrong_starts_are_one_line_and_exit_2(runtime: Path, arguments: tuple[str, ...], message: str) -> None:
+    (runtime / "wrong.py").write_text("import nothing\n")
+    arguments = tuple(str(runtime / a) if a.endswith(".py") else a for a in arguments)
+    rig = Rig.__new__(Rig)  # without buses: the process must not need one to refuse
+    rig.directory, rig.records, rig.processes = runtime, runtime, {}
+    (runtime / "swarm.toml").write_text(config_text(more="[apps.consensus]\nvaleu = 1.0\n"))
+    (runtime / "r0").mkdir()
+    assert rig.start("r0", "apps", *arguments).wait(30) == 2
+    assert message in rig.log("r0")
+    assert "Traceback" not in rig.log("r0")
+
+
+def test_a_full_disk_for_the_recording_does_not_stop_the_run(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.start_all("consensus", "--iterations", "20", SWARM_RECORD="/dev/full")
+    rig.until_phase("done")
+    assert ask(rig, "r0", "consensus/status", Status).counters["records_lost"] >= 21
+    assert rig.log("r0").count("cannot be recorded, the run goes on") == 1
+
+
+def test_sigterm_is_heard_whichever_thread_it_hits(make_rig: MakeRig) -> None:
+    """The kernel may hand it to one of Zenoh's threads while the main one sleeps."""
+    rig = make_rig("", ("r0", "r1"))
+    process = rig.start("r0", "apps", "consensus")
+    rig.until(lambda: "r0" in rig.progress, "a start")
+    threads = [int(entry.name) for entry in Path(f"/proc/{process.pid}/task").iterdir()]
+    # tgkill(2) by its number: signals to one thread of another process have no call in Python.
+    number = {"x86_64": 234, "aarch64": 131}.get(platform.machine())
+    if number is None:
+        pytest.skip("the number of tgkill(2) on this machine is not known here")
+    assert ctypes.CDLL(None).syscall(number, process.pid, max(threads), signal.SIGTERM) == 0
+    assert process.wait(20) == 0
+
+
+# Measurements
+
+
+def reading(name: str, k: int) -> Measurement:
+    numbers = random.Random(f"{name} {k}")
+    x, y = PLACES[int(name[1:])]
+    return Measurement(float(k), k, math.dist((x, y), TARGET) + numbers.gauss(0, 0.02), x + numbers.gauss(0, 0.02), y)
+
+
+def serve(rig: Rig) -> None:
+    """What the dwm service of each robot does in a replay."""
+    for name in rig.names:
+        rig.buses[name].serve(
+            f"swarm/{name}/dwm/measurement",
+            lambda _, parameters, name=name: encode(reading(name, int(parameters["sequence"]))),
+        )
+
+
+def test_a_replay_takes_row_k_at_step_k_through_kills(make_rig: MakeRig) -> None:
+    rig = make_rig(REPLAY)
+    serve(rig)
+    rig.gate = 20
+    rig.start_all("localization", "--iterations", "80")
+    rig.until_k(20)
+    rig.kill("r1")
+    rig.start("r1", "apps", "localization", "--iterations", "80")
+    rig.gate = 80
+    rig.until_phase("done")
+    expected = undisturbed("localization", 80, {"algorithm": "thesis"}, measure=reading)
+    for name in NAMES:
+        assert rig.values(name, "localization") == expected[name]
+
+
+def test_a_replay_waits_for_the_dwm_service_and_says_so(make_rig: MakeRig) -> None:
+    rig = make_rig(REPLAY, ("r0", "r1"))
+    rig.start_all("localization", "--iterations", "10")
+    rig.until_phase("waiting")
+    assert rig.progress["r0"].reason == "the dwm service gives no measurement"
+    assert rig.progress["r0"].k == 0
+    serve(rig)
+    rig.until_phase("done")
+
+
+def test_live_measurements_are_the_newest_range_to_the_target_and_the_own_place(make_rig: MakeRig) -> None:
+    rig = make_rig(LIVE, ("r0", "r1"))
+    rig.start_all("localization", "--iterations", "30")
+    rig.until_phase("waiting")
+
+    def ranges(name: str, distance: float, quality: int) -> Ranges:
+        other = Range("D001", 9.0, 9.0, 100, 0.0, 1)
+        return Ranges(0.0, 1, (other, Range("C933", distance, distance, quality, 0.1, 1)))
+
+    for name in rig.names:
+        x, y = PLACES[int(name[1:])]
+        publish = rig.buses[name].publish
+        publish(f"swarm/{name}/dwm/ranges", ranges(name, 7.0, 0))  # no quality: not used
+        publish(f"swarm/{name}/dwm/pose", Pose(0.0, 1, 8.0, 8.0, None, 0, "none"))
+        publish(f"swarm/{name}/dwm/ranges", b"\xc1 no message")
+        publish(f"swarm/{name}/dwm/pose", Pose(0.0, 2, x, y, None, 90, "average"))
+        publish(f"swarm/{name}/dwm/ranges", ranges(name, math.dist((x, y), TARGET), 80))
+    rig.until_phase("done")
+    rig.until_k(30)
+    for name in rig.names:
+        result = rig.state[name].result
+        assert result["ambiguous"] is True
+        candidates = ((result["x"], result["y"]), (result["other_x"], result["other_y"]))
+        assert min(math.dist(candidate, TARGET) for candidate in candidates) < 1e-6
+
+
+def test_sigterm_ends_an_app_that_waits_for_its_first_measurement(make_rig: MakeRig) -> None:
+    rig = make_rig(LIVE, ("r0", "r1"))
+    rig.start("r0", "apps", "localization")
+    rig.until(lambda: "r0" in rig.progress, "a start")
+    assert rig.stop("r0") == 0
+
+
+def test_sigterm_ends_an_app_that_hangs_in_a_step(make_rig: MakeRig) -> None:
+    rig = make_rig("", ("r0", "r1"))
+    app = rig.directory / "lazy.py"
+    app.write_text(
+        "import threading\nfrom swarm import SyncApp\n"
+        "class Lazy(SyncApp):\n    value: float\n    def step(self, neighbours):\n        threading.Event().wait()\n"
+    )
+    rig.start_all(str(app))
+    rig.until_phase("running", "r0")
+    assert rig.stop("r0") in (0, 3)

@@ -1,0 +1,132 @@
+"""Finding apps, and what is said of files that are none; the examples are found and run here, too."""
+
+import math
+from pathlib import Path
+
+import pytest
+from memory_swarm import TARGET, MemorySwarm, config_of
+from test_localization import exact, noisy
+
+from services.apps import loader
+from swarm.errors import AppError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def write(directory: Path, text: str, name: str = "my_app.py") -> str:
+    path = directory / name
+    path.write_text(text)
+    return str(path)
+
+
+APP = (
+    "from swarm import SyncApp\nclass Mine(SyncApp):\n    value: float\n    def step(self, neighbours):\n        pass\n"
+)
+
+
+def test_built_in_apps_are_found_with_their_algorithms() -> None:
+    assert list(loader.load("consensus").algorithms) == ["metropolis", "thesis"]
+    assert list(loader.load("localization").algorithms) == ["info", "thesis"]
+
+
+def test_a_file_is_an_app_named_as_the_file(tmp_path: Path) -> None:
+    app = loader.load(write(tmp_path, APP))
+    assert app.name == "my_app"
+    assert app.choose({"value": 1.0})[0].__name__ == "Mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("import nothing_of_that_name\n", r"my_app.py, line 1: ModuleNotFoundError: No module named"),
+        ("x = 1\n\ny = x +\n", r"my_app.py, line 3: SyntaxError: invalid syntax"),
+        ("\n1 / 0\n", r"my_app.py, line 2: ZeroDivisionError"),
+        ("import sys\nsys.exit('bye')\n", r"my_app.py, line 2: SystemExit: bye"),
+        ("def f():\n    raise ValueError('deep')\nf()\n", r"my_app.py, line 2: ValueError: deep"),
+        ("x = 1\n", r"my_app.py defines no app: expected one class derived from SyncApp"),
+        ("from swarm import SyncApp\n", r"defines no app"),
+        (APP + APP.replace("Mine", "Yours"), r"defines several apps: Mine, Yours\. Leave one in it, or name them"),
+        (APP.replace("float", "list"), r"my_app.py, line 2: class Mine: value: a shared field is of type"),
+        (APP.replace("float", "'flaot'"), r"my_app.py, line 2: class Mine: an annotation cannot be read: name 'flaot'"),
+    ],
+)
+def test_files_that_are_no_app_are_one_message_with_file_and_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(AppError, match=message) as caught:
+        loader.load(write(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_names_that_are_no_app(tmp_path: Path) -> None:
+    with pytest.raises(AppError, match=r"no app 'consensu': expected consensus, localization, or a file FILE\.py"):
+        loader.load("consensu")
+    with pytest.raises(AppError, match="no such file"):
+        loader.load(str(tmp_path / "none.py"))
+    with pytest.raises(AppError, match="the file's name is the app's name on the bus"):
+        loader.load(write(tmp_path, APP, "My App.py"))
+
+
+def test_several_apps_may_be_algorithms_of_one(tmp_path: Path) -> None:
+    names = 'ALGORITHMS = {"one": Mine, "two": Yours}\n'
+    app = loader.load(write(tmp_path, APP + APP.replace("Mine", "Yours") + names))
+    assert app.choose({})[0].__name__ == "Mine"
+    assert app.choose({"algorithm": "two"})[0].__name__ == "Yours"
+    with pytest.raises(AppError, match="algorithm: expected 'one' or 'two', got 'three'"):
+        app.choose({"algorithm": "three"})
+
+
+def test_a_helper_module_beside_the_file_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))  # undone after the test
+    write(tmp_path, "START = 4.0\n", "helper_of_my_app.py")
+    app = loader.load(write(tmp_path, "from helper_of_my_app import START\n" + APP.replace("float", "float = START")))
+    assert app.make(config_of(2, app="my_app"), "r0").value == 4.0
+
+
+def test_the_digest_is_of_the_source(tmp_path: Path) -> None:
+    one = loader.load(write(tmp_path, APP)).digest
+    assert loader.load(write(tmp_path, APP)).digest == one
+    assert loader.load(write(tmp_path, APP + "\n")).digest != one
+
+
+def test_wrong_parameters_name_app_and_robot() -> None:
+    app = loader.load("consensus")
+    config = config_of(3, parameters={}, robots={"r2": {"valeu": 1.0}})
+    with pytest.raises(AppError, match="app consensus on r2: unknown parameter 'valeu'; Consensus has weights, value"):
+        app.check(config)
+    with pytest.raises(AppError, match="app consensus on r0: algorithm: expected 'metropolis' or 'thesis', got 'best'"):
+        app.check(config_of(3, parameters={"algorithm": "best"}))
+    with pytest.raises(AppError, match="app consensus: r1 runs another algorithm than r0"):
+        app.check(config_of(3, robots={"r1": {"algorithm": "thesis"}}))
+
+
+# The examples
+
+
+def test_every_example_is_short_and_tested_here() -> None:
+    files = {path.name: path.read_text() for path in EXAMPLES.glob("*.py")}
+    assert set(files) == {"consensus.py", "max_finder.py", "find_target.py"}
+    assert all(len(text.splitlines()) <= 40 for text in files.values())
+
+
+def test_example_consensus() -> None:
+    values = {f"r{i}": {"value": x} for i, x in enumerate((0.5, 3.0, 5.0))}
+    swarm = MemorySwarm(str(EXAMPLES / "consensus.py"), config_of(3, robots=values), 100)
+    assert all(result["value"] == pytest.approx(8.5 / 3) for result in swarm.final.values())
+
+
+def test_example_max_finder() -> None:
+    """As many iterations as the graph is wide, and not one more."""
+    values = {f"r{i}": {"value": float(i)} for i in range(6)}
+    swarm = MemorySwarm(str(EXAMPLES / "max_finder.py"), config_of(6, app="max_finder", robots=values), 5)
+    assert all(result == {"value": 5.0, "owner": "r5"} for result in swarm.final.values())
+    assert swarm.results["r0"][4]["owner"] == "r4"
+    drawn = MemorySwarm(str(EXAMPLES / "max_finder.py"), config_of(6, app="max_finder"), 5)
+    assert len({results[0]["value"] for results in drawn.results.values()}) == 6
+    assert len({tuple(result.items()) for result in drawn.final.values()}) == 1
+
+
+@pytest.mark.parametrize(("measure", "within"), [(exact, 0.005), (noisy, 0.1)])
+def test_example_find_target(measure: object, within: float) -> None:
+    app = str(EXAMPLES / "find_target.py")
+    swarm = MemorySwarm(app, config_of(3, app="find_target"), 150, measure)
+    for result in swarm.final.values():
+        assert math.dist((result["x"], result["y"]), TARGET) < within

@@ -1,0 +1,160 @@
+"""Packing of app states: golden bytes, limits, round trips."""
+
+import struct
+from typing import Annotated, Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm import Vector, float32
+from swarm.core.state import MAX_STATE, Field, Schema, field_of, pack_private, unpack_private
+from swarm.errors import AppError
+
+ALL = {"a": float, "b": float32, "c": int, "d": bool, "e": Annotated[Vector, 2]}
+
+
+def schema(**annotations: Any) -> Schema:
+    return Schema("App", [field_of(name, annotation) for name, annotation in annotations.items()])
+
+
+def test_golden_bytes() -> None:
+    """Little endian, no padding, declared order."""
+    packed = schema(**ALL).pack({"a": 1.5, "b": -0.25, "c": -2, "d": True, "e": (3.0, 4.0)})
+    assert packed.hex() == (
+        "000000000000f83f"  # 1.5 as binary64
+        "000080be"  # -0.25 as binary32
+        "feffffffffffffff"  # -2 as int64
+        "01"
+        "0000000000000840"
+        "0000000000001040"  # 3.0, 4.0
+    )
+    assert schema(**ALL).size == 37
+
+
+def test_golden_hashes() -> None:
+    """They are compared between robots, so another Python or another machine must find the same."""
+    assert schema(**ALL).hash == 0x3D4B6539
+    assert schema(value=float).hash == 0x9D9A2569
+
+
+def test_the_hash_tells_name_type_order_and_class_apart() -> None:
+    hashes = {
+        schema(x=float, y=float).hash,
+        schema(y=float, x=float).hash,
+        schema(x=float, z=float).hash,
+        schema(x=float, y=float32).hash,
+        schema(x=float, y=Annotated[Vector, 1]).hash,
+        schema(x=float).hash,
+        Schema("Other", [field_of("x", float), field_of("y", float)]).hash,
+    }
+    assert len(hashes) == 7
+
+
+VALUES = st.fixed_dictionaries(
+    {
+        "a": st.floats(allow_nan=False, allow_infinity=False),
+        "b": st.floats(allow_nan=False, allow_infinity=False, width=32),
+        "c": st.integers(-(2**63), 2**63 - 1),
+        "d": st.booleans(),
+        "e": st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2),
+    }
+)
+
+
+@given(VALUES)
+def test_what_is_packed_comes_back(values: dict[str, Any]) -> None:
+    shared = schema(**ALL)
+    packed = shared.pack(values)
+    assert len(packed) == shared.size
+    back = shared.unpack(packed)
+    assert repr(back) == repr(tuple(values[name] for name in shared.names))  # repr: -0.0 stays -0.0
+    assert shared.pack(dict(zip(shared.names, back, strict=True))) == packed
+
+
+@given(st.floats(-3e38, 3e38))
+def test_float32_rounds_as_the_wire_does(value: float) -> None:
+    assert Field("x", "float32").check(value) == struct.unpack("<f", struct.pack("<f", value))[0]
+
+
+@pytest.mark.parametrize(
+    ("annotation", "value", "message"),
+    [
+        (float, float("nan"), "nan is not a finite number"),
+        (float, float("inf"), "inf is not a finite number"),
+        (float, 10**400, "is not a finite number"),
+        (float, "3", "expected a number, got '3'"),
+        (float, True, "expected a number, got True"),
+        (float, None, "expected a number, got None"),
+        (float, 1j, "expected a number"),
+        (float32, 3.5e38, "beyond the range of float32"),
+        (int, 1.0, "expected an integer of 64 bits, got 1.0"),
+        (int, True, "expected an integer"),
+        (int, 2**63, "expected an integer of 64 bits"),
+        (bool, 1, "expected True or False, got 1"),
+        (Annotated[Vector, 2], (1.0, 2.0, 3.0), "expected 2 numbers"),
+        (Annotated[Vector, 2], 1.0, "expected 2 numbers, got 1.0"),
+        (Annotated[Vector, 2], "ab", "expected 2 numbers, got 'ab'"),
+        (Annotated[Vector, 2], {1.0, 2.0}, "expected 2 numbers"),
+        (Annotated[Vector, 2], (1.0, float("nan")), "not a finite number"),
+        (Annotated[Vector, 2], (1.0, "2"), "expected a number"),
+    ],
+)
+def test_wrong_values_are_refused_by_name(annotation: Any, value: object, message: str) -> None:
+    with pytest.raises(AppError, match=r"^x: ") as caught:
+        schema(x=annotation).pack({"x": value})
+    assert message in str(caught.value)
+
+
+def test_numbers_become_floats_and_lists_tuples() -> None:
+    assert schema(x=float).check({"x": 3}) == {"x": 3.0}
+    assert schema(x=Annotated[Vector, 2]).check({"x": [1, 2.5]}) == {"x": (1.0, 2.5)}
+
+
+@pytest.mark.parametrize(
+    ("annotation", "message"),
+    [
+        (list, "not list"),
+        (str, "not str"),
+        (list[float], "of type float, float32"),
+        (Vector, "say how long the vector is"),
+        (Annotated[Vector, 0], "positive integer"),
+        (Annotated[Vector, "n"], "positive integer"),
+        (Annotated[int, 3], "of type float"),
+        (float | None, "of type float"),
+    ],
+)
+def test_types_that_cannot_travel_are_refused(annotation: Any, message: str) -> None:
+    with pytest.raises(AppError, match=f"x: .*{message}"):
+        field_of("x", annotation)
+
+
+def test_a_state_fits_a_frame_together_with_its_predecessor() -> None:
+    schema(x=Annotated[Vector, MAX_STATE // 8]).check_size()
+    with pytest.raises(AppError, match=r"takes 448 bytes, a frame holds 440 \(x 440, y 8\)"):
+        schema(x=Annotated[Vector, 55], y=float).check_size()
+    with pytest.raises(AppError, match="shares no state"):
+        schema().check_size()
+
+
+PRIVATE = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.text() | st.binary(),
+    lambda inner: st.lists(inner) | st.lists(inner).map(tuple) | st.dictionaries(st.text() | st.integers(0, 9), inner),
+    max_leaves=20,
+)
+
+
+@settings(max_examples=40)
+@given(st.dictionaries(st.text(), PRIVATE, max_size=4))
+def test_private_fields_come_back_as_they_were(values: dict[str, Any]) -> None:
+    assert repr(unpack_private(pack_private(values))) == repr(values)  # repr: tuples are not lists, 1 is not 1.0
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}, 2**64, 1j, lambda: None])
+def test_private_fields_that_cannot_be_saved_are_named(value: object) -> None:
+    with pytest.raises(AppError, match=r"^_x: .* cannot be saved for a restart"):
+        pack_private({"_x": value})
+
+
+def test_columns() -> None:
+    assert [c for f in schema(**ALL).fields for c in f.columns] == ["a", "b", "c", "d", "e[0]", "e[1]"]

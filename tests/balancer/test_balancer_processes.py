@@ -1,0 +1,226 @@
+"""The real processes: body, bridge, router. How they start, what they say, how they end."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import msgpack
+import pytest
+from conftest import Processes, stop, wait_until
+
+from swarm.bus import Bus
+from swarm.messages import BalancerState, Leds, SetMode, Stop, read
+
+RECORDING = str(Path(__file__).with_name("recording_body.py"))
+
+
+class Watcher:
+    """Everything the robot says, by topic."""
+
+    def __init__(self, runtime: Path) -> None:
+        self.heard: dict[str, list] = defaultdict(list)
+        self.bus = Bus.of(runtime)
+        self.bus.subscribe("swarm/r0/balancer/*", self._take)
+
+    def _take(self, key: str, payload: bytes) -> None:
+        self.heard[key.rpartition("/")[2]].append(read(key, payload))
+
+    def last(self, topic: str = "state") -> BalancerState:
+        return self.heard[topic][-1] if self.heard[topic] else None
+
+    def wait_mode(self, mode: str) -> BalancerState:
+        wait_until(lambda: self.last() is not None and self.last().mode == mode, 20, f"mode {mode}: {self.last()}")
+        return self.last()
+
+    def command(self, what: str, message: object) -> None:
+        self.bus.publish(f"swarm/r0/balancer/set/{what}", message)
+
+
+@pytest.fixture
+def watcher(runtime: Path, router: object) -> Iterator[Watcher]:
+    watcher = Watcher(runtime)
+    yield watcher
+    watcher.bus.close()
+
+
+def children(pid: int) -> list[int]:
+    return [int(text) for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def alive(pid: int) -> bool:
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+
+
+def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Watcher, runtime: Path) -> None:
+    body = processes.start_ready("-m", "services.sim.body")
+    state = watcher.wait_mode("balancing")
+    assert abs(state.tilt) < 0.2
+    wait_until(lambda: watcher.last("leds") == Leds(False, False, True))
+
+    # 25 Hz: telemetry counts ticks of 10 ms, so its number is known without a clock.
+    first = len(watcher.heard["state"]) - 1
+    wait_until(lambda: len(watcher.heard["state"]) > first + 25)
+    steps = [b.ticks - a.ticks for a, b in pairwise(watcher.heard["state"][first:])]
+    assert set(steps) == {4}
+    sequences = [odometry.sequence for odometry in watcher.heard["odometry"]]
+    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+    assert watcher.last("status").state == "ready"
+
+    watcher.command("leds", Leds(True, True, False))
+    wait_until(lambda: watcher.last("leds") == Leds(True, True, False))
+
+    watcher.command("mode", SetMode("dance"))
+    watcher.command("mode", b"\xc1")
+    watcher.command("leds", {"red": 1})
+    watcher.command("mode", SetMode("rest"))
+    state = watcher.wait_mode("idle")
+    assert (state.duty_left, state.duty_right) == (0.0, 0.0)
+
+    replies: list[bytes] = []
+    wait_until(
+        lambda: replies or watcher.bus.ask("swarm/r0/balancer/status", lambda _, payload: replies.append(payload))
+    )
+    assert read("swarm/r0/balancer/status", replies[0]).counters == {"refused": 3}
+
+    watcher.command("mode", SetMode("stand"))
+    watcher.wait_mode("balancing")
+    watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
+    state = watcher.wait_mode("fault")
+    assert state.fault == "stopped: enough (by test)"
+    wait_until(lambda: watcher.last("status").state == "degraded")
+    assert watcher.last("status").reason == state.fault
+
+    bridge = children(body.pid)
+    assert stop(body) == 0
+    wait_until(lambda: not any(map(alive, bridge)))
+    assert watcher.last("status").state == "stopping"
+
+
+def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, watcher: Watcher) -> None:
+    body = processes.start("-m", "services.sim.body")
+    before = watcher.wait_mode("balancing")
+    (bridge,) = children(body.pid)
+    os.kill(bridge, signal.SIGKILL)
+    wait_until(lambda: children(body.pid) not in ([], [bridge]), 20)
+    count = len(watcher.heard["state"])
+    wait_until(lambda: len(watcher.heard["state"]) > count + 5, 20)
+    after = watcher.last()
+    assert after.mode == "balancing"
+    # It ticked on while nobody listened: by the loop's own time, nothing is missing but what it says was missed.
+    assert after.ticks + after.missed - before.ticks - before.missed == pytest.approx((after.t - before.t) * 100, abs=2)
+
+
+def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
+    """No router anywhere: it balances, and READY comes from the loop."""
+    robot = runtime / "r0"
+    robot.mkdir()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as world:
+        world.bind(str(runtime / "world.sock"))
+        world.settimeout(20)
+        body = processes.start_ready("-m", "services.sim.body", SWARM_RUNTIME=str(robot), SWARM_SEED="3")
+        report = msgpack.unpackb(world.recv(4096))
+        assert report.keys() == {"robot", "t", "x", "y", "heading", "tilt"}
+        assert report["robot"] == "r0"
+    (bridge,) = children(body.pid)
+    assert stop(body) == 0
+    wait_until(lambda: not alive(bridge))
+
+
+def test_the_bridge_dies_with_the_loop(processes: Processes, watcher: Watcher) -> None:
+    body = processes.start("-m", "services.sim.body")
+    watcher.wait_mode("starting")
+    (bridge,) = children(body.pid)
+    body.kill()
+    wait_until(lambda: not alive(bridge))
+
+
+def test_the_bridge_ends_when_the_loop_lets_go(processes: Processes, router: object) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        bridge = subprocess.Popen(
+            [sys.executable, "-m", "services.balancer.bridge", str(theirs.fileno())],
+            env=processes.environment(),
+            pass_fds=[theirs.fileno()],
+            stderr=subprocess.DEVNULL,
+        )
+        theirs.close()
+        ours.close()
+    assert bridge.wait(20) == 0
+
+
+def test_the_bridge_is_not_for_hands(processes: Processes) -> None:
+    _, error = processes.start("-m", "services.balancer.bridge").communicate(timeout=20)
+    assert error == "bridge.py: the bridge is started by `python -m services.balancer`, not by hand\n"
+
+
+def test_a_real_robot_without_i2c_says_so(processes: Processes) -> None:
+    process = processes.start("-m", "services.balancer")
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert "i2c" in error.lower() or "I2C" in error
+    assert "Traceback" not in error
+
+
+class Recorded:
+    """The robot of recording_body.py and what its motors were told."""
+
+    def __init__(self, processes: Processes, runtime: Path) -> None:
+        self.record = runtime / "motors"
+        self.process = processes.start(RECORDING, str(self.record), PYTHONPATH=str(Path.cwd()))
+        wait_until(lambda: any(line not in ("0.0", "-0.0") for line in self.lines()), 20, "motors")
+
+    def lines(self) -> list[str]:
+        return self.record.read_text().splitlines() if self.record.exists() else []
+
+
+def test_the_last_command_is_motors_off(processes: Processes, runtime: Path) -> None:
+    robot = Recorded(processes, runtime)
+    assert stop(robot.process) == 0
+    assert robot.lines()[-2:] == ["0.0", "closed"]
+
+
+def test_motors_are_off_after_a_bug_too(processes: Processes, runtime: Path) -> None:
+    robot = Recorded(processes, runtime)
+    (bridge,) = children(robot.process.pid)
+    bug = robot.record.with_suffix(".bug")
+    bug.touch()
+    wait_until(lambda: robot.process.poll() is not None)
+    assert robot.process.returncode == 1
+    assert robot.lines()[-2:] == ["0.0", "closed"]
+    wait_until(lambda: not alive(bridge))
+
+
+def test_systemd_hears_of_progress(processes: Processes, runtime: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(runtime / "systemd"))
+        systemd.settimeout(20)
+        process = processes.start("-m", "services.sim.body", NOTIFY_SOCKET=str(runtime / "systemd"))
+        messages = [systemd.recv(4096).decode() for _ in range(4)]
+        stop(process)
+        messages.append(systemd.recv(4096).decode())
+    # The gyro's zero takes two seconds: progress first, then ready, and nothing of the bridge's own life.
+    assert messages == ["WATCHDOG=1", "WATCHDOG=1", "READY=1\nWATCHDOG=1", "WATCHDOG=1", "STOPPING=1"]
+
+
+def test_the_loop_stays_light(processes: Processes) -> None:
+    """What the process with the deadline loads: no Zenoh, no asyncio, no numpy, no threads."""
+    code = (
+        "import sys, services.balancer.loop;"
+        "print(*{'zenoh', 'swarm.bus', 'swarm.service', 'asyncio', 'numpy', 'subprocess', 'smbus2'} & set(sys.modules))"
+    )
+    assert processes.start("-c", code).communicate(timeout=20)[0].strip() == ""
+
+
+def test_a_wrong_seed_is_named(processes: Processes) -> None:
+    process = processes.start("-m", "services.sim.body", SWARM_SEED="lucky")
+    assert process.communicate(timeout=20)[1] == "body.py: SWARM_SEED='lucky': expected an integer\n"
+    assert process.returncode == 2

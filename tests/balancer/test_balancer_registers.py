@@ -1,0 +1,290 @@
+"""Registers of the two devices: the drivers' arithmetic, and the simulated devices that answer it."""
+
+import contextlib
+import math
+import random
+import struct
+import sys
+
+import pytest
+from balancer_rig import CONFIGURED, NO_ERRORS
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.balancer.core import balboa, imu
+from services.balancer.drivers import Balboa, Imu
+from services.balancer.i2c import KernelBus
+from services.sim.core.balboa import BalboaBody
+from services.sim.core.devices import SimulatedRobot, draw_errors
+from services.sim.i2c import SimulatedBus
+from swarm.errors import LocalError, RemoteError
+
+words = st.integers(-0x8000, 0x7FFF)
+
+
+class Bench:
+    """The simulated devices and drivers on a clock set by hand."""
+
+    def __init__(self, *, tilt: float = 0.0, held: bool = True, trim: float = 0.0) -> None:
+        self.now = 10.0
+        self.body = BalboaBody(CONFIGURED, self.now, tilt=tilt, held=held)
+        self.robot = SimulatedRobot(self.body, random.Random(1), errors=NO_ERRORS, trim=trim)
+        self.bus = SimulatedBus(self.robot, lambda: self.now)
+        self.imu = Imu(self.bus)
+        self.slept: list[float] = []
+        self.balboa = Balboa(self.bus, lambda: self.now, self.slept.append)
+
+
+@given(st.tuples(*[words] * 6))
+def test_imu_words_become_si_units(sample: tuple[int, ...]) -> None:
+    block = struct.pack("<6h", *sample)
+    if sample[3:] == (0, 0, 0):
+        with pytest.raises(RemoteError, match="reset"):
+            imu.decode(block)
+        return
+    reading = imu.decode(block)
+    assert reading.pitch_rate == pytest.approx(math.radians(sample[1] * 0.035))
+    assert reading.up == pytest.approx(sample[3] * 0.061e-3 * 9.80665)
+    assert reading.back == pytest.approx(sample[5] * 0.061e-3 * 9.80665)
+    assert -math.pi <= imu.gravity_tilt(reading) <= math.pi
+
+
+@given(st.binary(max_size=20))
+def test_blocks_of_any_length_are_decoded_or_refused(block: bytes) -> None:
+    for decode in (imu.decode, balboa.decode_encoders, balboa.decode_housekeeping):
+        with contextlib.suppress(RemoteError):
+            decode(block)
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2))
+def test_motor_commands_survive_the_wire(left: float, right: float) -> None:
+    data = balboa.encode_motors(left, right)
+    for sent, got in zip((left, right), balboa.decode_motors(data), strict=True):
+        assert got == pytest.approx(max(-1.0, min(1.0, sent)), abs=0.5 / balboa.MOTOR_TOP)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_motor_command_that_is_no_number_is_refused(bad: float) -> None:
+    with pytest.raises(LocalError, match="not finite"):
+        balboa.encode_motors(0.1, bad)
+
+
+@given(words, words)
+def test_an_encoder_wraps_the_short_way(old: int, new: int) -> None:
+    step = balboa.encoder_step(old, new)
+    assert -0x8000 <= step <= 0x7FFF
+    assert (old + step - new) % 0x10000 == 0
+
+
+def test_the_layout_has_no_overlaps() -> None:
+    fields = [
+        (balboa.VERSION, 1),
+        (balboa.LEDS, 3),
+        (balboa.MOTORS, 4),
+        (balboa.ENCODERS, 4),
+        (balboa.BUTTONS, 1),
+        (balboa.STATUS, 1),
+        (balboa.BATTERY, 2),
+    ]
+    used = [offset for start, size in fields for offset in range(start, start + size)]
+    assert used == list(range(16))
+
+
+def test_an_imu_that_was_not_set_up_gives_no_data() -> None:
+    bench = Bench()
+    with pytest.raises(RemoteError, match="reset"):
+        bench.imu.read()
+    bench.imu.set_up()
+    assert bench.imu.read().up == pytest.approx(imu.STANDARD_GRAVITY, rel=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [-110, -30, 0, 30, 110])
+def test_tilt_from_gravity_has_the_sign_of_the_body(degrees: int) -> None:
+    bench = Bench(tilt=math.radians(degrees))
+    bench.imu.set_up()
+    assert imu.gravity_tilt(bench.imu.read()) == pytest.approx(math.radians(degrees), abs=1e-3)
+
+
+def test_trim_is_what_the_imu_shows_at_balance() -> None:
+    bench = Bench(trim=0.19)
+    bench.imu.set_up()
+    assert imu.gravity_tilt(bench.imu.read()) == pytest.approx(0.19, abs=1e-3)
+
+
+def test_known_acceleration_is_taken_out_of_gravity() -> None:
+    tilt, acceleration, g = 0.2, 3.0, imu.STANDARD_GRAVITY
+    up = g * math.cos(tilt) + acceleration * math.sin(tilt)
+    back = g * math.sin(tilt) - acceleration * math.cos(tilt)
+    assert imu.gravity_tilt(imu.Reading(0.0, up, back), tilt, acceleration) == pytest.approx(tilt)
+
+
+def test_gyro_reads_the_fall_in_the_range_that_was_set() -> None:
+    bench = Bench(tilt=0.1, held=False)
+    bench.imu.set_up()
+    bench.now += 0.2
+    assert bench.imu.read().pitch_rate == pytest.approx(bench.body.tilt_rate, abs=imu.GYRO_SCALE)
+    assert bench.body.tilt_rate > 0.1
+    bench.bus.write(imu.ADDRESS, bytes((imu.CTRL2_G, 0x5C)))  # 2000 dps: half the counts
+    assert bench.imu.read().pitch_rate == pytest.approx(bench.body.tilt_rate / 2, abs=imu.GYRO_SCALE)
+
+
+def test_sensor_errors_are_drawn_from_the_seed() -> None:
+    assert draw_errors(random.Random(3)) == draw_errors(random.Random(3)) != draw_errors(random.Random(4))
+
+
+def test_another_imu_is_refused_by_name() -> None:
+    with pytest.raises(RemoteError, match=r"0x6C \(an LSM6DSO\?\), expected 0x69"):
+        imu.check_identity(0x6C)
+
+
+def test_another_layout_is_refused() -> None:
+    bench = Bench()
+    bench.robot.atmega._buffer[balboa.VERSION] = 9
+    with pytest.raises(RemoteError, match="layout version 9, expected 1"):
+        bench.balboa.set_up()
+
+
+def test_an_address_without_a_device_is_a_remote_io_error() -> None:
+    with pytest.raises(OSError, match="Remote I/O") as failure:
+        Bench().bus.read(0x3C, 1)
+    assert failure.value.errno == 121
+
+
+def test_motors_stop_200_ms_after_the_last_command() -> None:
+    bench = Bench()
+    bench.balboa.write_motors(0.3, 0.3)
+    bench.now += 0.199
+    bench.balboa.select(balboa.ENCODERS)
+    assert bench.robot.atmega.motors == (0.3, 0.3)
+    bench.now += 0.002
+    assert not bench.balboa.read_housekeeping().stopped_by_watchdog or bench.robot.atmega.motors == (0.0, 0.0)
+    assert bench.balboa.read_housekeeping().stopped_by_watchdog
+    bench.balboa.write_motors(0.0, 0.0)
+    assert not bench.balboa.read_housekeeping().stopped_by_watchdog
+
+
+def test_the_watchdog_acts_at_its_time_however_late_we_look() -> None:
+    """The motors ran for 200 ms of the second in which nobody looked."""
+    ways = []
+    for looks in ([1.0], [0.2, 1.0]):
+        bench = Bench()
+        bench.balboa.write_motors(0.05, 0.05)
+        for time in looks:
+            bench.now = 10.0 + time
+            bench.balboa.select(0)
+        ways.append((bench.body.x, bench.body.tilt))
+    assert ways[0] == pytest.approx(ways[1])
+
+
+def test_buttons_and_battery() -> None:
+    bench = Bench()
+    bench.robot.atmega.press(0b101)
+    read = bench.balboa.read_housekeeping()
+    assert read.buttons == (True, False, True)
+    assert read.battery == pytest.approx(7.4)
+
+
+def test_leds() -> None:
+    bench = Bench()
+    bench.balboa.write_leds(True, False, True)
+    assert bench.robot.atmega.leds == (True, False, True)
+
+
+def test_a_write_beyond_the_buffer_is_dropped_whole() -> None:
+    bench = Bench()
+    before = bytes(bench.robot.atmega._buffer)
+    bench.bus.write(balboa.ADDRESS, bytes((balboa.SIZE - 1, 1, 2)))
+    assert bytes(bench.robot.atmega._buffer) == before
+
+
+def test_firmware_fields_cannot_be_written() -> None:
+    bench = Bench()
+    bench.bus.write(balboa.ADDRESS, bytes((balboa.BATTERY, 0, 0)))
+    assert bench.balboa.read_housekeeping().battery == pytest.approx(7.4)
+
+
+def test_the_atmega_is_left_alone_after_each_transfer() -> None:
+    bench = Bench()
+    bench.balboa.select(balboa.ENCODERS)
+    assert bench.slept == []
+    bench.balboa.fetch_encoders()
+    assert bench.slept == [pytest.approx(balboa.PAUSE_S)]
+    bench.now += balboa.PAUSE_S
+    bench.balboa.write_motors(0.0, 0.0)  # time went by meanwhile: no need to sleep
+    assert len(bench.slept) == 1
+
+
+def test_bus_time_of_a_tick_at_100_khz() -> None:
+    """Byte counts of one tick: below the 4 ms it may take."""
+    bench = Bench()
+    bench.imu.set_up()
+    before = bench.robot.bits
+    bench.balboa.select(balboa.ENCODERS)
+    bench.imu.read()
+    bench.balboa.fetch_encoders()
+    bench.balboa.write_motors(0.1, 0.1)
+    bus_s = (bench.robot.bits - before) * 10e-6
+    assert bus_s == pytest.approx(2.62e-3, abs=0.05e-3)
+
+
+def test_the_real_bus_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "smbus2", None)
+    with pytest.raises(LocalError, match="smbus2"):
+        KernelBus()
+
+
+class FakeSmbus2:
+    """The part of smbus2 that is used, in front of the simulated devices."""
+
+    class i2c_msg(list):
+        @classmethod
+        def write(cls, address, data):
+            message = cls(data)
+            message.address, message.is_read = address, False
+            return message
+
+        @classmethod
+        def read(cls, address, count):
+            message = cls([0] * count)
+            message.address, message.is_read = address, True
+            return message
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self.robot = robot
+        self.transactions: list[int] = []
+
+    def SMBus(self, number: int) -> "FakeSmbus2":
+        return self
+
+    def i2c_rdwr(self, *messages) -> None:
+        self.transactions.append(len(messages))
+        for message in messages:
+            if message.is_read:
+                message[:] = self.robot.read(message.address, len(message), 10.0)
+            else:
+                self.robot.write(message.address, bytes(message), 10.0)
+
+    def close(self) -> None:
+        self.transactions.append(0)
+
+
+def test_the_real_bus_through_smbus2(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
+    fake = FakeSmbus2(Bench().robot)
+    monkeypatch.setitem(sys.modules, "smbus2", fake)
+    monkeypatch.setattr("services.balancer.i2c.Path", lambda _: tmp_path)
+    bus = KernelBus()
+    Imu(bus).set_up()
+    assert imu.gravity_tilt(Imu(bus).read()) == pytest.approx(0.0, abs=1e-3)
+    assert fake.transactions == [2, 1, 1, 1, 2]  # a register read is one combined transaction
+    drive = Balboa(bus, lambda: 10.0, lambda _: None)
+    drive.write_motors(0.25, -0.25)
+    drive.select(balboa.MOTORS)
+    assert bus.read(balboa.ADDRESS, 4) == balboa.encode_motors(0.25, -0.25)
+    bus.close()
+    assert fake.transactions[-1] == 0
+
+
+def test_the_real_bus_needs_its_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "smbus2", object())
+    with pytest.raises(LocalError, match="/dev/i2c-77 is missing"):
+        KernelBus(77)

@@ -1,0 +1,143 @@
+"""The loop on a virtual clock with a bridge made of lists: what it does when, and what it leaves out when late."""
+
+from types import SimpleNamespace
+
+import pytest
+from balancer_rig import Rig
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.balancer import loop as loop_module
+from services.balancer.link import pack, unpack
+from services.balancer.loop import Loop
+from swarm.errors import PayloadError
+from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop
+
+
+class Lists:
+    """In place of the bridge process."""
+
+    def __init__(self) -> None:
+        self.sent: list = []
+        self.incoming: list = []
+        self.looks = 0
+
+    def send(self, message) -> bool:
+        self.sent.append(unpack(pack(message)))
+        return True
+
+    def commands(self) -> list:
+        taken, self.incoming = self.incoming, []
+        return taken
+
+    def keep_up(self, now: float) -> None:
+        self.looks += 1
+
+    def of(self, kind: type) -> list:
+        return [message for message in self.sent if isinstance(message, kind)]
+
+
+class VirtualLoop:
+    """A loop that ends after a number of sleeps; `oversleep` says by how much each one is too long."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, rig: Rig | None = None) -> None:
+        self.rig = rig or Rig()
+        self.bridge = Lists()
+        self.loop = Loop(self.rig.balancer, self.bridge)
+        self.started: list[float] = []
+        self.oversleep: dict[int, float] = {}
+        self.notified: list[str] = []
+        step = self.rig.balancer.step
+        self.rig.balancer.step = lambda now: (self.started.append(now), step(now))
+        monkeypatch.setattr(loop_module, "clock", SimpleNamespace(now=lambda: self.rig.now))
+        monkeypatch.setattr(loop_module, "time", SimpleNamespace(sleep=self._sleep))
+        monkeypatch.setattr(loop_module, "notify", lambda text, timeout_s: self.notified.append(text))
+
+    def _sleep(self, seconds: float) -> None:
+        self.rig.now += seconds + self.oversleep.get(len(self.started), 0.0)
+        if len(self.started) >= self.end:
+            self.loop.stop()
+
+    def run(self, ticks: int) -> "VirtualLoop":
+        self.end = len(self.started) + ticks - 1
+        self.loop._stopping = False
+        self.loop.run()
+        return self
+
+
+def test_ticks_are_on_a_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch).run(400)
+    assert [at - loop.started[0] for at in loop.started] == pytest.approx([n * 0.01 for n in range(400)], abs=1e-9)
+    assert loop.loop.missed == 0
+
+
+def test_a_stall_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch)
+    loop.oversleep = {50: 0.035}
+    loop.run(100)
+    at = [round((t - loop.started[0]) * 1e3, 3) for t in loop.started]
+    assert at[49:53] == [490.0, 535.0, 540.0, 550.0]
+    assert loop.loop.missed == 3
+    state = loop.bridge.of(BalancerState)[-1]
+    assert state.late_max == pytest.approx(0.035)
+    assert state.missed == 3
+
+
+def test_telemetry_is_25_hz_and_odometry_begins_with_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch).run(400)
+    assert [state.ticks for state in loop.bridge.of(BalancerState)] == list(range(4, 401, 4))
+    assert loop.bridge.of(BalancerState)[0].mode == "starting"
+    assert loop.bridge.of(BalancerState)[-1].mode == "balancing"
+    assert loop.bridge.of(BalancerState)[-1].battery == pytest.approx(7.4)
+    assert [odometry.sequence for odometry in loop.bridge.of(Odometry)] == list(range(1, 51))
+    assert loop.bridge.looks == 4
+
+
+def test_ready_once_and_progress_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch).run(500)
+    assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1\nWATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
+
+
+def test_leds_are_told_on_change_and_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch).run(500)
+    told = loop.bridge.of(Leds)
+    assert told[0] == Leds(False, True, False)
+    assert told[-1] == Leds(False, False, True)
+    assert len(told) == 2 + 5
+
+
+def test_commands_are_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch).run(300)
+    for message, mode in (
+        (SetMode("rest"), "idle"),
+        (SetMode("stand"), "standing_up"),
+        (SetMode("fly"), "standing_up"),
+    ):
+        loop.bridge.incoming = [message]
+        loop.run(2)
+        assert loop.rig.balancer.mode == mode
+    loop.bridge.incoming = [Leds(True, False, True)]
+    loop.run(2)
+    assert loop.rig.robot.atmega.leds == (True, False, True)
+    loop.bridge.incoming = [Stop(1.0, "o" * 60_000, "r" * 5000)]
+    loop.run(10)
+    state = loop.bridge.of(BalancerState)[-1]
+    assert (state.mode, len(state.fault)) == ("fault", 2 * loop_module.MAX_REASON + len("stopped:  (by )"))
+
+
+def test_what_only_the_loop_says_is_no_command(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    loop = VirtualLoop(monkeypatch)
+    loop.bridge.incoming = [Odometry(1.0, 1, 0.0, 0.0, 0.0)]
+    loop.run(2)
+    assert "the bridge sent a Odometry" in caplog.text
+
+
+@given(st.binary(max_size=80))
+def test_any_datagram_is_a_message_or_refused(data: bytes) -> None:
+    try:
+        message = unpack(data)
+    except PayloadError:
+        return
+    assert unpack(pack(message)) == message

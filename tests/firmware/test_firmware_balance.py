@@ -1,0 +1,139 @@
+"""The robot stands: the balancer's own code, over simulated I2C, through the real firmware, on the simulated body."""
+
+import math
+
+import pytest
+from elf_robot import ElfRobot
+
+from services.balancer.balancer import Balancer
+from services.balancer.core.body import body_model
+from services.balancer.core.lqr import PERIOD_S
+from services.dwm.core.tlv import AnchorRange, Location, Position, encode_location
+from swarm.config.types import Body
+
+pytest_plugins = ("firmware_fixtures",)
+
+MODEL = body_model("zero2w", Body())
+ANSWER = encode_location(
+    Location(
+        Position(1.0, 2.0, 0.1, 90),
+        tuple(AnchorRange(f"C93{n}", 1.0 + n, 95, Position(float(n), 0.0, 0.0, 100)) for n in range(4)),
+    )
+)
+
+
+class Standing:
+    """A robot with its balancer, ticked as its loop does; the DWM1001 answers every poll."""
+
+    def __init__(self, bench) -> None:
+        bench.battery(7.4)
+        self.bench = bench
+        self.robot = ElfRobot(bench, MODEL)
+        self.balancer = Balancer(self.robot, MODEL, 0.0, self.robot.clock, self.robot.sleep, start_mode="stand")
+        self.tilts: list[float] = []
+        self.longest_tick = 0.0
+
+    def run(self, seconds: float, until=lambda: False) -> None:
+        end = deadline = self.robot.clock()
+        end += seconds
+        ticks = 0
+        while deadline < end and not until():
+            self.robot.run_to(deadline)
+            self.balancer.step(self.robot.clock())
+            self.longest_tick = max(self.longest_tick, self.robot.clock() - deadline)
+            self.balancer.show_leds()
+            if ticks % 100 == 50:
+                self.balancer.read_housekeeping()
+            if self.bench.sent():
+                self.bench.feed(ANSWER)
+            self.tilts.append(self.robot.body.tilt)
+            deadline += PERIOD_S
+            ticks += 1
+
+
+def upright(bench) -> Standing:
+    standing = Standing(bench)
+    standing.run(6.0, until=lambda: standing.balancer.mode == "balancing")
+    assert standing.balancer.mode == "balancing", standing.balancer.fault
+    standing.tilts.clear()
+    standing.longest_tick = 0.0
+    return standing
+
+
+def test_it_stands_for_five_seconds(bench):
+    standing = upright(bench)
+    standing.run(5.0)
+    assert standing.balancer.mode == "balancing"
+    assert max(map(abs, standing.tilts)) < math.radians(10)
+    assert standing.balancer.bus_errors == 0
+
+
+@pytest.mark.slow
+def test_it_stands_for_a_minute_with_everything_going_on(bench):
+    standing = upright(bench)
+    bench.i2c_stats()
+    bench.call("watch", 0)
+    standing.run(60.0)
+    assert standing.balancer.mode == "balancing"
+    assert standing.balancer.bus_errors == 0
+    assert standing.balancer.battery == pytest.approx(7.4, abs=0.02)
+    rms = math.sqrt(sum(tilt**2 for tilt in standing.tilts) / len(standing.tilts))
+    assert max(map(abs, standing.tilts)) < math.radians(10)
+    assert rms < math.radians(2)
+    assert abs(standing.robot.body.travel) < 0.5, "it stays where it is"
+    stats = bench.i2c_stats()
+    assert (stats.deaf, stats.refused) == (0, 0)
+    assert stats.stretch_longest < 50e-6
+    assert bench.call("interrupts_off") / 16e6 < 50e-6
+    assert standing.longest_tick < 0.004, "of the bus for one control step"
+    bench.run(0.001)
+    assert bench.report().sequence >= 590, "the UWB reports went on"
+    assert bench.number("UWB_BAD") == 0
+    assert bench.get("ENCODER_ERRORS") == b"\0\0"
+    assert bench.call("resets") == 0
+
+
+def test_it_survives_a_push(bench):
+    standing = upright(bench)
+    standing.run(1.0)
+    standing.robot.body.push(0.02)
+    standing.run(3.0)
+    assert standing.balancer.mode == "balancing"
+    assert abs(standing.tilts[-1]) < math.radians(5)
+
+
+def test_a_balancer_that_dies_leaves_motors_that_stop(bench):
+    standing = upright(bench)
+    standing.run(1.0)
+    standing.robot.body.push(0.015)  # it is working hard when it dies
+    standing.run(0.05)
+    bench.run(0.001)
+    assert bench.motors() != (0.0, 0.0)
+    died = bench.now
+    bench.run_until(lambda: bench.motors() == (0.0, 0.0), 0.21)
+    assert bench.now - died > 0.18
+    bench.run(1.0)
+    assert bench.motors() == (0.0, 0.0)
+    standing.robot.run_to(bench.now + 1.0)
+    assert abs(standing.robot.body.tilt) > math.radians(100), "it lies"
+
+
+def test_it_lies_down_when_told(bench):
+    standing = upright(bench)
+    standing.balancer.command("rest", standing.robot.clock())
+    standing.run(0.1)
+    assert standing.balancer.mode == "idle"
+    assert bench.motors() == (0.0, 0.0)
+
+
+def test_a_firmware_that_restarts_is_named_and_survived(bench):
+    """A brown-out takes encoders and layout back to zero in the middle of balancing."""
+    standing = upright(bench)
+    standing.run(1.0)
+    bench.call("reset", 4)
+    bench.run(0.01)
+    standing.run(1.0)
+    assert standing.balancer.mode in ("balancing", "fault")
+    standing.balancer.motors_off()
+    bench.run(0.001)
+    assert bench.motors() == (0.0, 0.0)

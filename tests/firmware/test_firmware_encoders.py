@@ -1,0 +1,106 @@
+"""Encoders: every count, at any speed the robot can reach and beyond, whatever goes on beside."""
+
+import pytest
+
+pytest_plugins = ("firmware_fixtures",)
+
+
+def wrapped(counts):
+    return tuple((count + 0x8000) % 0x10000 - 0x8000 for count in counts)
+
+
+def settle(bench):
+    bench.wheels(0, 0)
+    bench.run(0.002)
+
+
+def with_traffic(bench, seconds):
+    end = bench.now + seconds
+    while bench.now < end:
+        bench.get("ENCODERS")
+        bench.drive(100, -100)
+        bench.put("LEDS", b"\1\0\1")
+        if bench.sent():
+            bench.feed(bytes.fromhex("400100410d") + bytes(12) + b"\x64" + b"\x49\x01\x00")
+
+
+@pytest.mark.parametrize(("left", "right"), [(1000, 1000), (-1000, 1000), (10000, -9700)])
+def test_exact(bench, left, right):
+    """The robot's own maximum is about 6000 counts/s."""
+    bench.wheels(left, right)
+    with_traffic(bench, 0.15)
+    settle(bench)
+    assert bench.encoders() == bench.counts()
+    assert abs(bench.counts()[0]) > 140
+    assert bench.get("ENCODER_ERRORS") == b"\0\0"
+
+
+def test_forward_counts_up(bench):
+    bench.wheels(500, -500)
+    bench.run(0.1)
+    left, right = bench.encoders()
+    assert left > 40
+    assert right < -40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("left", "right"), [(10000, 10000), (-10000, 9000), (6000, -10000)])
+def test_exact_for_many_turns_and_across_the_wrap(bench, left, right):
+    bench.wheels(left, right)
+    with_traffic(bench, 5.0)
+    settle(bench)
+    assert abs(bench.counts()[0]) > 29000
+    assert bench.encoders() == wrapped(bench.counts())
+    assert bench.get("ENCODER_ERRORS") == b"\0\0"
+
+
+def test_to_and_fro(bench):
+    for speed in (8000, -8000, 300, -7000, 5000, -40, 9000):
+        bench.wheels(speed, -speed)
+        bench.run(0.013)
+    settle(bench)
+    assert bench.encoders() == bench.counts()
+    assert bench.get("ENCODER_ERRORS") == b"\0\0"
+
+
+def test_a_wheel_that_trembles_on_an_edge_counts_nothing(bench):
+    bench.wheels(300, 300)
+    bench.run(0.05)
+    settle(bench)
+    start = bench.counts()
+    for _ in range(200):
+        for speed in (9000, -9000):
+            bench.wheels(speed, speed)
+            bench.run(1.5e-4)
+    settle(bench)
+    assert bench.encoders() == bench.counts()
+    assert all(abs(now - then) <= 2 for now, then in zip(bench.counts(), start, strict=True))
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_missed_edge_is_told(bench, side):
+    bench.run(0.001)
+    bench.call("encoder_glitch", side)
+    bench.run(0.001)
+    errors = bench.get("ENCODER_ERRORS")
+    assert errors[side] == 1
+    assert errors[1 - side] == 0
+
+
+def test_the_place_at_switch_on_is_zero_wherever_the_wheels_stand(new_bench):
+    for _ in range(4):
+        bench = new_bench()
+        bench.run(0.0005)  # before the firmware looks
+        for _ in range(3):
+            bench.wheels(2000, -2000)
+            bench.run(0.0007)
+            bench.wheels(0, 0)
+            bench.call("reset", 2)
+            start = bench.counts()
+            bench.run(0.02)
+            assert bench.encoders() == (0, 0)
+            bench.wheels(1000, 1000)
+            bench.run(0.02)
+            settle(bench)
+            assert bench.encoders() == tuple(now - then for now, then in zip(bench.counts(), start, strict=True))
+            assert bench.get("ENCODER_ERRORS") == b"\0\0"

@@ -1,0 +1,64 @@
+"""One layout on both sides of the wire: firmware/layout.h against services/balancer/core/balboa.py. Needs no tools."""
+
+import itertools
+
+import pytest
+from firmware_build import APT, require
+from firmware_layout import CONSTANTS, FIELDS
+
+from services.balancer.core import balboa
+
+DRIVEN = {"VERSION", "LEDS", "MOTORS", "ENCODERS", "BUTTONS", "STATUS", "BATTERY"}
+"""What the driver cannot do without."""
+
+
+def test_every_offset_known_to_the_driver_is_the_firmwares():
+    known = {name: value for name, value in vars(balboa).items() if name in FIELDS}
+    assert known.keys() >= DRIVEN
+    assert known == {name: FIELDS[name].offset for name in known}
+
+
+def test_every_constant_known_to_both_is_equal():
+    shared = {name for name, value in vars(balboa).items() if name in CONSTANTS and isinstance(value, int)}
+    assert shared >= {"ADDRESS", "LAYOUT_VERSION", "MOTOR_TOP", "STOPPED_BY_WATCHDOG"}
+    assert {name: getattr(balboa, name) for name in shared} == {name: CONSTANTS[name] for name in shared}
+    assert CONSTANTS["MOTOR_TIMEOUT_MS"] / 1000 == balboa.MOTOR_TIMEOUT_S
+
+
+def test_the_drivers_formats_fit_the_fields():
+    assert len(balboa.encode_motors(0.0, 0.0)) == FIELDS["MOTORS"].size
+    assert len(balboa.encode_leds(False, False, False)) == FIELDS["LEDS"].size
+    end = FIELDS["BATTERY"].offset + FIELDS["BATTERY"].size
+    assert end - FIELDS["BUTTONS"].offset == balboa.HOUSEKEEPING_SIZE
+
+
+def test_fields_do_not_overlap_and_one_byte_reaches_them_all():
+    spans = sorted((field.offset, field.offset + field.size) for field in FIELDS.values())
+    assert all(end <= start for (_, end), (start, _) in itertools.pairwise(spans))
+    assert spans[0][0] == 0
+    assert spans[-1][1] <= 255, "offset 255 stays free: an index that stops there reads zeros"
+
+
+def test_version_1_is_where_it_always_was():
+    """Robots in the field are found by these numbers, whatever else changes."""
+    expected = {
+        "VERSION": (0, 1),
+        "LEDS": (1, 3),
+        "MOTORS": (4, 4),
+        "ENCODERS": (8, 4),
+        "BUTTONS": (12, 1),
+        "STATUS": (13, 1),
+        "BATTERY": (14, 2),
+        "UWB": (32, 100),
+    }
+    assert {name: FIELDS[name][:2] for name in expected} == expected
+
+
+@pytest.mark.parametrize(("ci", "outcome"), [("", pytest.skip.Exception), ("true", pytest.fail.Exception)])
+def test_missing_tools_are_named_with_what_to_install(monkeypatch, ci, outcome):
+    """A user is told, continuous integration fails: nothing may be skipped there."""
+    monkeypatch.setenv("CI", ci)
+    with pytest.raises(outcome, match="no-such-compiler") as caught:
+        require(("sh", "no-such-compiler"), ("/no/such/header.h",))
+    assert APT in str(caught.value)
+    require(("sh",))
