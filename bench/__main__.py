@@ -6,6 +6,7 @@ import sys
 
 AREAS = {
     "lockstep": "time of a lockstep iteration and of a start, beside the links' latency",
+    "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "footprint": "proportional memory of one robot's processes",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",

@@ -23,14 +23,17 @@ import typing
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from swarm.codec import Value
 from swarm.config.types import Anchor
 from swarm.core.graph import Graph
 from swarm.core.state import Field, Item, Schema, field_of
 from swarm.errors import AppError
-from swarm.messages import Measurement
+from swarm.messages import Flooded, Measurement, Sent
+
+if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does without
+    from swarm.overlays import Handle, Overlays
 
 WEIGHTS = ("metropolis", "row")
 """Consensus weights: Metropolis (symmetric, the mean) or row-normalised adjacency (thesis rule 4.1)."""
@@ -108,6 +111,8 @@ class Robot:
     """Consensus weight w_ij of each neighbour, by name."""
     own_weight: float = 1.0
     """w_ii; all weights together are 1."""
+    overlays: "Overlays | None" = None
+    """Where the app runs on a robot's bus: messages to the whole swarm, or to one robot (docs/overlays.md)."""
 
     def __post_init__(self) -> None:
         self._measurement: Measurement | None = None
@@ -137,6 +142,20 @@ class Robot:
         if self._random is None:
             self._random = random.Random(f"{self.seed}/{self.name}/{self._label}")
         return self._random
+
+    def flood(self, payload: bytes, *, announce: bool = False) -> "Handle[Flooded]":
+        """Carry a payload to the same app on all robots. A step must not wait for the answer, nor depend on it; one
+        that is repeated after a restart floods again."""
+        return self._reach().flood(payload, announce=announce)
+
+    def send(self, to: str, payload: bytes) -> "Handle[Sent]":
+        """Carry a payload to the same app on one robot; the same holds."""
+        return self._reach().send(to, payload)
+
+    def _reach(self) -> "Overlays":
+        if self.overlays is None:
+            raise AppError("robot.flood and robot.send need a bus: they are there when the app runs on a robot")
+        return self.overlays
 
     def prepare(self, label: str, measurement: Measurement | None) -> None:
         """Called by the host before `start` and before each step."""

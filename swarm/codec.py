@@ -128,6 +128,12 @@ def _check_str(value: object, path: str) -> str:
     raise _wrong(value, path, "a text")
 
 
+def _check_bytes(value: object, path: str) -> bytes:
+    if type(value) is bytes:
+        return value
+    raise _wrong(value, path, "bytes")
+
+
 def _check_none(value: object, path: str) -> None:
     if value is not None:
         raise _wrong(value, path, "nil")
@@ -138,6 +144,7 @@ _PLAIN: dict[object, _Check] = {
     int: _check_int,
     bool: _check_bool,
     str: _check_str,
+    bytes: _check_bytes,
     type(None): _check_none,
 }
 
@@ -162,7 +169,7 @@ def _check_union(kind: Any) -> _Check:
     return check
 
 
-_WIRE: dict[object, type] = {**{kind: kind for kind in (float, int, bool, str, type(None))}, tuple: list}
+_WIRE: dict[object, type] = {**{kind: kind for kind in (float, int, bool, str, bytes, type(None))}, tuple: list}
 """The type that msgpack unpacks each option of a union to; all others are maps."""
 
 

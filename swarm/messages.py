@@ -2,7 +2,8 @@
 
 Payloads are msgpack maps with these field names (`swarm.codec`). SI units: m, rad, s, V. `t` is the sender's
 monotonic clock in seconds, common to all processes of one robot; the mesh relates the robots' clocks. The
-only binary payloads are the app-to-app frames of the synchronous overlay (`swarm.core.lockstep`).
+only binary payloads are what apps send each other: frames of the synchronous overlay (`swarm.core.lockstep`) and
+what they flood and send (`swarm.overlays`).
 """
 
 from dataclasses import dataclass
@@ -126,6 +127,124 @@ class Echo:
     """From handing the ping to the link's queue until its answer was there, s; None where it could not be sent."""
     reason: str
     """Why it could not be sent; empty otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """Another robot of the swarm, as one robot sees it."""
+
+    robot: str
+    state: str
+    """here (there is a way to it), left (it said that it stops), gone, or never (not seen yet)."""
+    since: float
+    """Time of the last change of state."""
+    hops: int | None
+    """Links on the way to it; None where there is no way."""
+    via: str | None
+    """The neighbour that the way begins with."""
+
+
+@dataclass(frozen=True, slots=True)
+class MemberChange:
+    """What has happened to a robot."""
+
+    t: float
+    robot: str
+    what: str
+    """join, leave, crash, partition, heal, return or restart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Members:
+    """Who is in the swarm, on `swarm/<robot>/mesh/members`: on change, every 10 s, and as answer to queries."""
+
+    t: float
+    members: tuple[Member, ...]
+    """All other robots of the configuration."""
+    changes: tuple[MemberChange, ...]
+    """The newest 32, the newest last."""
+
+
+@dataclass(frozen=True, slots=True)
+class FloodRequest:
+    """Command on `mesh/set/flood`: carry a payload to the whole swarm, and say in `mesh/flooded` whom it reached.
+
+    It appears on every other robot's bus, raw, under `swarm/<this robot>/app/<app>/flood`.
+    """
+
+    ticket: str
+    """Names this request; a repetition of it is not flooded again but gets the answer again."""
+    app: str
+    payload: bytes
+    priority: str
+    """control, sync or bulk."""
+    announce: bool
+    """Whether the answer is flooded, too: every robot learns that the flood is complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flooded:
+    """End of a flood, on `swarm/<robot>/mesh/flooded` of its origin; elsewhere only where it is announced."""
+
+    t: float
+    """At the origin."""
+    ticket: str
+    app: str
+    robots: tuple[str, ...]
+    """Whom it reached, besides the origin."""
+    complete: bool
+    """Whether these are all that could be reached."""
+    problem: str
+    """Why it is not complete; empty otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class SendRequest:
+    """Command on `mesh/set/send`: carry a payload to one robot, and say in `mesh/sent` whether it arrived.
+
+    It appears on that robot's bus, raw, under `swarm/<this robot>/app/<app>/send/<to>`.
+    """
+
+    ticket: str
+    app: str
+    to: str
+    payload: bytes
+    priority: str
+    timeout: float
+    """s after which it is given up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """End of a message, on `swarm/<robot>/mesh/sent`."""
+
+    t: float
+    ticket: str
+    app: str
+    to: str
+    delivered: bool
+    """Whether the other robot's mesh has confirmed it."""
+    problem: str
+    """Why not; empty otherwise. It may have arrived all the same where the answer was lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Command on `mesh/set/arm`: take back every stop of the swarm that this robot knows of."""
+
+    t: float
+    origin: str
+    """Who takes them back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is."""
+
+    t: float
+    stopped: bool
+    by: dict[str, str]
+    """The robots whose stop holds, with its reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,6 +420,13 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "clock"): Clock,
     ("mesh", "echo"): Echo,
     ("mesh", "set/echo"): EchoRequest,
+    ("mesh", "members"): Members,
+    ("mesh", "flooded"): Flooded,
+    ("mesh", "sent"): Sent,
+    ("mesh", "stopped"): Stopped,
+    ("mesh", "set/flood"): FloodRequest,
+    ("mesh", "set/send"): SendRequest,
+    ("mesh", "set/arm"): Arm,
     ("balancer", "state"): BalancerState,
     ("balancer", "odometry"): Odometry,
     ("balancer", "leds"): Leds,

@@ -267,7 +267,7 @@ def test_what_the_example_leaves_out_is_right_too():
         *(
             (THREE + f'[[relay]]\nkeys = "swarm/{{self}}/dwm/pose"\n{entry}', f"[relay.0] {message}")
             for entry, message in [
-                ('overlay = "flood"', "overlay: expected neighbours, got 'flood'"),
+                ('overlay = "air"', "overlay: expected neighbours or flood or unicast, got 'air'"),
                 ('priority = "high"', "priority: expected control or sync or bulk, got 'high'"),
                 ('queue = "last"', "queue: expected latest or all, got 'last'"),
                 ("max_rate = 0", "max_rate: expected a number above 0, in Hz, got 0"),

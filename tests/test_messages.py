@@ -36,6 +36,7 @@ def strategy(kind: Any) -> st.SearchStrategy[Any]:
         int: st.integers(-(2**63), 2**63 - 1),
         bool: st.booleans(),
         str: st.text(max_size=12),
+        bytes: st.binary(max_size=12),
         type(None): st.none(),
     }[kind]
 

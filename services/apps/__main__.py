@@ -16,6 +16,7 @@ from services.apps.runner import Runner
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import LocalError
+from swarm.overlays import Overlays
 from swarm.service import Service, run
 
 FAULT = 3
@@ -35,7 +36,9 @@ def main() -> int:
     with Service(f"app/{app.name}", on_bus=on_bus) as service:
         number = options.run if options.run is not None else _default_run(app, service.config)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
-        runner = Runner(app.make(service.config, service.robot, seed), app.source)
+        instance = app.make(service.config, service.robot, seed)
+        instance.robot.overlays = Overlays(service.bus, service.robot, app.name)
+        runner = Runner(instance, app.source)
         record = os.environ.get("SWARM_RECORD")
         host = Host(service, app.name, runner, number, options.iterations, Path(record) if record else None)
         service.stopping.wait()

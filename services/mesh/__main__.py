@@ -4,24 +4,26 @@ import logging
 import os
 import random
 import threading
+import time
 from collections import Counter
 from functools import partial
 
 from services.mesh.core.dialler import dials
 from services.mesh.core.frames import NONCE_SIZE
 from services.mesh.core.node import Node
+from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.session import Local
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
 from swarm.bus import Bus
-from swarm.codec import MAX_BINARY, decode
+from swarm.codec import MAX_BINARY, decode, encode
 from swarm.config import Config
 from swarm.errors import PayloadError
 from swarm.keyfile import read_keys
-from swarm.keys import key
-from swarm.messages import Clock, EchoRequest, Links
+from swarm.keys import STOP, key
+from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Links, SendRequest, Stop, read
 from swarm.service import Service
 
 _REPORT_PERIOD = 1.0
@@ -81,18 +83,62 @@ class _Mesh(Runner):
             self._counters["too_large"] += 1
 
 
+class _Commands:
+    """What others on this robot want of the overlays."""
+
+    def __init__(self, service: Service, mesh: Runner) -> None:
+        self._service = service
+        self._mesh = mesh
+
+    def obey(self, key: str, payload: bytes) -> None:
+        """A sample of `swarm/stop` or of a key with `set`."""
+        try:
+            message = read(key, payload)
+        except PayloadError as error:
+            self._service.counters["refused_payloads"] += 1
+            self._service.log.debug("%s", error)
+            return
+        match message:
+            case FloodRequest():
+                self._mesh.ask(lambda each, now: each.request_flood(message, now))
+            case SendRequest():
+                self._mesh.ask(lambda each, now: each.request_send(message, now))
+            case Stop(_, origin, reason):
+                self._service.log.warning("stop of the swarm by=%s reason=%s", origin, reason)
+                self._mesh.ask(lambda each, now: each.stop(message, now))
+            case Arm(_, origin):
+                self._service.log.warning("stops taken back by=%s", origin)
+                self._mesh.ask(lambda each, now: each.arm(now))
+
+
 def main() -> None:
     """Run until SIGTERM."""
     with Service("mesh") as this:
         local = _local(this.config, this.robot)
-        relay = Relay(this.robot, tuple(local.dials), this.config.relay)
+        relay = Relay(this.robot, tuple(local.dials), this.config.relay, this.config.names)
+        overlays = Overlays(
+            this.robot,
+            this.config.names,
+            incarnation=time.time_ns() // 1000,
+            random=random.random,
+            counters=this.counters,
+            metric=this.config.mesh.metric,
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+        )
         nonce = partial(os.urandom, NONCE_SIZE)
-        node = Node(local, relay, random=random.random, nonce=nonce, counters=this.counters)
+        node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
         mesh = _Mesh(node, network, this.bus, this.robot, this.counters)
         for source, expression in enumerate(relay.subscriptions):
             this.bus.subscribe(expression, partial(mesh.publish, source))
         this.bus.subscribe(key(this.robot, "mesh", "set", "echo"), mesh.on_ping)
+        commands = _Commands(this, mesh)
+        this.bus.subscribe([STOP, key(this.robot, "mesh", "set", "*")], commands.obey)
+        members = key(this.robot, "mesh", "members")
+        this.bus.serve(members, lambda *_: encode(mesh.look(lambda each, now: each.members(now))))
+        stopped = key(this.robot, "mesh", "stopped")
+        this.bus.serve(stopped, lambda *_: encode(mesh.look(lambda each, now: each.stopped(now))))
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):

@@ -13,12 +13,13 @@ import os
 import select
 import threading
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from services.mesh.core.clock import ClockState
 from services.mesh.core.events import Received
 from services.mesh.core.frames import BULK
 from services.mesh.core.node import Action, Close, Dial, LinksChanged, Node, Note
+from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
@@ -28,6 +29,8 @@ _CHUNK = 4096
 """Bytes taken from a session at a time; what is taken can no longer be overtaken."""
 
 _NEVER = float("inf")
+
+T = TypeVar("T")
 
 _JOIN_TIMEOUT = 2.0
 """s to wait for each thread at the end; one may hang in a dial."""
@@ -95,6 +98,18 @@ class Runner:
             actions = self._carry_out()
         self._report(actions)
 
+    def ask(self, step: Callable[[Overlays, float], object]) -> None:
+        """Something for the overlays; like `publish`."""
+        with self._lock:
+            self._node.ask(step, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
+
+    def look(self, question: Callable[[Overlays, float], T]) -> T:
+        """Something the overlays know."""
+        with self._lock:
+            return question(self._node.overlays, clock.now())
+
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are."""
         with self._lock:
@@ -109,8 +124,10 @@ class Runner:
         """Say goodbye to the neighbours and end all threads."""
         with self._lock:
             self._stopping = True
-            self._node.close(clock.now())
+            self._node.leave(clock.now())
             actions = self._carry_out()
+            self._node.close(clock.now())
+            actions += self._carry_out()
             self._wake_up()
         self._report(actions)
         self._thread.join()

@@ -63,14 +63,15 @@ suspect = 1.5              # s of silence until a link is suspect,
 dead = 3.0                 # and until it is closed and dialled anew
 rfcomm_channel = 1         # of Bluetooth, 1 to 30, the same on every robot (bluetoothd -C holds 8)
 rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd and unasked pairing
+metric = "hops"            # the shortest way is that of fewest links, or of least measured "time"
 
-# ---- Relay: which keys of its own a robot sends to its neighbours, where they appear under the same name.
+# ---- Relay: which keys of its own a robot sends to others, where they appear under the same name.
 # What synchronous apps say to each other (swarm/{self}/app/*/sync/...) is relayed without a rule here.
-# {self} is the robot's own name; {peer}, as a chunk, the name of the neighbour the key goes to.
+# {self} is the robot's own name; {peer}, as a chunk, the name of the robot the key goes to.
 
 [[relay]]
 keys = "swarm/{self}/dwm/pose"
-overlay = "neighbours"     # one hop
+overlay = "neighbours"     # one hop, or "flood" (every robot), or "unicast" (the robot {peer}, anywhere)
 priority = "bulk"          # control, sync or bulk
 queue = "latest"           # latest (a newer value replaces a waiting one) or all (in order, none left out)
 max_rate = 2.0             # Hz for each key, only for "latest"; without it as published

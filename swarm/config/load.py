@@ -210,14 +210,15 @@ def _relay(top: Table) -> tuple[RelayRule, ...]:
     rules = list(DEFAULT_RELAY)
     for table in top.tables("relay", ("keys", "overlay", "priority", "queue", "max_rate")):
         keys = table.text("keys", expected="a key expression like swarm/{self}/dwm/pose")
-        problem = _wrong_keys(keys)
+        overlay = table.choice("overlay", "neighbours", ("neighbours", "flood", "unicast"))
+        problem = _wrong_keys(keys, overlay)
         if problem:
             raise table.error("keys", f"{problem}, got {shown(keys)}")
         if any(rule.keys == keys for rule in rules):
             raise table.error("keys", f"there is a rule for {keys} already (the platform's own are added to yours)")
         rule = RelayRule(
             keys,
-            overlay=table.choice("overlay", "neighbours", ("neighbours",)),
+            overlay=overlay,
             priority=table.choice("priority", "bulk", ("control", "sync", "bulk")),
             queue=table.choice("queue", "latest", ("latest", "all")),
             max_rate=table.number("max_rate", None, above=0, expected="a number above 0, in Hz"),
@@ -228,17 +229,25 @@ def _relay(top: Table) -> tuple[RelayRule, ...]:
     return tuple(rules)
 
 
-def _wrong_keys(keys: str) -> str | None:
+def _wrong_keys(keys: str, overlay: str) -> str | None:
     """What is wrong with the key expression of a relay rule; None where it is fine."""
     chunks = keys.split("/")
-    if chunks[:2] != [ROOT, "{self}"]:
-        return f"expected keys below {ROOT}/{{self}}/ (a robot relays only its own)"
+    command = overlay == "unicast" and chunks[:2] == [ROOT, "{peer}"]
+    if chunks[:2] != [ROOT, "{self}"] and not command:
+        commands = f", or unicast commands below {ROOT}/{{peer}}/" if overlay == "unicast" else ""
+        return f"expected keys below {ROOT}/{{self}}/ (a robot relays only its own){commands}"
     tail = chunks[2:]
     if len(tail) < 2 and tail != ["**"]:
         return f"expected {ROOT}/{{self}}/SERVICE/TOPIC or {ROOT}/{{self}}/**"
+    if overlay == "unicast" and chunks.count("{peer}") != 1:
+        return "expected {peer} once: the robot it goes to"
+    if overlay == "flood" and "{peer}" in tail:
+        return "expected no {peer}: a flood goes to all"
     if tail.count("{peer}") > 1:
         return "expected {peer} at most once"
-    if "set" in tail:
+    if command and "set" not in tail:
+        return f"expected a chunk set after {ROOT}/{{peer}}/: only commands travel under the receiver's name"
+    if "set" in tail and not command:
         return "expected no chunk set: commands to a robot are not relayed from it"
     for before, chunk in zip(["", *tail], tail, strict=False):
         if chunk != "{peer}" and not _KEY_CHUNK.fullmatch(chunk):

@@ -29,7 +29,7 @@ def mesh(top: Table) -> Mesh:
     """The table [mesh]."""
     table = top.table(
         "mesh",
-        ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "rfcomm_channel", "rfcomm_encrypt"),
+        ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "metric", "rfcomm_channel", "rfcomm_encrypt"),
     )
     normal = Mesh()
     seconds = "a number above 0, in seconds"
@@ -43,6 +43,7 @@ def mesh(top: Table) -> Mesh:
         heartbeat=table.number("heartbeat", normal.heartbeat, above=0, expected=seconds),
         suspect=table.number("suspect", normal.suspect, above=0, expected=seconds),
         dead=table.number("dead", normal.dead, above=0, expected=seconds),
+        metric=table.choice("metric", normal.metric, ("hops", "time")),
         rfcomm_channel=table.count("rfcomm_channel", normal.rfcomm_channel, low=1),
         rfcomm_encrypt=table.flag("rfcomm_encrypt", normal.rfcomm_encrypt),
     )

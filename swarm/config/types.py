@@ -33,8 +33,9 @@ class RelayRule:
     """Which keys of the own robot's bus the mesh carries to others."""
 
     keys: str
-    """Key expression; `{self}` is the own name, `{peer}` (a whole chunk) the neighbour it goes to."""
+    """Key expression; `{self}` is the own name, `{peer}` (a whole chunk) the robot it goes to."""
     overlay: str = "neighbours"
+    """neighbours (one link), flood (the whole swarm) or unicast (the robot called `{peer}`)."""
     priority: str = "bulk"
     """control, sync or bulk."""
     queue: str = "latest"
@@ -77,6 +78,8 @@ class Mesh:
     """s of silence until a link is suspect."""
     dead: float = 3.0
     """s of silence until it is closed and dialled anew."""
+    metric: str = "hops"
+    """What makes a way short: hops, or time (measured)."""
     rfcomm_channel: int = 1
     """RFCOMM channel the mesh listens at on every robot, 1 to 30 (bluetoothd -C holds 8)."""
     rfcomm_encrypt: bool = False

@@ -11,6 +11,7 @@ from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
 from services.mesh.core.node import Close, Dial, Node, Note
+from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.session import Local, Session
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
@@ -25,6 +26,8 @@ class End:
     session: Session | None
     peer: "End | None" = None
     alive: bool = True
+    broken: bool = False
+    """The rest of what it sends is lost, as on a stream: never bytes from the middle."""
     heard: bytearray = field(default_factory=bytearray)
     """What arrived here, where it is a stranger's end."""
 
@@ -93,10 +96,20 @@ class World:
         }
         local = Local(**(settings | self.overrides.get(name, {})))  # type: ignore[arg-type]
         counters: Counter[str] = Counter()
-        relay = Relay(name, tuple(local.dials), self.rules)
+        relay = Relay(name, tuple(local.dials), self.rules, local.robots)
+        overlays = Overlays(
+            name,
+            local.robots,
+            incarnation=int((1000.0 + self.now) * 1e6),
+            random=self.random.random,
+            counters=counters,
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+        )
         node = Node(
             local,
             relay,
+            overlays,
             random=self.random.random,
             nonce=lambda: self.random.randbytes(16),
             counters=counters,
@@ -177,6 +190,8 @@ class World:
                 self._flush(bot.ends[session])
         for action in bot.node.actions():
             if isinstance(action, Received):
+                if action.key.endswith("/mesh/members"):
+                    continue
                 bot.inbox.append((action.key, action.payload))
             elif isinstance(action, Dial):
                 self.dials.append((self.now, name, action.peer))
@@ -239,12 +254,15 @@ class World:
 
     def send(self, end: End, data: bytes) -> None:
         """Put bytes on the way to the other end."""
+        if end.broken:
+            return
         if self.break_after is not None:
             data, self.break_after = data[: self.break_after], self.break_after - len(data)
         if data:
             self._at(self.now + self.latency, lambda: self._arrive(end, data))
         if self.break_after is not None and self.break_after <= 0:
             self.break_after = None
+            end.broken = True
             self._at(self.now + self.latency, lambda: self._lose(end))
 
     def _lose(self, end: End) -> None:

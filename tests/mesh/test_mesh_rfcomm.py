@@ -21,6 +21,7 @@ from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
 from services.mesh.core.frames import Hello
 from services.mesh.core.node import Node
+from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.session import Local
 from services.mesh.links import pybluez, rfcomm
@@ -246,9 +247,20 @@ class Mesh:
         config, own = parse(CONFIG, Path("swarm.toml")), local(name)
         self.network = Network(config, own, directory, open_bluetooth=air.open)
         self.counters: Counter[str] = Counter()
+        relay = Relay(name, tuple(own.dials), config.relay)
+        overlays = Overlays(
+            name,
+            config.names,
+            incarnation=own.incarnation,
+            random=random.random,
+            counters=self.counters,
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+        )
         node = Node(
             own,
-            Relay(name, tuple(own.dials), config.relay),
+            relay,
+            overlays,
             random=random.random,
             nonce=lambda: os.urandom(16),
             counters=self.counters,

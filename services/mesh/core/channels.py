@@ -2,7 +2,18 @@
 
 from collections import OrderedDict
 
-from services.mesh.core.frames import MAX_CHANNELS
+from services.mesh.core.frames import MAX_CHANNELS, NEIGHBOURS
+
+
+def name_of(overlay: int, key: str) -> str:
+    """What a channel is called on our side: the key, in front of it the overlay's digit unless it is `neighbours`.
+    Keys begin with a letter."""
+    return key if overlay == NEIGHBOURS else f"{overlay}{key}"
+
+
+def overlay_of(name: str) -> tuple[int, str]:
+    """Overlay and key of a channel."""
+    return (int(name[0]), name[1:]) if name[0].isdigit() else (NEIGHBOURS, name)
 
 
 class Channels:

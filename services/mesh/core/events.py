@@ -48,6 +48,8 @@ class Received(NamedTuple):
     payload: bytes
     priority: int
     """Its class, as in `frames`."""
+    overlay: int = 0
+    """The overlay of its channel, as in `frames`; what is not for `neighbours` goes to the overlays first."""
 
 
 Event = LinkUp | LinkSuspect | LinkRecovered | LinkDown | HandshakeFailed | Received

@@ -27,6 +27,9 @@ HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, FRAGMENT, ACK, CLOCK = 1, 2, 3, 4, 5
 CONTROL, SYNC, BULK = 0, 1, 2
 """Priority classes, most urgent first."""
 
+PRIORITIES = {"control": CONTROL, "sync": SYNC, "bulk": BULK}
+"""Their names in configuration and messages."""
+
 MAX_FRAME = 4096
 """Largest `length`. A frame in flight cannot be overtaken: at Bluetooth's 78 kB/s this one delays an urgent
 one 52 ms."""
@@ -62,8 +65,8 @@ _BIND = struct.Struct("<HB")
 _KINDS = frozenset((HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, FRAGMENT, ACK, CLOCK))
 _INSECURE, _DIALLER = 1, 2
 
-NEIGHBOURS = 0
-"""The overlay a channel belongs to: one hop. 1 is kept for flood, 2 for unicast."""
+NEIGHBOURS, FLOOD, UNICAST = 0, 1, 2
+"""The overlay a channel belongs to: one hop, the whole swarm, one robot anywhere (docs/overlays.md)."""
 
 (
     CLOSING,
@@ -239,7 +242,7 @@ def decode_bind(body: bytes) -> Bind:
     channel, overlay = _BIND.unpack_from(body)
     if channel >= MAX_CHANNELS:
         raise FrameError(f"BIND of channel {channel}: there are {MAX_CHANNELS}")
-    if overlay != NEIGHBOURS:
+    if overlay > UNICAST:
         raise FrameError(f"BIND to overlay {overlay}: not known to protocol version {VERSION}")
     return Bind(channel, overlay, _text(body[_BIND.size :], "BIND key"))
 

@@ -9,12 +9,15 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from services.mesh.core import frames, probe
+from services.mesh.core import frames, overlays, packets, probe
+from services.mesh.core.actions import Transmit
 from services.mesh.core.callers import MAX_HALF_OPEN, UNKNOWN, Caller, Callers
+from services.mesh.core.channels import name_of
 from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.fragments import MAX_MESSAGE
+from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay, Send
 from services.mesh.core.session import CONNECTING, DOWN, REFUSED, SENT, Local, Session
 from swarm.codec import encode
@@ -22,12 +25,20 @@ from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.messages import Echo, EchoRequest, LinkState
 
+_LIMITS = {
+    frames.NEIGHBOURS: frames.MAX_PAYLOAD,
+    frames.FLOOD: packets.MAX_SPREAD,
+    frames.UNICAST: packets.MAX_MESSAGE,
+}
+"""Longest payload of a relayed value, in bytes, by overlay."""
+
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
 
 COUNTERS = (
     *REFUSED.values(),
     *SENT,
+    *overlays.COUNTERS,
     "byes",
     "half_open",
     "inbound_refused",
@@ -39,7 +50,7 @@ COUNTERS = (
     "too_large",
     "transport_lost",
 )
-"""Every counter a node keeps; docs/frames.md says what they count."""
+"""Every counter a node keeps; docs/frames.md and docs/overlays.md say what they count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +155,7 @@ class Node:
         self,
         local: Local,
         relay: Relay,
+        overlays: Overlays,
         *,
         random: Callable[[], float],
         nonce: Callable[[], bytes],
@@ -152,6 +164,7 @@ class Node:
         """`random` gives uniform numbers from 0 up to 1, `nonce` 16 bytes nobody can foresee."""
         self._local = local
         self._relay = relay
+        self.overlays = overlays
         self._nonce = nonce
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
@@ -214,7 +227,12 @@ class Node:
     def publish(self, source: int, key: str, payload: bytes, now: float) -> None:
         """A sample of the own bus; `source` is the index of the subscription that delivered it."""
         for send in self._relay.publish(source, key, payload, now):
-            self._send(send)
+            self._send(send, now)
+
+    def ask(self, step: Callable[[Overlays, float], object], now: float) -> None:
+        """Something for the overlays to do: a request of an app, a stop."""
+        step(self.overlays, now)
+        self._serve_overlays()
 
     def ping(self, request: EchoRequest, now: float) -> None:
         """Measure a link; the answers come out of `actions` as messages for the own bus."""
@@ -243,7 +261,17 @@ class Node:
                 link.attempt = True
                 self._actions += (Dial(link.peer), LinksChanged())
         for send in self._relay.handle_timer(now):
-            self._send(send)
+            self._send(send, now)
+        for peer, link in self._links.items():
+            if link.session is not None and link.session.rtt is not None:
+                self.overlays.measured(peer, link.session.rtt, now)
+        self.overlays.handle_timer(now)
+        self._serve_overlays()
+
+    def leave(self, now: float) -> None:
+        """Tell the swarm that this robot's mesh stops; send what that gives, then `close`."""
+        self.overlays.leave(now)
+        self._serve_overlays()
 
     def close(self, now: float) -> None:
         """End all connections: this robot's mesh stops."""
@@ -267,7 +295,7 @@ class Node:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
         deadlines = [session.next_deadline() for session in self._sessions]
         deadlines += [link.dialler.next_deadline() for link in self._links.values() if link.dialler is not None]
-        deadlines.append(self._relay.next_deadline())
+        deadlines += (self._relay.next_deadline(), self.overlays.next_deadline())
         return min((deadline for deadline in deadlines if deadline is not None), default=None)
 
     def links(self) -> tuple[LinkState, ...]:
@@ -295,12 +323,22 @@ class Node:
         self._ready.append(session)
         return session
 
-    def _send(self, send: Send) -> None:
+    def _send(self, send: Send, now: float) -> None:
         leg, payload = send
-        largest = MAX_MESSAGE if leg.priority == frames.BULK else frames.MAX_PAYLOAD
-        if len(payload) > largest:
+        limit = _LIMITS[leg.overlay]
+        if leg.overlay == frames.NEIGHBOURS and leg.priority == frames.BULK:
+            limit = MAX_MESSAGE
+        if len(payload) > limit:
             self._counters["too_large"] += 1
-            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class")
+            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {limit} in its class")
+            return
+        if leg.overlay != frames.NEIGHBOURS:
+            if leg.overlay == frames.FLOOD:
+                self.overlays.flood(leg.key, payload, leg.priority, now, latest=leg.latest)
+            else:
+                for peer in leg.peers:
+                    self.overlays.send(peer, leg.key, payload, leg.priority, now, latest=leg.latest)
+            self._serve_overlays()
             return
         for peer in leg.peers:
             session = self._links[peer].session
@@ -311,8 +349,24 @@ class Node:
             session.send(leg.priority, leg.key, payload, latest=leg.latest)
             self._ready.append(session)
 
-    def _admit(self, peer: str, key: str) -> bool:
-        if self._relay.admits(peer, key) or peer in (self._pings.get(key), self._pongs.get(key)):
+    def _serve_overlays(self) -> None:
+        """Carry out what the overlays want."""
+        for action in self.overlays.actions():
+            if type(action) is Transmit:
+                session = self._links[action.peer].session
+                if session is not None and session.is_up:
+                    name = name_of(action.overlay, action.key)
+                    session.send(action.priority, name, action.payload, latest=action.latest)
+                    self._ready.append(session)
+            elif type(action) is Received:
+                self._actions.append(action)
+
+    def _admit(self, peer: str, overlay: int, key: str) -> bool:
+        if overlay == frames.NEIGHBOURS:
+            admitted = self._relay.admits(peer, key) or peer in (self._pings.get(key), self._pongs.get(key))
+        else:
+            admitted = self.overlays.admits(peer, overlay, key)
+        if admitted:
             return True
         self._note(f"key from {peer}", f"key refused peer={peer} key={key[:80]!r}: no relay rule lets it in")
         return False
@@ -321,10 +375,15 @@ class Node:
         """Turn a session's events into actions and into states of links."""
         for event in session.events():
             if type(event) is Received:
-                if event.key in self._pings or event.key in self._pongs:
-                    self._on_probe(session, event, now)
-                else:
-                    self._actions.append(event)
+                if event.overlay == frames.NEIGHBOURS:
+                    if event.key in self._pings or event.key in self._pongs:
+                        self._on_probe(session, event, now)
+                    else:
+                        self._actions.append(event)
+                elif session.peer is not None:
+                    key, payload, priority, overlay = event
+                    self.overlays.receive(session.peer, overlay, key, payload, priority, now)
+                    self._serve_overlays()
             else:
                 self._on_event(session, event, now)
         if session.state == DOWN:
@@ -368,6 +427,8 @@ class Node:
                 if link.dialler is not None:
                     link.dialler.up(now)
                 self._tell(f"link up peer={name} connection={link.connection}")
+                self.overlays.link_up(name, now)
+                self._serve_overlays()
             case LinkSuspect():
                 self._tell(f"link suspect peer={peer}")
             case LinkRecovered():
@@ -407,6 +468,8 @@ class Node:
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
         self._clock.lost(link.peer)
         link.session = None
+        self.overlays.link_down(link.peer, now)
+        self._serve_overlays()
         link.reason = reason
         link.sent += session.sent
         link.received += session.received

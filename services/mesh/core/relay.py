@@ -1,32 +1,36 @@
-"""Which keys leave to which neighbour, and which may come in.
+"""Which keys leave to whom, and which may come in.
 
-Only the own robot's keys leave, and only where a rule of the config says so. A neighbour's key comes in only
-where the same rules, read from the neighbour's place, would have let it leave to us: so nothing a neighbour
-sends can appear under another robot's name, nothing is relayed twice, and commands (`set/`) never cross.
+Only the own robot's keys leave, and only where a rule of the config says so. Another robot's key comes in only
+where the same rules, read from that robot's place, would have let it leave to us: so nothing a neighbour
+sends can appear under another robot's name, and nothing is relayed twice. Commands (`set/`) never cross, but for
+unicast rules that name them: then, and only then, a key of another robot leaves, to that robot.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from services.mesh.core.frames import BULK, CONTROL, SYNC
+from services.mesh.core.frames import FLOOD, NEIGHBOURS, PRIORITIES, UNICAST
 from swarm.config.types import RelayRule
 from swarm.errors import PayloadError
 from swarm.keys import parse
 
-PRIORITIES = {"control": CONTROL, "sync": SYNC, "bulk": BULK}
+OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST}
 
 MAX_ROUTES = 4096
 """Keys whose routes are remembered; past that, all are found anew and what is held back is lost."""
 
 
 def pattern(expression: str) -> re.Pattern[str]:
-    """A key expression as a regular expression: `*` is one chunk, `**` any number of them, none included."""
+    """A key expression as a regular expression: `*` is one chunk, `**` any number of them, none included; `{self}`
+    and `{peer}` are one chunk that the match gives by name."""
     text = ""
     for chunk in expression.split("/"):
         if chunk == "**":
             text += "(?:/[^/]+)*"
+        elif chunk in ("{self}", "{peer}"):
+            text += f"/(?P<{chunk[1:-1]}>[^/]+)"
         else:
             text += "/" + ("[^/]+" if chunk == "*" else re.escape(chunk))
     return re.compile(text)
@@ -40,6 +44,11 @@ def matches(compiled: re.Pattern[str], key: str) -> bool:
 def instantiate(expression: str, me: str, peer: str) -> str:
     """A rule's key expression with its names put in."""
     return expression.replace("{self}", me).replace("{peer}", peer)
+
+
+def commands(text: str) -> int:
+    """How many chunks of a key or a key expression are `set`."""
+    return text.split("/").count("set")
 
 
 def may_cross(key: str, robot: str) -> bool:
@@ -61,6 +70,8 @@ class Leg:
     interval: float
     """s between two values; 0 = as published."""
     peers: tuple[str, ...]
+    """Neighbours; the receiver with unicast; nobody with flood."""
+    overlay: int = NEIGHBOURS
     next_at: float = 0.0
     held: bytes | None = None
     """The newest value that came too soon; it leaves at `next_at`."""
@@ -84,16 +95,24 @@ class Send(NamedTuple):
 @dataclass(frozen=True)
 class _Rule:
     config: RelayRule
+    overlay: int
     to_peer: dict[str, re.Pattern[str]]
+    """Neighbours only, like the next."""
     from_peer: dict[str, re.Pattern[str]]
+    open: re.Pattern[str]
+    """With the names left open, for flood and unicast."""
 
 
 class Relay:
     """The rules of one robot."""
 
-    def __init__(self, me: str, peers: Sequence[str], rules: Sequence[RelayRule]) -> None:
+    def __init__(
+        self, me: str, peers: Sequence[str], rules: Sequence[RelayRule], robots: Collection[str] | None = None
+    ) -> None:
+        """`robots` are all of the swarm, where that is more than this one and its peers."""
         self._me = me
         self._peers = tuple(peers)
+        self._robots = frozenset(robots if robots is not None else (me, *peers))
         self._rules = [_compile(rule, me, self._peers) for rule in rules]
         self._routes: dict[str, Route] = {}
         self._held: list[Leg] = []
@@ -103,7 +122,20 @@ class Relay:
 
     def admits(self, peer: str, key: str) -> bool:
         """Whether a key of `peer` may appear on our bus."""
-        return may_cross(key, peer) and any(matches(rule.from_peer[peer], key) for rule in self._rules)
+        return may_cross(key, peer) and any(
+            rule.overlay == NEIGHBOURS and matches(rule.from_peer[peer], key) for rule in self._rules
+        )
+
+    def admits_flood(self, key: str) -> bool:
+        """Whether a key may be flooded by the robot it belongs to."""
+        for rule in self._rules:
+            if rule.overlay == FLOOD and (match := rule.open.fullmatch("/" + key)) is not None:
+                return may_cross(key, match["self"])
+        return False
+
+    def admits_unicast(self, sender: str, key: str) -> bool:
+        """Whether a message of `sender` to this robot may appear on our bus."""
+        return any(self._receiver(rule, key, sender) == self._me for rule in self._rules)
 
     def publish(self, source: int, key: str, payload: bytes, now: float) -> list[Send]:
         """What leaves because of a sample that subscription number `source` delivered."""
@@ -143,24 +175,57 @@ class Relay:
     def _find(self, key: str) -> Route:
         source = next((index for index, each in enumerate(self._sources) if matches(each, key)), -1)
         legs = []
-        open_peers = set(self._peers) if may_cross(key, self._me) else set()
+        own = may_cross(key, self._me)
+        open_peers = set(self._peers) if own else set()
         for rule in self._rules:
-            peers = tuple(peer for peer in self._peers if peer in open_peers and matches(rule.to_peer[peer], key))
-            if peers:
-                open_peers.difference_update(peers)
-                config = rule.config
-                interval = 1.0 / config.max_rate if config.max_rate else 0.0
-                legs.append(Leg(key, PRIORITIES[config.priority], config.queue == "latest", interval, peers))
+            if rule.overlay == FLOOD:
+                if own and open_peers >= set(self._peers) and matches(rule.open, key):
+                    open_peers.clear()
+                    legs.append(_leg(key, rule, ()))
+                    break
+            elif rule.overlay == UNICAST:
+                to = self._receiver(rule, key, self._me)
+                if to is not None and to != self._me and not any(to in leg.peers for leg in legs):
+                    open_peers.discard(to)
+                    legs.append(_leg(key, rule, (to,)))
+            else:
+                peers = tuple(peer for peer in self._peers if peer in open_peers and matches(rule.to_peer[peer], key))
+                if peers:
+                    open_peers.difference_update(peers)
+                    legs.append(_leg(key, rule, peers))
         if len(self._routes) >= MAX_ROUTES:
             self._routes.clear()
             self._held.clear()
         route = self._routes[key] = Route(source, tuple(legs))
         return route
 
+    def _receiver(self, rule: _Rule, key: str, sender: str) -> str | None:
+        """The robot that a unicast rule sends a key of `sender`'s bus to; None where it does not."""
+        if rule.overlay != UNICAST or (match := rule.open.fullmatch("/" + key)) is None:
+            return None
+        found = match.groupdict()
+        if found.get("self", sender) != sender or commands(key) != commands(rule.config.keys):
+            return None
+        try:
+            robot = parse(key).robot
+        except PayloadError:
+            return None
+        to = found["peer"]
+        # Under its own name a robot tells, under the receiver's it commands.
+        return to if robot == (to if commands(key) else sender) and to in self._robots else None
+
+
+def _leg(key: str, rule: _Rule, peers: tuple[str, ...]) -> Leg:
+    config = rule.config
+    interval = 1.0 / config.max_rate if config.max_rate else 0.0
+    return Leg(key, PRIORITIES[config.priority], config.queue == "latest", interval, peers, rule.overlay)
+
 
 def _compile(rule: RelayRule, me: str, peers: tuple[str, ...]) -> _Rule:
     return _Rule(
         rule,
+        OVERLAYS[rule.overlay],
         {peer: pattern(instantiate(rule.keys, me, peer)) for peer in peers},
         {peer: pattern(instantiate(rule.keys, peer, me)) for peer in peers},
+        pattern(rule.keys),
     )

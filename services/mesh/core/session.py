@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from services.mesh.core import flow, frames
 from services.mesh.core.auth import Keys, newest_common
-from services.mesh.core.channels import Channels
+from services.mesh.core.channels import Channels, overlay_of
 from services.mesh.core.clock import MeshClock, decode_claim, encode_claim
 from services.mesh.core.events import (
     Event,
@@ -100,7 +100,7 @@ class Session:
         now: float,
         *,
         dialled: str | None,
-        admit: Callable[[str, str], bool],
+        admit: Callable[[str, int, str], bool],
         clock: MeshClock,
         counters: Counter[str],
         expected: str | None = None,
@@ -108,7 +108,7 @@ class Session:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called;
         `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does).
 
-        `admit(peer, key)` says whether a key of that peer may come in.
+        `admit(peer, overlay, key)` says whether that peer may use a channel.
         """
         self._local = local
         self._admit = admit
@@ -138,7 +138,7 @@ class Session:
         self._receipts = flow.Receipts()
         self._reassembly = Reassembly(counters)
         self._channels = Channels()
-        self._keys: dict[int, str | None] = {}
+        self._bound: dict[int, tuple[str, int] | None] = {}
         ids = tuple(sorted(local.keys, reverse=True))
         self._hello = frames.encode_hello(
             Hello(local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure, ids)
@@ -225,7 +225,10 @@ class Session:
             self._end(frames.BAD_FRAME, f"bad frame: {error}")
 
     def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> bool:
-        """Queue a message for the other end; the link must be up. False = too much bulk waits, come again later."""
+        """Queue a message for the other end; the link must be up. `key` is the name of the channel (`channels`).
+
+        False = too much bulk waits, come again later.
+        """
         if not self.is_up:
             raise LocalError(f"the link to {self.peer} is {self.state}")
         return self._outbox.push(priority, key, payload, latest)
@@ -280,7 +283,7 @@ class Session:
                 message = item if isinstance(item, Message) else item.message
                 channel, new = self._channels.handle(message.key)
                 if new:
-                    chunks.append(frames.encode_bind(frames.Bind(channel, frames.NEIGHBOURS, message.key)))
+                    chunks.append(frames.encode_bind(frames.Bind(channel, *overlay_of(message.key))))
                 if part is None:
                     chunks.append(frames.encode_data(message.priority, channel, message.payload))
                 elif new and part.number:
@@ -335,24 +338,26 @@ class Session:
         if frame.priority == BULK:
             self._receipts.bulk = True
         try:
-            key = self._keys[channel]
+            bound = self._bound[channel]
         except KeyError:
             raise FrameError(f"DATA on channel {channel}, which is not bound") from None
-        if key is None:
+        if bound is None:
             self._counters["inbound_refused"] += 1
         else:
-            self._events.append(Received(key, payload, frame.priority))
+            key, overlay = bound
+            self._events.append(Received(key, payload, frame.priority, overlay))
 
     def _on_fragment(self, frame: Frame, now: float) -> None:
         fragment = decode_fragment(frame.body)
         self._receipts.bulk = True
-        if fragment.channel not in self._keys:
+        if fragment.channel not in self._bound:
             raise FrameError(f"FRAGMENT on channel {fragment.channel}, which is not bound")
-        key = self._keys[fragment.channel]
-        if key is None:
+        bound = self._bound[fragment.channel]
+        if bound is None:
             self._counters["inbound_refused"] += fragment.number == 0
         elif (payload := self._reassembly.add(fragment, now)) is not None:
-            self._events.append(Received(key, payload, BULK))
+            key, overlay = bound
+            self._events.append(Received(key, payload, BULK, overlay))
 
     def _on_control(self, frame: Frame, now: float) -> None:
         if frame.kind == frames.BYE:
@@ -460,7 +465,8 @@ class Session:
     def _on_bind(self, bind: frames.Bind) -> None:
         assert self.peer is not None
         self._reassembly.drop(bind.channel)
-        self._keys[bind.channel] = bind.key if self._admit(self.peer, bind.key) else None
+        admitted = self._admit(self.peer, bind.overlay, bind.key)
+        self._bound[bind.channel] = (bind.key, bind.overlay) if admitted else None
 
     # -- the end -----------------------------------------------------------------------------------
 

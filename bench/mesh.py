@@ -1,0 +1,224 @@
+"""Overlays between real mesh and bus processes over simulated links, beside what the links' latency allows."""
+
+import contextlib
+import json
+import queue
+import signal
+import socket
+import statistics
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import msgpack
+
+from bench.rows import Row
+from services.sim.processes import Child, Processes
+from swarm import clock
+from swarm.bus import Bus
+from swarm.codec import decode
+from swarm.errors import SwarmError
+from swarm.messages import Members, Status
+from swarm.overlays import Overlays
+
+LATENCY_S = 0.03
+"""One way, as the thesis' radio at small payloads."""
+
+GOAL = 1.15
+REPEATS = 40
+FLOODS = 1000
+"""Floods in a row that must all be complete, most of them several at a time."""
+
+AT_ONCE = 16
+CLOSED_LIMIT_S = 0.3
+SILENT_LIMIT_S = 3.5
+PERIOD_S = 0.02
+"""s between two messages while a link is lost."""
+
+WAIT_S = 30.0
+
+T = TypeVar("T")
+
+
+class Swarm:
+    """Buses and meshes of real robots in a directory of their own. A context."""
+
+    def __init__(self, edges: Sequence[tuple[int, int]], latency: float = LATENCY_S) -> None:
+        self._stack = contextlib.ExitStack()
+        self._home = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="swarm-")))
+        count = 1 + max(max(edge) for edge in edges)
+        self.names = [f"r{number}" for number in range(count)]
+        robots = "".join(
+            f'[[robots]]\nname = "{name}"\nlink = "sim:{self._home}/{name}/mesh.sock"\n' for name in self.names
+        )
+        pairs = [[f"r{a}", f"r{b}"] for a, b in edges]
+        config = self._home / "swarm.toml"
+        config.write_text(
+            f'network = "bench"\n[topology]\nedges = {json.dumps(pairs)}\n[mesh]\ninsecure = true\n{robots}'
+        )
+        self._processes = Processes({"SWARM_CONFIG": str(config), "SWARM_SIM_LINK": f"latency={latency}"})
+        self._stack.callback(self._processes.stop)
+        for name in self.names:
+            (self._home / name).mkdir()
+            for service in ("bus", "mesh"):
+                self._processes.add(name, service, [f"services.{service}"], self._home / name)
+        self.buses = {name: Bus.of(self._home / name) for name in self.names}
+        for bus in self.buses.values():
+            self._stack.callback(bus.close)
+        self.overlays = {name: Overlays(bus, name, "bench") for name, bus in self.buses.items()}
+
+    def __enter__(self) -> "Swarm":
+        self.wait_for(lambda: all(self._sees_all(name) for name in self.names), "every robot sees all others")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def mesh(self, name: str) -> Child:
+        """The mesh process of a robot."""
+        return next(child for child in self._processes.of(name) if child.service == "mesh")
+
+    def kill(self, name: str) -> None:
+        """End a robot's mesh without a word; its neighbours see their sockets close."""
+        process = self.mesh(name).process
+        assert process is not None
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+
+    def cut(self, a: str, b: str, seconds: float) -> None:
+        """Silence a link; both ends must notice it themselves."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+            for name, peer in ((a, b), (b, a)):
+                sock.sendto(msgpack.packb({"cut": peer, "seconds": seconds}), str(self._home / name / "air.sock"))
+
+    def counters(self) -> dict[str, int]:
+        """Counters of all meshes, added up."""
+        total: dict[str, int] = {}
+        for name in self.names:
+            for counter, value in self._ask(name, "status", Status).counters.items():
+                total[counter] = total.get(counter, 0) + value
+        return total
+
+    def wait_for(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait until something is so."""
+        deadline = clock.now() + WAIT_S
+        while not condition():
+            if clock.now() > deadline:
+                raise SwarmError(f"not within {WAIT_S:g} s: {what}")
+            threading.Event().wait(0.05)
+
+    def _sees_all(self, name: str) -> bool:
+        return all(member.state == "here" for member in self._ask(name, "members", Members).members)
+
+    def _ask(self, name: str, topic: str, kind: type[T]) -> T:
+        answers: queue.SimpleQueue[T] = queue.SimpleQueue()
+        while True:
+            self.buses[name].ask(
+                f"swarm/{name}/mesh/{topic}",
+                lambda key, payload: answers.put(decode(kind, payload, key)),
+                timeout_s=1.0,
+            )
+            with contextlib.suppress(queue.Empty):
+                return answers.get(timeout=1.0)
+
+
+def line(count: int) -> list[tuple[int, int]]:
+    """r0 - r1 - ..."""
+    return [(number, number + 1) for number in range(count - 1)]
+
+
+def loop(count: int) -> list[tuple[int, int]]:
+    """The same, closed."""
+    return [*line(count), (count - 1, 0)]
+
+
+def rows() -> Iterator[Row]:
+    """Measure; yields rows as they are there."""
+    with Swarm(line(6)) as swarm:
+        yield from _floods(swarm)
+    with Swarm(line(4)) as swarm:
+        yield from _messages(swarm)
+    with Swarm(loop(6)) as swarm:
+        yield _rerouted(swarm, "socket closed", CLOSED_LIMIT_S, lambda: swarm.kill("r1"))
+    with Swarm(loop(6)) as swarm:
+        yield _rerouted(swarm, "silence", SILENT_LIMIT_S, lambda: swarm.cut("r0", "r1", 10.0))
+
+
+def _floods(swarm: Swarm) -> Iterator[Row]:
+    arrivals: queue.SimpleQueue[float] = queue.SimpleQueue()
+    swarm.overlays["r5"].on_flood(lambda origin, payload: arrivals.put(clock.now()))
+    swarm.overlays["r0"].flood(b"warm up").result(WAIT_S)
+    arrivals.get(timeout=WAIT_S)
+    before = swarm.counters().get("wave_sent", 0)
+    reach, confirmed = [], []
+    for _ in range(REPEATS):
+        began = clock.now()
+        handle = swarm.overlays["r0"].flood(b"hello", priority="sync")
+        handle.result(WAIT_S)
+        confirmed.append(clock.now() - began)
+        reach.append(arrivals.get(timeout=WAIT_S) - began)
+    sent = swarm.counters().get("wave_sent", 0) - before
+    yield Row("flood line 6 from one end, reach", statistics.median(reach), "s", 5 * LATENCY_S, GOAL)
+    yield Row("flood line 6 from one end, confirmed", statistics.median(confirmed), "s", 10 * LATENCY_S, GOAL)
+    yield Row("messages of a confirmed flood, line 6 (2E)", sent / REPEATS, "", 10.0, 1.0)
+    complete, done = 0, 0
+    while done < FLOODS:
+        handles = [swarm.overlays[name].flood(b"x") for name in (swarm.names * AT_ONCE)[:AT_ONCE]]
+        for handle in handles:
+            answer = handle.result(WAIT_S)
+            complete += answer.complete and len(answer.robots) == len(swarm.names) - 1
+        done += AT_ONCE
+    # Missing ones as a share: the goal is none at all.
+    yield Row(f"floods not complete, of {done}", done - complete, "", 1.0, 0.0)
+
+
+def _messages(swarm: Swarm) -> Iterator[Row]:
+    arrivals: queue.SimpleQueue[float] = queue.SimpleQueue()
+    swarm.overlays["r3"].on_message(lambda sender, payload: arrivals.put(clock.now()))
+    swarm.overlays["r0"].send("r3", b"warm up").result(WAIT_S)
+    arrivals.get(timeout=WAIT_S)
+    arrived, confirmed = [], []
+    for _ in range(REPEATS):
+        began = clock.now()
+        swarm.overlays["r0"].send("r3", b"hello", priority="sync").result(WAIT_S)
+        confirmed.append(clock.now() - began)
+        arrived.append(arrivals.get(timeout=WAIT_S) - began)
+    yield Row("unicast 3 hops, one way", statistics.median(arrived), "s", 3 * LATENCY_S, GOAL)
+    yield Row("unicast 3 hops, confirmed", statistics.median(confirmed), "s", 6 * LATENCY_S, GOAL)
+
+
+def _rerouted(swarm: Swarm, how: str, limit: float, lose: Callable[[], None]) -> Row:
+    """Messages leave r0 for r2 all the time, by r1. From the loss until all that were under way and the first one
+    after it are there, the long way round."""
+    arrivals: dict[bytes, float] = {}
+
+    def arrived(sender: str, payload: bytes) -> None:
+        arrivals.setdefault(payload, clock.now())
+
+    swarm.overlays["r2"].on_message(arrived)
+    swarm.overlays["r0"].send("r2", b"warm up").result(WAIT_S)
+    stop = threading.Event()
+    sent: list[tuple[float, bytes]] = []
+
+    def chatter() -> None:
+        while not stop.wait(PERIOD_S):
+            payload = str(len(sent)).encode()
+            sent.append((clock.now(), payload))
+            swarm.overlays["r0"].send("r2", payload, priority="sync")
+
+    thread = threading.Thread(target=chatter)
+    thread.start()
+    swarm.wait_for(lambda: len(arrivals) > 20, "messages arrive")
+    lost_at = clock.now()
+    lose()
+    swarm.wait_for(
+        lambda: any(at > lost_at and payload in arrivals for at, payload in sent), "a message after the loss"
+    )
+    stop.set()
+    thread.join()
+    first = next(at for at, payload in sent if at > lost_at)
+    swarm.wait_for(lambda: all(payload in arrivals for at, payload in sent if at <= first), "those under way")
+    last = max(arrivals[payload] for at, payload in sent if at <= first)
+    return Row(f"link lost ({how}) to re-routed unicast", last - lost_at, "s", limit, 1.0)

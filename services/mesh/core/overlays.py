@@ -1,0 +1,384 @@
+"""All overlays of one robot: flood, unicast, link state, membership and the stop register, joined.
+
+The node feeds it links and packets, and carries out `actions()`. It knows no sessions, so the same code runs between
+real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
+"""
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from services.mesh.core import flood, packets, unicast
+from services.mesh.core.actions import Transmit
+from services.mesh.core.events import Received
+from services.mesh.core.flood import Flood
+from services.mesh.core.frames import BULK, CONTROL, FLOOD, PRIORITIES
+from services.mesh.core.halt import Register
+from services.mesh.core.linkstate import HOPS, LinkState
+from services.mesh.core.membership import SETTLE, Membership
+from services.mesh.core.unicast import Unicast
+from swarm.codec import encode
+from swarm.errors import FrameError, PayloadError
+from swarm.keys import STOP, is_name, parse
+from swarm.keys import key as key_of
+from swarm.messages import Flooded, FloodRequest, Members, SendRequest, Sent, Stop, Stopped
+
+MAX_TICKETS = 1024
+"""Requests of apps whose answers are remembered, so that a repeated request is answered again, not done again."""
+
+MEMBERS_PERIOD = 10.0
+"""s between two publications of `mesh/members` when nothing changes."""
+
+STOP_PERIOD = 1.0
+"""s between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts, or a
+message that was lost, must not make an exception."""
+
+LEAST_PATIENCE = {CONTROL: 1.0}
+LEAST_PATIENCE_ELSE = 3.0
+"""s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
+
+COUNTERS = (*flood.COUNTERS, *unicast.COUNTERS, "bad_packets")
+
+_NEVER = float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class _Ticket:
+    """Whose answer is awaited."""
+
+    ticket: str
+    app: str
+    announce: bool = False
+
+
+Action = Transmit | Received
+
+
+class Overlays:
+    """Calls with `now` must not go back in time; no call may overlap another."""
+
+    def __init__(
+        self,
+        me: str,
+        robots: Collection[str],
+        *,
+        incarnation: int,
+        random: Callable[[], float],
+        counters: Counter[str],
+        metric: str = HOPS,
+        admits_flood: Callable[[str], bool] = lambda key: False,
+        admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
+    ) -> None:
+        """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
+        `admits_flood(key)`, `admits_unicast(sender, key)`: which keys the relay rules let in."""
+        self.me = me
+        self._robots = frozenset(robots) | {me}
+        self._counters = counters
+        counters.update(dict.fromkeys(COUNTERS, 0))
+        self._admits_flood = admits_flood
+        self._admits_unicast = admits_unicast
+        self._actions: list[Action] = []
+        emit = self._actions.append
+        self._flood = Flood(
+            me, incarnation, self._robots,
+            emit=emit, deliver=self._on_flood, reached=self._on_reached, towards=self._towards,
+            expected=lambda: self._map.routes().keys(), random=random, counters=counters,
+        )  # fmt: skip
+        self._map = LinkState(me, metric=metric, publish=self._publish_links, aged=self._flood.forget, random=random)
+        self._unicast = Unicast(
+            me, incarnation, self._robots,
+            emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
+            ended=self._on_sent, counters=counters,
+        )  # fmt: skip
+        self._register = Register(
+            me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._on_register
+        )
+        self._membership = Membership(me, self._robots)
+        self._now = 0.0
+        self._version = 0
+        self._deadline = 0.0
+        self._look_at = _NEVER
+        self._members_at = 0.0
+        self._stop_at = _NEVER
+        self._tickets: OrderedDict[str, Flooded | Sent | None] = OrderedDict()
+        self._lsa_key = key_of(me, "mesh", "lsa")
+        self._members_key = key_of(me, "mesh", "members")
+        self._stopped_key = key_of(me, "mesh", "stopped")
+        self._flooded_key = key_of(me, "mesh", "flooded")
+        self._sent_key = key_of(me, "mesh", "sent")
+
+    # -- links and packets -------------------------------------------------------------------------------------
+
+    def link_up(self, peer: str, now: float) -> None:
+        """A link to a neighbour is up."""
+        self._now = now
+        self._register.link_up(peer)
+        self._map.link_up(peer, now)
+        self._flood.link_up(peer, now)
+        self._routes_changed(now)
+
+    def link_down(self, peer: str, now: float) -> None:
+        """It is down."""
+        self._now = now
+        self._register.link_down(peer)
+        self._flood.unlink(peer)
+        # First the map, so that the next two find the other way, and others hear of it before what takes that way.
+        self._map.link_down(peer, now)
+        self._flood.link_down(peer, now)
+        self._unicast.link_down(peer, now)
+        self._routes_changed(now)
+
+    def measured(self, peer: str, rtt: float, now: float) -> None:
+        """The smoothed round-trip time of a link, s."""
+        self._now = now
+        self._map.measured(peer, rtt, now)
+
+    def admits(self, peer: str, overlay: int, key: str) -> bool:
+        """Whether a neighbour may bind a channel of flood or unicast to this key."""
+        try:
+            robot, service, topic = parse(key)
+        except PayloadError:
+            return False
+        if robot not in self._robots:
+            return False
+        if overlay != FLOOD:
+            return robot == peer and (service, topic) == ("mesh", "unicast")
+        if service == "mesh" and topic in ("digest", "halt"):
+            return robot == peer
+        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded")):
+            return True
+        return _is_app_flood(service, topic) or self._admits_flood(key)
+
+    def receive(self, peer: str, overlay: int, key: str, data: bytes, priority: int, now: float) -> None:
+        """A packet of a neighbour on an admitted channel. What is wrong is dropped and counted: the one who made it
+        may be far away, and innocent links must not break for it."""
+        self._now = now
+        try:
+            if overlay != FLOOD:
+                self._unicast.receive(peer, data, priority, now)
+            elif packets.kind_of(data) == packets.HALT:
+                self._register.receive(peer, data, now)
+            else:
+                self._flood.receive(peer, key, data, priority, now)
+        except FrameError:
+            self._counters["bad_packets"] += 1
+        if self._version != self._map.version:
+            self._routes_changed(now)
+
+    # -- what this robot wants ---------------------------------------------------------------------------------
+
+    def flood(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
+        """Carry a value of an own key to all robots, as a relay rule says."""
+        self._now = now
+        if key == self._lsa_key:
+            return  # nobody's business but the map's, whatever a rule with ** says
+        self._flood.publish(key, payload, priority, latest=latest)
+
+    def send(self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
+        """Carry a value to one robot, as a relay rule says."""
+        self._now = now
+        self._unicast.send(None, to, key, payload, priority, now, latest=latest)
+
+    def request_flood(self, request: FloodRequest, now: float) -> None:
+        """An app's wish; the answer goes to `mesh/flooded`."""
+        self._now = now
+        if self._is_known(request.ticket):
+            return
+        token = _Ticket(request.ticket, request.app, request.announce)
+        problem = _problem(request.app, request.priority)
+        if len(request.payload) > packets.MAX_SPREAD:
+            problem = f"{len(request.payload)} bytes, a flood has at most {packets.MAX_SPREAD}"
+        if not problem:
+            key = key_of(self.me, "app", request.app, "flood")
+            priority = PRIORITIES[request.priority]
+            if self._flood.confirm(token, key, request.payload, priority, self._patience(priority), now):
+                return
+            problem = "too many floods are under way"
+        self._answer_flood(token, (), complete=False, problem=problem)
+
+    def request_send(self, request: SendRequest, now: float) -> None:
+        """An app's wish; the answer goes to `mesh/sent`."""
+        self._now = now
+        if self._is_known(request.ticket):
+            return
+        token = _Ticket(request.ticket, request.app)
+        problem = _problem(request.app, request.priority) or ("" if is_name(request.to) else "that is no robot's name")
+        if problem:
+            self._on_sent(token, request.to, problem)
+            return
+        key = key_of(self.me, "app", request.app, "send", request.to)
+        priority = PRIORITIES[request.priority]
+        self._unicast.send(token, request.to, key, request.payload, priority, now, timeout=request.timeout)
+
+    def stop(self, stop: Stop, now: float) -> None:
+        """Somebody on this robot has published `swarm/stop`."""
+        self._now = now
+        self._register.stop(stop.reason, now)
+
+    def arm(self, now: float) -> None:
+        """Somebody on this robot takes the stops back."""
+        self._now = now
+        self._register.arm(now)
+
+    def leave(self, now: float) -> None:
+        """This robot's mesh stops."""
+        self._now = now
+        self._map.leave(now)
+
+    # -- time and outputs --------------------------------------------------------------------------------------
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due."""
+        self._now = now
+        self._map.handle_timer(now)
+        self._flood.handle_timer(now)
+        self._unicast.handle_timer(now)
+        self._register.handle_timer(now)
+        if self._version != self._map.version:
+            self._routes_changed(now)
+        if now >= self._look_at:
+            self._look(now)
+        if now >= self._members_at:
+            self._members_at = now + MEMBERS_PERIOD
+            self._to_bus(self._members_key, encode(self.members(now)), BULK)
+        if now >= self._stop_at:
+            self._tell_stop(now)
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
+        return self._deadline
+
+    def actions(self) -> list[Action]:
+        """What is to be done, in this order, since the last call. To be called after everything else: it also looks
+        for the next deadline, which a node that only carries lockstep messages then has at no cost."""
+        self._deadline = min(
+            self._map.next_deadline(),
+            self._flood.next_deadline(),
+            self._unicast.next_deadline(),
+            self._register.next_deadline(),
+            self._look_at,
+            self._members_at,
+            self._stop_at,
+        )
+        actions = self._actions[:]
+        self._actions.clear()  # the list itself is shared
+        return actions
+
+    def members(self, now: float) -> Members:
+        """For the key `mesh/members`."""
+        return Members(now, self._membership.members(), tuple(self._membership.changes))
+
+    def stopped(self, now: float) -> Stopped:
+        """For the key `mesh/stopped`."""
+        stops = self._register.stops
+        return Stopped(now, bool(stops), stops)
+
+    # -- inside ------------------------------------------------------------------------------------------------
+
+    def _to_bus(self, key: str, payload: bytes, priority: int) -> None:
+        self._actions.append(Received(key, payload, priority))
+
+    def _on_flood(self, origin: str, key: str, payload: bytes, priority: int, incarnation: int) -> None:
+        _, service, topic = parse(key)
+        if (service, topic) == ("mesh", "lsa"):
+            self._map.receive(origin, incarnation, payload, self._now)
+        else:
+            self._to_bus(key, payload, priority)
+
+    def _publish_links(self, payload: bytes) -> None:
+        self._flood.publish(self._lsa_key, payload, CONTROL, latest=True)
+
+    def _towards(self, robot: str) -> str | None:
+        route = self._map.route(robot)
+        return route.next_hop if route is not None else None
+
+    def _patience(self, priority: int) -> float:
+        """4 (D + 1) L: twice the time there and back (facts: 2 D L), and one hop to spare."""
+        farthest = max(self._map.routes().values(), key=lambda route: route.time, default=None)
+        least = LEAST_PATIENCE.get(priority, LEAST_PATIENCE_ELSE)
+        if farthest is None:
+            return least
+        return max(least, 4 * (farthest.hops + 1) * (farthest.time / farthest.hops) * 1e-4)
+
+    def _routes_changed(self, now: float) -> None:
+        self._version = self._map.version
+        self._look_at = min(self._look_at, now + SETTLE)
+        self._unicast.routes_changed(now)
+
+    def _look(self, now: float) -> None:
+        self._look_at = _NEVER
+        incarnations = {name: self._flood.known(name) for name in self._robots}
+        left = [name for name in self._robots if self._map.has_left(name)]
+        if self._membership.look(self._map.routes(), self._map.graph(), incarnations, left, now):
+            self._members_at = now
+
+    def _admits_message(self, sender: str, key: str) -> bool:
+        robot, service, topic = parse(key)
+        if robot == sender and service == "app":
+            chunks = topic.split("/")
+            if len(chunks) == 3 and chunks[1:] == ["send", self.me] and is_name(chunks[0]):
+                return True
+        return self._admits_unicast(sender, key)
+
+    # -- answers to apps ---------------------------------------------------------------------------------------
+
+    def _is_known(self, ticket: str) -> bool:
+        """Whether a request was seen before; its answer, if it is there, is told again."""
+        if ticket in self._tickets:
+            answer = self._tickets[ticket]
+            if answer is not None:
+                key = self._flooded_key if isinstance(answer, Flooded) else self._sent_key
+                self._to_bus(key, encode(answer), CONTROL)
+            return True
+        if len(self._tickets) >= MAX_TICKETS:
+            self._tickets.popitem(last=False)
+        self._tickets[ticket] = None
+        return False
+
+    def _on_reached(self, token: object, robots: frozenset[str], complete: bool) -> None:
+        if isinstance(token, _Ticket):
+            problem = "" if complete else "a link broke, or a robot did not answer"
+            self._answer_flood(token, packets.sorted_names(robots), complete=complete, problem=problem)
+
+    def _answer_flood(self, token: _Ticket, robots: tuple[str, ...], *, complete: bool, problem: str) -> None:
+        answer = Flooded(self._now, token.ticket, token.app, robots, complete, problem)
+        self._tickets[token.ticket] = answer
+        payload = encode(answer)
+        self._to_bus(self._flooded_key, payload, CONTROL)
+        if token.announce and complete and len(payload) <= packets.MAX_SPREAD:
+            self._flood.publish(self._flooded_key, payload, CONTROL, latest=False)
+
+    def _on_sent(self, token: object, to: str, problem: str) -> None:
+        if isinstance(token, _Ticket):
+            answer = Sent(self._now, token.ticket, token.app, to, not problem, problem)
+            self._tickets[token.ticket] = answer
+            self._to_bus(self._sent_key, encode(answer), CONTROL)
+
+    # -- stop --------------------------------------------------------------------------------------------------
+
+    def _on_register(self) -> None:
+        self._tell_stop(self._now)
+        if self._stop_at == _NEVER:
+            self._to_bus(self._stopped_key, encode(self.stopped(self._now)), CONTROL)
+
+    def _tell_stop(self, now: float) -> None:
+        stops = self._register.stops
+        self._stop_at = now + STOP_PERIOD if stops else _NEVER
+        if stops:
+            self._to_bus(self._stopped_key, encode(self.stopped(now)), CONTROL)
+        for origin, reason in stops.items():
+            self._to_bus(STOP, encode(Stop(now, origin, reason)), CONTROL)
+
+
+def _is_app_flood(service: str, topic: str) -> bool:
+    app, _, rest = topic.partition("/")
+    return service == "app" and rest == "flood" and is_name(app)
+
+
+def _problem(app: str, priority: str) -> str:
+    """What is wrong with a request; empty where it is fine."""
+    if not is_name(app):
+        return f"{app[:40]!r} is no app's name"
+    if priority not in PRIORITIES:
+        return f"priority {priority[:40]!r}: expected {', '.join(PRIORITIES)}"
+    return ""

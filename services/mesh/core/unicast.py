@@ -1,0 +1,341 @@
+"""Unicast: a message to one robot anywhere, hop by hop along the shortest path (thesis 3.4.6).
+
+Each robot on the way looks the next one up in its own table, so a message turns off where a link has died and its
+sender need not know. The receiver acknowledges end to end and delivers each message once for each pair of
+incarnations, whatever is repeated; the sender repeats after twice the round trip and 100 ms, doubling, five times in
+all and for at least 4.5 s (silence takes 3 s to be noticed). What was handed to a link shortly before it died is sent
+another way at once. Nobody is busy meanwhile: many messages are in flight, in no particular order.
+"""
+
+from collections import Counter, OrderedDict, deque
+from collections.abc import Callable
+
+from services.mesh.core import packets
+from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.frames import CONTROL, UNICAST
+from services.mesh.core.packets import Ack, Message
+from services.mesh.core.routing import Route
+from services.mesh.core.window import Window
+from swarm.errors import FrameError
+from swarm.keys import key as key_of
+
+TTL = 32
+"""Hops a message may take, or twice the length of its path where that is more."""
+
+TRIES = 5
+FIRST_WAIT = 0.1
+"""s on top of twice the path's round trip until a message is sent again."""
+LONGEST_WAIT = 4.0
+LEAST_PATIENCE = 4.5
+"""s that a message is tried at least: longer than silence takes to be noticed."""
+
+WINDOW = 256
+"""Numbers a receiver can tell apart below the highest it has seen of one sender."""
+
+MAX_IN_FLIGHT = 128
+"""Span of numbers not yet acknowledged to one receiver, below `WINDOW`; what is more waits."""
+
+MAX_WAITING = 512
+"""Messages of this robot that wait for an answer or for their turn, and their bytes; more are refused."""
+MAX_WAITING_BYTES = 512 * 1024
+
+INCARNATIONS = 4
+"""Lives of one sender that are told apart: copies of an earlier one may still be on their way."""
+
+CUSTODY = 64
+CUSTODY_TIME = 4.5
+"""Packets, and s, for which what was handed to a link is kept to be sent another way should it die."""
+
+COUNTERS = ("unicast_duplicates", "unicast_expired", "unicast_forwarded", "unicast_no_route", "unicast_refused",
+            "unicast_rerouted", "unicast_retries")  # fmt: skip
+
+_NEVER = float("inf")
+
+
+class Flight:
+    """An own message until its end."""
+
+    __slots__ = ("began", "deadline", "key", "next_at", "number", "payload", "priority", "to", "token", "tries", "via",
+                 "wait")  # fmt: skip
+
+    def __init__(
+        self, token: object, to: str, key: str, payload: bytes, priority: int, now: float, deadline: float
+    ) -> None:
+        self.token = token
+        self.to = to
+        self.key = key
+        self.payload = payload
+        self.priority = priority
+        self.began = now
+        self.deadline = deadline
+        self.number = 0
+        self.tries = 0
+        self.wait = 0.0
+        self.next_at = _NEVER
+        self.via: str | None = None
+        """The neighbour it was handed to; None where there was no route."""
+
+
+class Receiver:
+    """Own messages to one robot."""
+
+    __slots__ = ("flights", "next_number", "waiting")
+
+    def __init__(self) -> None:
+        self.next_number = 1
+        self.flights: dict[int, Flight] = {}
+        self.waiting: deque[Flight] = deque()
+
+
+class Unicast:
+    """The unicast overlay of one robot. Calls with `now` must not go back in time."""
+
+    def __init__(
+        self,
+        me: str,
+        incarnation: int,
+        robots: frozenset[str],
+        *,
+        emit: Emit,
+        route: Callable[[str], Route | None],
+        admits: Callable[[str, str], bool],
+        deliver: Callable[[str, bytes, int], None],
+        ended: Callable[[object, str, str], None],
+        counters: Counter[str],
+    ) -> None:
+        """`admits(sender, key)` says what may come in; `ended(token, to, problem)` is called once for each `send`,
+        with an empty problem where the message was delivered."""
+        self._me = me
+        self._incarnation = incarnation
+        self._robots = robots
+        self._emit = emit
+        self._route = route
+        self._admits = admits
+        self._deliver = deliver
+        self._ended = ended
+        self._counters = counters
+        self._channel = key_of(me, "mesh", "unicast")
+        self._receivers: dict[str, Receiver] = {}
+        self._waiting = 0
+        self._waiting_bytes = 0
+        self._seen: dict[str, OrderedDict[int, Window]] = {}
+        self._custody: dict[str, deque[tuple[float, str, bytes, int]]] = {}
+
+    # -- own messages ------------------------------------------------------------------------------------------
+
+    def send(
+        self,
+        token: object,
+        to: str,
+        key: str,
+        payload: bytes,
+        priority: int,
+        now: float,
+        *,
+        timeout: float = _NEVER,
+        latest: bool = False,
+    ) -> None:
+        """Send; with `latest` an older message of this key that still waits for its answer is given up."""
+        if latest:
+            self._give_up(to, key)
+        if to not in self._robots:
+            self._ended(token, to, f"there is no robot {to}")
+        elif len(payload) > packets.MAX_MESSAGE:
+            self._ended(token, to, f"{len(payload)} bytes, a message has at most {packets.MAX_MESSAGE}")
+        elif to == self._me:
+            self._deliver(key, payload, priority)
+            self._ended(token, to, "")
+        elif self._waiting >= MAX_WAITING or self._waiting_bytes + len(payload) > MAX_WAITING_BYTES:
+            self._ended(token, to, "too many messages wait for their answers")
+        else:
+            flight = Flight(token, to, key, payload, priority, now, now + timeout)
+            self._waiting += 1
+            self._waiting_bytes += len(payload)
+            receiver = self._receivers.setdefault(to, Receiver())
+            receiver.waiting.append(flight)
+            self._launch(receiver, now)
+
+    # -- inputs ------------------------------------------------------------------------------------------------
+
+    def receive(self, peer: str, data: bytes, priority: int, now: float) -> None:
+        """A packet of a neighbour; raises `FrameError`."""
+        match packets.kind_of(data):
+            case packets.MESSAGE:
+                message = packets.decode_message(data)
+                self._check(message.sender, message.to)
+                if message.to == self._me:
+                    self._on_message(message, priority, now)
+                else:
+                    self._forward(message, priority, now)
+            case packets.ACK:
+                ack = packets.decode_ack(data)
+                self._check(ack.sender, ack.to)
+                if ack.to == self._me:
+                    self._on_ack(ack, now)
+                else:
+                    self._forward(ack, priority, now)
+            case kind:
+                raise FrameError(f"unicast packet kind {kind}: not known")
+
+    def link_down(self, peer: str, now: float) -> None:
+        """A neighbour is gone; routes know it already. What it was handed lately goes another way."""
+        for at, to, data, priority in self._custody.pop(peer, ()):
+            if at + CUSTODY_TIME >= now and (route := self._route(to)) is not None:
+                self._counters["unicast_rerouted"] += 1
+                self._hand_over(route.next_hop, to, data, priority, now)
+        for flight in self._flights():
+            if flight.via == peer:
+                self._transmit(flight, now)
+
+    def routes_changed(self, now: float) -> None:
+        """There may be ways where there were none."""
+        for flight in self._flights():
+            if flight.via is None:
+                self._transmit(flight, now)
+
+    def handle_timer(self, now: float) -> None:
+        """Repeat, or give up."""
+        for receiver in self._receivers.values():
+            for flight in [*receiver.flights.values(), *receiver.waiting]:
+                if now >= flight.deadline:
+                    self._end(receiver, flight, f"no answer from {flight.to} in time", now)
+                elif now >= flight.next_at:
+                    self._repeat(receiver, flight, now)
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called."""
+        deadline = _NEVER
+        for receiver in self._receivers.values():
+            for flight in receiver.flights.values():
+                deadline = min(deadline, flight.next_at, flight.deadline)
+            for flight in receiver.waiting:
+                deadline = min(deadline, flight.deadline)
+        return deadline
+
+    # -- the sender's side -------------------------------------------------------------------------------------
+
+    def _flights(self) -> list[Flight]:
+        return [flight for receiver in self._receivers.values() for flight in receiver.flights.values()]
+
+    def _launch(self, receiver: Receiver, now: float) -> None:
+        while receiver.waiting:
+            oldest = min(receiver.flights, default=receiver.next_number)
+            if receiver.next_number - oldest >= MAX_IN_FLIGHT:
+                return
+            flight = receiver.waiting.popleft()
+            flight.number = receiver.next_number
+            receiver.next_number += 1
+            receiver.flights[flight.number] = flight
+            flight.began = now
+            flight.tries = 1
+            self._transmit(flight, now)
+            flight.wait = self._first_wait(flight.to)
+            flight.next_at = now + flight.wait
+
+    def _transmit(self, flight: Flight, now: float) -> None:
+        route = self._route(flight.to)
+        flight.via = route.next_hop if route is not None else None
+        if route is not None:
+            ttl = min(max(TTL, 2 * route.hops), 255)
+            message = Message(
+                self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, ttl
+            )  # fmt: skip
+            self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message),
+                                flight.priority))  # fmt: skip
+
+    def _first_wait(self, to: str) -> float:
+        route = self._route(to)
+        return FIRST_WAIT + (2 * 2 * route.time * 1e-4 if route is not None else 0.0)
+
+    def _repeat(self, receiver: Receiver, flight: Flight, now: float) -> None:
+        if flight.tries < TRIES:
+            flight.tries += 1
+            self._counters["unicast_retries"] += 1
+            self._transmit(flight, now)
+            flight.wait = min(2 * max(flight.wait, self._first_wait(flight.to) / 2), LONGEST_WAIT)
+            flight.next_at = now + flight.wait
+        elif now < flight.began + LEAST_PATIENCE:
+            flight.next_at = flight.began + LEAST_PATIENCE
+        elif flight.via is None:
+            self._end(receiver, flight, f"no way to {flight.to}", now)
+        else:
+            self._end(receiver, flight, f"no answer from {flight.to} after {flight.tries} tries", now)
+
+    def _give_up(self, to: str, key: str) -> None:
+        receiver = self._receivers.get(to)
+        if receiver is not None:
+            for flight in [*receiver.flights.values(), *receiver.waiting]:
+                if flight.key == key:
+                    self._end(receiver, flight, "replaced by a newer value", None)
+
+    def _end(self, receiver: Receiver, flight: Flight, problem: str, now: float | None) -> None:
+        if receiver.flights.pop(flight.number, None) is None:
+            receiver.waiting.remove(flight)
+        self._waiting -= 1
+        self._waiting_bytes -= len(flight.payload)
+        if now is not None:
+            self._launch(receiver, now)
+        self._ended(flight.token, flight.to, problem)
+
+    def _on_ack(self, ack: Ack, now: float) -> None:
+        receiver = self._receivers.get(ack.sender)
+        flight = receiver.flights.get(ack.number) if receiver is not None else None
+        if receiver is not None and flight is not None and ack.incarnation == self._incarnation:
+            self._end(receiver, flight, f"{ack.sender} lets no {flight.key} in" if ack.refused else "", now)
+
+    # -- the receiver's side -----------------------------------------------------------------------------------
+
+    def _on_message(self, message: Message, priority: int, now: float) -> None:
+        refused = not self._admits(message.sender, message.key)
+        if refused:
+            self._counters["unicast_refused"] += 1
+        elif self._window(message.sender, message.incarnation).add(message.number):
+            self._deliver(message.key, message.payload, priority)
+        else:
+            self._counters["unicast_duplicates"] += 1
+        ack = Ack(self._me, message.sender, message.incarnation, message.number, refused, TTL)
+        route = self._route(message.sender)
+        if route is not None:
+            ack = ack._replace(ttl=min(max(TTL, 2 * route.hops), 255))
+            self._hand_over(route.next_hop, message.sender, packets.encode_ack(ack), CONTROL, now)
+        else:
+            self._counters["unicast_no_route"] += 1
+
+    def _window(self, sender: str, incarnation: int) -> Window:
+        lives = self._seen.setdefault(sender, OrderedDict())
+        window = lives.get(incarnation)
+        if window is None:
+            window = lives[incarnation] = Window(WINDOW)
+            if len(lives) > INCARNATIONS:
+                lives.popitem(last=False)
+        lives.move_to_end(incarnation)
+        return window
+
+    # -- on the way --------------------------------------------------------------------------------------------
+
+    def _check(self, *names: str) -> None:
+        for name in names:
+            if name not in self._robots:
+                raise FrameError(f"unicast packet of or for {name}, which is not in our configuration")
+
+    def _forward(self, packet: Message | Ack, priority: int, now: float) -> None:
+        route = self._route(packet.to)
+        if packet.ttl <= 1:
+            self._counters["unicast_expired"] += 1
+        elif route is None:
+            self._counters["unicast_no_route"] += 1
+        else:
+            self._counters["unicast_forwarded"] += 1
+            ttl = packet.ttl - 1
+            if isinstance(packet, Message):
+                data = packets.encode_message(packet._replace(ttl=ttl))
+            else:
+                data = packets.encode_ack(packet._replace(ttl=ttl))
+            self._hand_over(route.next_hop, packet.to, data, priority, now)
+
+    def _hand_over(self, peer: str, to: str, data: bytes, priority: int, now: float) -> None:
+        custody = self._custody.get(peer)
+        if custody is None:
+            custody = self._custody[peer] = deque(maxlen=CUSTODY)
+        custody.append((now, to, data, priority))
+        self._emit(Transmit(peer, UNICAST, self._channel, data, priority))

@@ -1,0 +1,25 @@
+"""Which numbers of a sender were seen: the highest, and one bit for each of those just below it."""
+
+
+class Window:
+    """Sequence numbers from 1 up, in any order, in constant memory: what is too old to tell counts as seen."""
+
+    __slots__ = ("_bits", "highest", "size")
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.highest = 0
+        self._bits = 0
+
+    def add(self, number: int) -> bool:
+        """Note a number; whether it is new."""
+        ahead = number - self.highest
+        if ahead > 0:
+            self._bits = (self._bits << ahead | 1) & (1 << self.size) - 1 if ahead < self.size else 1
+            self.highest = number
+            return True
+        bit = 1 << -ahead
+        if -ahead >= self.size or self._bits & bit:
+            return False
+        self._bits |= bit
+        return True

@@ -1,0 +1,338 @@
+"""Who is there, and stopping everybody: both as robots see it while links and processes come and go."""
+
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from overlay_world import SILENCE, World, full, line, ring, thesis_d
+
+from services.mesh.core import membership
+from services.mesh.core.frames import CONTROL, FLOOD
+from services.mesh.core.halt import REPEAT_PERIOD, SPACING
+from services.mesh.core.overlays import STOP_PERIOD
+from services.mesh.core.packets import Halt, Mark, decode_halt, encode_halts
+from swarm.codec import decode
+from swarm.keys import STOP
+from swarm.messages import Stop, Stopped
+
+GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(4)}
+NOTICED = 1.0
+"""s in which news of a closed socket, or of a new link, have reached everybody."""
+
+
+# -- membership ------------------------------------------------------------------------------------------------
+
+
+def test_everybody_joins() -> None:
+    world = World(line(4), start=False)
+    world.start("r0")
+    world.run(1.0)
+    assert set(world.states("r0").values()) == {"never"}
+    for name in world.names[1:]:
+        world.start(name)
+        world.run(NOTICED)
+    assert set(world.states("r0").values()) == {"here"}
+    assert world.changes("r0") == [("r1", "join"), ("r2", "join"), ("r3", "join")]
+    members = {each.robot: each for each in world.bots["r0"].overlays.members(world.now).members}
+    assert [(each.hops, each.via) for each in members.values()] == [(1, "r1"), (2, "r1"), (3, "r1")]
+
+
+def test_leaving_is_told_from_crashing() -> None:
+    world = World(full(5))
+    world.settle()
+    world.leave("r2")
+    world.run(NOTICED)
+    world.kill("r4")
+    world.run(NOTICED)
+    for name in ("r0", "r1", "r3"):
+        assert world.changes(name)[-2:] == [("r2", "leave"), ("r4", "crash")]
+        assert world.states(name)["r2"] == "left"
+        assert world.states(name)["r4"] == "gone"
+
+
+def test_a_robot_returns_as_a_new_one() -> None:
+    world = World(ring(5))
+    world.settle()
+    for end in (world.kill, world.leave):
+        end("r2")
+        world.run(NOTICED)
+        world.start("r2")
+        world.run(NOTICED)
+        for name in ("r0", "r1", "r3", "r4"):
+            assert world.changes(name)[-1] == ("r2", "return")
+            assert world.states(name)["r2"] == "here"
+
+
+def test_a_quick_restart_is_noticed() -> None:
+    world = World(full(4))
+    world.settle()
+    world.kill("r2")
+    world.start("r2")
+    world.run(NOTICED)
+    for name in ("r0", "r1", "r3"):
+        assert world.changes(name)[-1] in (("r2", "restart"), ("r2", "return"))
+
+
+def test_a_partition_heals() -> None:
+    world = World(line(4))
+    world.settle()
+    world.cut("r1", "r2")
+    world.run(NOTICED)
+    assert world.changes("r0")[-2:] == [("r2", "partition"), ("r3", "partition")]
+    assert world.changes("r3")[-2:] == [("r0", "partition"), ("r1", "partition")]
+    assert world.states("r0") == {"r1": "here", "r2": "gone", "r3": "gone"}
+    world.join("r1", "r2")
+    world.run(NOTICED)
+    assert world.changes("r0")[-2:] == [("r2", "heal"), ("r3", "heal")]
+    assert set(world.states("r3").values()) == {"here"}
+
+
+def test_silence_is_noticed_when_the_link_notices_it() -> None:
+    world = World(line(3))
+    world.settle()
+    world.cut("r1", "r2", silent=True)
+    world.run(SILENCE - 0.1)
+    assert world.states("r0")["r2"] == "here"
+    world.run(NOTICED)
+    assert world.changes("r0")[-1] == ("r2", "crash")
+
+
+def test_changes_are_kept_but_not_without_end() -> None:
+    world = World(line(2))
+    world.settle()
+    for _ in range(membership.KEPT_CHANGES):
+        world.cut("r0", "r1")
+        world.run(NOTICED)
+        world.join("r0", "r1")
+        world.run(NOTICED)
+    assert len(world.changes("r0")) == membership.KEPT_CHANGES
+
+
+steps_of = st.lists(
+    st.one_of(
+        st.tuples(st.just("cut"), st.integers(0, 20), st.integers(0, 1)),
+        st.tuples(st.just("join"), st.integers(0, 20), st.just(0)),
+        st.tuples(st.just("restart"), st.integers(0, 5), st.integers(0, 1)),
+        st.tuples(st.just("stop"), st.integers(0, 5), st.just(0)),
+        st.tuples(st.just("arm"), st.integers(0, 5), st.just(0)),
+        st.tuples(st.just("wait"), st.floats(0.001, 1.5), st.just(0)),
+    ),
+    max_size=40,
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(steps_of, st.sampled_from(sorted(GRAPHS)), st.integers(0, 99))
+def test_in_the_end_all_agree_who_is_there_and_whether_to_stand_still(
+    steps: Sequence[tuple[str, float, int]], graph: str, seed: int
+) -> None:
+    world = World(GRAPHS[graph], seed=seed)
+    world.run(1.0)
+    edges = [sorted(edge) for edge in world.edges]
+    for what, value, option in steps:
+        name = world.names[int(value) % len(world.names)]
+        match what:
+            case "cut":
+                world.cut(*edges[int(value) % len(edges)], silent=bool(option))
+            case "join":
+                world.join(*edges[int(value) % len(edges)])
+            case "restart":
+                (world.leave if option else world.kill)(name)
+                world.start(name)
+            case "stop":
+                stop(world, name)
+            case "arm":
+                arm(world, name)
+            case "wait":
+                world.run(value)
+    world.run(5.0)
+    reachable = {name: {name} for name in world.names}
+    for edge, state in world.edges.items():
+        if state.up:
+            a, b = edge
+            union = reachable[a] | reachable[b]
+            for name in union:
+                reachable[name] = union
+    for name in world.names:
+        here = {robot for robot, state in world.states(name).items() if state == "here"}
+        assert here == reachable[name] - {name}
+    for edge in world.edges:
+        world.join(*sorted(edge))
+    world.run(REPEAT_PERIOD + 2.0)
+    for name in world.names:
+        assert set(world.states(name).values()) == {"here"}
+    assert len({bool(stopped(world, name).by) for name in world.names}) == 1
+    # Whatever was before, somebody who sees the whole swarm can arm it, and stop it again.
+    arm(world, "r0")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+    stop(world, "r1")
+    world.run(NOTICED)
+    assert all(stopped(world, name).stopped for name in world.names)
+
+
+# -- stop ------------------------------------------------------------------------------------------------------
+
+
+def stop(world: World, name: str, reason: str = "smoke") -> None:
+    world.step(name, lambda each: each.stop(Stop(world.now, name, reason), world.now))
+
+
+def arm(world: World, name: str) -> None:
+    world.step(name, lambda each: each.arm(world.now))
+
+
+def stopped(world: World, name: str) -> Stopped:
+    return world.bots[name].overlays.stopped(world.now)
+
+
+def test_a_stop_reaches_all_at_the_speed_of_the_links() -> None:
+    world = World(line(6))
+    world.settle()
+    began = world.now
+    stop(world, "r0", "smoke")
+    world.run(0.151)
+    for place, name in enumerate(world.names[1:], 1):
+        (key, payload) = next(sample for sample in world.bots[name].inbox if sample[0] == STOP)
+        assert decode(Stop, payload, key).origin == "r0"
+        assert decode(Stop, payload, key).reason == "smoke"
+        assert world.bots[name].times[0] - began == pytest.approx(place * 0.03)
+        assert stopped(world, name).by == {"r0": "smoke"}
+
+
+def test_a_stop_is_repeated_on_the_bus_until_it_is_taken_back() -> None:
+    world = World(line(3))
+    world.settle()
+    stop(world, "r0")
+    world.run(10.5 * STOP_PERIOD)
+    assert 10 <= len(world.got("r2", STOP)) <= 12
+    arm(world, "r1")
+    world.run(0.1)
+    world.clear()
+    world.run(10.0)
+    assert world.got("r2", STOP) == []
+    assert not stopped(world, "r0").stopped
+
+
+def test_no_late_duplicate_undoes_a_rearm_and_none_undoes_a_stop() -> None:
+    world = World(line(3))
+    world.settle()
+    heard: list[tuple[str, bytes]] = []
+
+    def listen(sender: str, peer: str, packet) -> None:  # type: ignore[no-untyped-def]
+        if packet.overlay == FLOOD and packet.key.endswith("/halt") and peer == "r2":
+            heard.append((packet.key, packet.payload))
+
+    world.watch = listen
+    stop(world, "r0")
+    world.run(1.0)
+    arm(world, "r0")
+    world.run(1.0)
+    old = list(heard)
+    assert len(old) == 2
+
+    def replay() -> None:
+        for key, payload in old * 3:
+            world.step("r2", lambda each: each.receive("r1", FLOOD, key, payload, CONTROL, world.now))  # noqa: B023
+
+    replay()
+    world.run(1.0)
+    assert not any(stopped(world, name).stopped for name in world.names)
+    stop(world, "r0", "again")
+    world.run(1.0)
+    replay()
+    world.run(1.0)
+    assert all(stopped(world, name).by == {"r0": "again"} for name in world.names)
+
+
+def test_a_rearm_takes_back_only_what_it_knew_of() -> None:
+    world = World(line(4))
+    world.settle()
+    world.cut("r1", "r2")
+    world.run(NOTICED)
+    stop(world, "r0", "left half")
+    stop(world, "r3", "right half")
+    world.run(NOTICED)
+    arm(world, "r1")
+    world.run(NOTICED)
+    assert not stopped(world, "r0").stopped
+    world.join("r1", "r2")
+    world.run(NOTICED)
+    assert all(stopped(world, name).by == {"r3": "right half"} for name in world.names)
+    arm(world, "r0")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+
+
+def test_who_comes_into_a_stopped_swarm_is_stopped() -> None:
+    world = World(line(3), start=False)
+    world.start("r0")
+    world.start("r1")
+    world.run(1.0)
+    stop(world, "r0")
+    world.run(1.0)
+    world.kill("r0")  # the one who stopped it is gone
+    world.start("r2")
+    world.run(NOTICED)
+    assert stopped(world, "r2").by == {"r0": "smoke"}
+    world.start("r0")
+    world.run(NOTICED)
+    assert stopped(world, "r0").stopped
+    arm(world, "r0")
+    world.run(NOTICED)
+    assert not any(stopped(world, name).stopped for name in world.names)
+
+
+def test_a_stop_of_a_robot_that_forgot_its_earlier_ones_holds() -> None:
+    """Even with its clock gone back: what counts is greater than all that it hears of its own past."""
+    world = World(line(3))
+    world.settle()
+    for _ in range(5):
+        stop(world, "r0")
+        world.run(0.5)
+        arm(world, "r2")
+        world.run(0.5)
+    world.kill("r0")
+    world.clock_error["r0"] = -900.0
+    world.start("r0")
+    world.run(NOTICED)
+    stop(world, "r0", "now")
+    world.run(NOTICED)
+    assert all(stopped(world, name).by == {"r0": "now"} for name in world.names)
+
+
+def test_stops_in_a_loop_do_not_fill_the_links_and_the_last_one_counts() -> None:
+    world = World(line(2))
+    world.settle()
+    for n in range(100):
+        stop(world, "r0", f"{n}")
+        world.run(0.001)
+    assert world.messages[FLOOD] <= 3
+    world.run(SPACING + 0.1)
+    assert stopped(world, "r1").by == {"r0": "99"}
+
+
+def test_a_lost_stop_is_repeated() -> None:
+    world = World(line(2))
+    world.settle()
+    world.loss = 1.0
+    stop(world, "r0")
+    world.run(1.0)
+    assert not stopped(world, "r1").stopped
+    world.loss = 0.0
+    world.run(REPEAT_PERIOD)
+    assert stopped(world, "r1").stopped
+
+
+def test_news_of_strangers_are_refused() -> None:
+    world = World(line(2))
+    world.settle()
+    for halt in (Halt({"r9": (Mark(1, 1), "")}, {}), Halt({}, {"r9": Mark(1, 1)})):
+        (data,) = encode_halts(halt)
+        assert decode_halt(data) == halt
+        world.step(
+            "r0", lambda each, data=data: each.receive("r1", FLOOD, "swarm/r1/mesh/halt", data, CONTROL, world.now)
+        )
+    assert world.bots["r0"].counters["bad_packets"] == 2
+    assert not stopped(world, "r0").stopped

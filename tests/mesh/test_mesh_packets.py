@@ -1,0 +1,163 @@
+"""Packets of the overlays: golden bytes of docs/overlays.md, round trips, and whatever bytes a member may send."""
+
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.mesh.core import packets
+from services.mesh.core.frames import MAX_PAYLOAD
+from services.mesh.core.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
+from services.mesh.core.window import Window
+from swarm.errors import FrameError
+
+DOCUMENT = Path(__file__).parents[2] / "docs/overlays.md"
+
+GOLDEN = {
+    "spread": packets.encode_spread(Spread(0x0006_0000_0000_0001, 7, b"hi", latest=True)),
+    "second": packets.encode_spread(Spread(0x0006_0000_0000_0001, 9, b"hi", echo=True, first=7)),
+    "echo": packets.encode_echo(Echo(0x0006_0000_0000_0001, 7, ("r1", "r2"))),
+    "digest": packets.encode_digests({"r0": (1, 0xAABBCCDD)}, answer=True)[0],
+    "summary": packets.encode_summary(0xAABBCCDD),
+    "halt": packets.encode_halts(Halt({"r2": (Mark(1, 1), "smoke")}, {}))[0],
+    "arm": packets.encode_halts(Halt({}, {"r2": Mark(1, 1)}))[0],
+    "lsa": packets.encode_advertisement(Advertisement({"r1": 300, "r2": 291})),
+    "message": packets.encode_message(Message("r0", "r3", 1, 5, "swarm/r0/app/x/send/r3", b"hi", 32)),
+    "ack": packets.encode_ack(Ack("r3", "r0", 1, 5, refused=False, ttl=32)),
+}
+
+DECODERS: dict[str, Callable[[bytes], object]] = {
+    "spread": packets.decode_spread,
+    "second": packets.decode_spread,
+    "echo": packets.decode_echo,
+    "digest": packets.decode_digest,
+    "summary": packets.decode_summary,
+    "halt": packets.decode_halt,
+    "arm": packets.decode_halt,
+    "lsa": packets.decode_advertisement,
+    "message": packets.decode_message,
+    "ack": packets.decode_ack,
+}
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_bytes_are_those_of_the_document(name: str) -> None:
+    (line,) = re.findall(rf"^{name} +((?:[0-9a-f]{{2}} ?)+)$", DOCUMENT.read_text(), re.MULTILINE)
+    assert GOLDEN[name] == bytes.fromhex(line)
+
+
+names = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)
+u64 = st.integers(0, 2**64 - 1)
+u32 = st.integers(1, 2**32 - 1)
+keys = st.sampled_from(("swarm/r0/app/x/send/r3", "swarm/r3/balancer/set/mode"))
+
+
+spreads = st.one_of(
+    st.builds(Spread, u64, u32, st.binary(max_size=99), st.booleans(), latest=st.just(False), first=st.just(0)),
+    st.builds(Spread, u64, u32, st.binary(max_size=99), st.just(False), latest=st.just(True), first=st.just(0)),
+    st.builds(Spread, u64, st.just(9), st.binary(max_size=9), st.just(True), st.just(False), first=st.integers(1, 8)),
+)
+
+
+@given(spreads)
+def test_spread_round_trip(packet: Spread) -> None:
+    assert packets.decode_spread(packets.encode_spread(packet)) == packet
+
+
+@given(st.builds(Echo, u64, u32, st.lists(names, max_size=30).map(tuple), st.booleans(), st.booleans(),
+                 st.integers(0, 255)))  # fmt: skip
+def test_echo_round_trip(packet: Echo) -> None:
+    assert packets.decode_echo(packets.encode_echo(packet)) == packet
+
+
+def test_an_echo_that_does_not_fit_says_so() -> None:
+    robots = tuple(f"robot-number-{n}" for n in range(1000))
+    data = packets.encode_echo(Echo(1, 1, robots))
+    assert len(data) <= MAX_PAYLOAD
+    echo = packets.decode_echo(data)
+    assert echo.lost
+    assert 0 < len(echo.robots) < 1000
+
+
+@given(st.dictionaries(names, st.tuples(u64, st.integers(0, 2**32 - 1)), max_size=120), st.booleans())
+def test_digests_cover_every_name_once(origins: dict[str, tuple[int, int]], answer: bool) -> None:
+    parts = [packets.decode_digest(data) for data in packets.encode_digests(origins, answer=answer)]
+    assert {name: entry for part in parts for name, entry in part.origins.items()} == origins
+    assert parts[0].low == ""
+    assert parts[-1].high == ""
+    assert [part.high for part in parts[:-1]] == [part.low for part in parts[1:]]
+    for part in parts:
+        assert all(part.low < name and (not part.high or name <= part.high) for name in part.origins)
+
+
+marks = st.builds(Mark, u64, st.integers(0, 2**32 - 1))
+halts = st.builds(
+    Halt,
+    st.dictionaries(names, st.tuples(marks, st.text(max_size=16)), max_size=50),
+    st.dictionaries(names, marks, max_size=50),
+)
+
+
+@given(halts)
+def test_halt_round_trip(halt: Halt) -> None:
+    merged = Halt({}, {})
+    for data in packets.encode_halts(halt):
+        assert len(data) <= MAX_PAYLOAD
+        part = packets.decode_halt(data)
+        merged.stops.update(part.stops)
+        merged.arms.update(part.arms)
+    assert merged == halt
+
+
+@given(st.dictionaries(names, st.integers(0, 65535), max_size=20), st.booleans())
+def test_advertisement_round_trip(neighbours: dict[str, int], leaving: bool) -> None:
+    packet = Advertisement(neighbours, leaving)
+    assert packets.decode_advertisement(packets.encode_advertisement(packet)) == packet
+
+
+@given(st.builds(Message, names, names, u64, u32, keys, st.binary(max_size=99), st.integers(0, 255)))
+def test_message_round_trip(packet: Message) -> None:
+    assert packets.decode_message(packets.encode_message(packet)) == packet
+
+
+@given(st.builds(Ack, names, names, u64, u32, st.booleans(), st.integers(0, 255)))
+def test_ack_round_trip(packet: Ack) -> None:
+    assert packets.decode_ack(packets.encode_ack(packet)) == packet
+
+
+@given(st.binary(max_size=200), st.sampled_from(sorted(DECODERS)))
+def test_any_bytes_raise_frame_errors_only(data: bytes, name: str) -> None:
+    with suppress(FrameError):
+        DECODERS[name](GOLDEN[name][:1] + data)
+    with suppress(FrameError):
+        DECODERS[name](data)
+
+
+@given(st.sampled_from(sorted(DECODERS)), st.data())
+def test_mutated_packets_raise_frame_errors_only(name: str, data: st.DataObject) -> None:
+    mutated = bytearray(GOLDEN[name])
+    for _ in range(data.draw(st.integers(1, 4))):
+        mutated[data.draw(st.integers(0, len(mutated) - 1))] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.integers(0, len(mutated)))
+    for candidate in (bytes(mutated), bytes(mutated[:cut]), bytes(mutated) + b"\0"):
+        with suppress(FrameError):
+            DECODERS[name](candidate)
+
+
+def test_the_header_of_a_flood_is_short() -> None:
+    assert len(packets.encode_spread(Spread(1, 1, b""))) == 14
+
+
+@given(st.lists(st.integers(1, 400)), st.sampled_from((8, 64, 256)))
+def test_a_window_takes_each_number_at_most_once(numbers: list[int], size: int) -> None:
+    window, taken, highest = Window(size), set(), 0
+    for number in numbers:
+        expected = number not in taken and number > highest - size
+        assert window.add(number) is expected
+        highest = max(highest, number)
+        taken.add(number)
+    assert window._bits < 1 << size
