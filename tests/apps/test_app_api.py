@@ -80,6 +80,13 @@ def test_first_values() -> None:
     assert (app.value, app.count, app.on, app.place) == (3.0, -1, True, (1.0, 2.0))
 
 
+def test_floods_and_messages_need_a_bus_and_say_so() -> None:
+    robot = make().robot
+    for call in (lambda: robot.flood(b"x"), lambda: robot.send("r1", b"x")):
+        with pytest.raises(AppError, match="need a bus"):
+            call()
+
+
 def test_defaults_are_not_shared_between_robots() -> None:
     one, two = make(), make()
     one._seen.append(1)
