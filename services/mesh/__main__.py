@@ -18,7 +18,7 @@ from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
 from swarm.bus import Bus
-from swarm.codec import MAX_BINARY, decode, encode
+from swarm.codec import MAX_BINARY, encode
 from swarm.config import Config
 from swarm.errors import PayloadError
 from swarm.keyfile import read_keys
@@ -68,14 +68,6 @@ class _Mesh(Runner):
             self._bus.publish(self._links_key, Links(clock.now(), self.links()))
             self._bus.publish(self._clock_key, Clock(*self.clock()))
 
-    def on_ping(self, key: str, payload: bytes) -> None:
-        """A request of the own bus to measure a link."""
-        try:
-            self.ping(decode(EchoRequest, payload, key))
-        except PayloadError as error:
-            self._counters["refused_requests"] += 1
-            _log.warning("request refused: %s", error)
-
     def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
         if len(payload) <= MAX_BINARY:
             self._bus.publish(key, payload, urgent=urgent)
@@ -95,14 +87,16 @@ class _Commands:
         try:
             message = read(key, payload)
         except PayloadError as error:
-            self._service.counters["refused_payloads"] += 1
-            self._service.log.debug("%s", error)
+            self._service.counters["refused_requests"] += 1
+            self._service.log.warning("request refused: %s", error)
             return
         match message:
             case FloodRequest():
                 self._mesh.ask(lambda each, now: each.request_flood(message, now))
             case SendRequest():
                 self._mesh.ask(lambda each, now: each.request_send(message, now))
+            case EchoRequest():
+                self._mesh.ping(message)
             case Stop(_, origin, reason):
                 self._service.log.warning("stop of the swarm by=%s reason=%s", origin, reason)
                 self._mesh.ask(lambda each, now: each.stop(message, now))
@@ -132,7 +126,6 @@ def main() -> None:
         mesh = _Mesh(node, network, this.bus, this.robot, this.counters)
         for source, expression in enumerate(relay.subscriptions):
             this.bus.subscribe(expression, partial(mesh.publish, source))
-        this.bus.subscribe(key(this.robot, "mesh", "set", "echo"), mesh.on_ping)
         commands = _Commands(this, mesh)
         this.bus.subscribe([STOP, key(this.robot, "mesh", "set", "*")], commands.obey)
         members = key(this.robot, "mesh", "members")

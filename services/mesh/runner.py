@@ -91,13 +91,6 @@ class Runner:
             actions = self._carry_out()
         self._report(actions)
 
-    def ping(self, request: EchoRequest) -> None:
-        """Measure a link; what comes of it is delivered."""
-        with self._lock:
-            self._node.ping(request, clock.now())
-            actions = self._carry_out()
-        self._report(actions)
-
     def ask(self, step: Callable[[Overlays, float], object]) -> None:
         """Something for the overlays; like `publish`."""
         with self._lock:
@@ -109,6 +102,13 @@ class Runner:
         """Something the overlays know."""
         with self._lock:
             return question(self._node.overlays, clock.now())
+
+    def ping(self, request: EchoRequest) -> None:
+        """Measure a link; what comes of it is delivered."""
+        with self._lock:
+            self._node.ping(request, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are."""

@@ -29,7 +29,7 @@ def mesh(top: Table) -> Mesh:
     """The table [mesh]."""
     table = top.table(
         "mesh",
-        ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "metric", "rfcomm_channel", "rfcomm_encrypt"),
+        ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "rfcomm_channel", "rfcomm_encrypt", "metric"),
     )
     normal = Mesh()
     seconds = "a number above 0, in seconds"

@@ -26,11 +26,10 @@ from swarm.keys import key
 from swarm.messages import Echo, EchoRequest, LinkState
 
 _LIMITS = {
-    frames.NEIGHBOURS: frames.MAX_PAYLOAD,
     frames.FLOOD: packets.MAX_SPREAD,
     frames.UNICAST: packets.MAX_MESSAGE,
 }
-"""Longest payload of a relayed value, in bytes, by overlay."""
+"""Longest payload of a value that flood and unicast relay, in bytes."""
 
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
@@ -325,12 +324,13 @@ class Node:
 
     def _send(self, send: Send, now: float) -> None:
         leg, payload = send
-        limit = _LIMITS[leg.overlay]
-        if leg.overlay == frames.NEIGHBOURS and leg.priority == frames.BULK:
-            limit = MAX_MESSAGE
-        if len(payload) > limit:
+        if leg.overlay == frames.NEIGHBOURS:
+            largest = MAX_MESSAGE if leg.priority == frames.BULK else frames.MAX_PAYLOAD
+        else:
+            largest = _LIMITS[leg.overlay]
+        if len(payload) > largest:
             self._counters["too_large"] += 1
-            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {limit} in its class")
+            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class")
             return
         if leg.overlay != frames.NEIGHBOURS:
             if leg.overlay == frames.FLOOD:
@@ -361,6 +361,11 @@ class Node:
             elif type(action) is Received:
                 self._actions.append(action)
 
+    def _on_packet(self, session: Session, event: Received, now: float) -> None:
+        if session.peer is not None:
+            self.overlays.receive(session.peer, event.overlay, event.key, event.payload, event.priority, now)
+            self._serve_overlays()
+
     def _admit(self, peer: str, overlay: int, key: str) -> bool:
         if overlay == frames.NEIGHBOURS:
             admitted = self._relay.admits(peer, key) or peer in (self._pings.get(key), self._pongs.get(key))
@@ -375,15 +380,12 @@ class Node:
         """Turn a session's events into actions and into states of links."""
         for event in session.events():
             if type(event) is Received:
-                if event.overlay == frames.NEIGHBOURS:
-                    if event.key in self._pings or event.key in self._pongs:
-                        self._on_probe(session, event, now)
-                    else:
-                        self._actions.append(event)
-                elif session.peer is not None:
-                    key, payload, priority, overlay = event
-                    self.overlays.receive(session.peer, overlay, key, payload, priority, now)
-                    self._serve_overlays()
+                if event.overlay != frames.NEIGHBOURS:
+                    self._on_packet(session, event, now)
+                elif event.key in self._pings or event.key in self._pongs:
+                    self._on_probe(session, event, now)
+                else:
+                    self._actions.append(event)
             else:
                 self._on_event(session, event, now)
         if session.state == DOWN:

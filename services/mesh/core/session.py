@@ -225,9 +225,9 @@ class Session:
             self._end(frames.BAD_FRAME, f"bad frame: {error}")
 
     def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> bool:
-        """Queue a message for the other end; the link must be up. `key` is the name of the channel (`channels`).
+        """Queue a message for the other end; the link must be up. False = too much bulk waits, come again later.
 
-        False = too much bulk waits, come again later.
+        `key` is the name of the channel (`channels`).
         """
         if not self.is_up:
             raise LocalError(f"the link to {self.peer} is {self.state}")
