@@ -283,9 +283,10 @@ class Bus:
         self._connected.clear()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
-        elif self._opener is not threading.current_thread():
+        if self._opener is not threading.current_thread():
             # A thread that comes back from Zenoh while the interpreter ends aborts the process. With a router it is
-            # back in a moment; without one it stays in Zenoh, where it harms nobody.
+            # back in a moment, even where the session is there and it still declares; without one it stays in Zenoh,
+            # where it harms nobody.
             self._opener.join(_OPENING)
         self._kept.clear()
 
