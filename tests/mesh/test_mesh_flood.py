@@ -428,3 +428,11 @@ def test_what_is_forgotten_does_not_come_back() -> None:
     assert kept.kept("r0") == []
     assert kept.take("r0", "k", packet, BULK) == store.DUPLICATE
     assert kept.take("r0", "k", packet._replace(sequence=4), BULK) == store.NEW
+
+
+def test_what_was_missed_long_ago_is_new_and_what_is_older_than_the_kept_value_is_not() -> None:
+    kept = store.Store()
+    assert kept.take("r0", "often", Spread(1, 500, b"x", latest=True), BULK) == store.NEW
+    assert kept.take("r0", "rare", Spread(1, 3, b"y", latest=True), BULK) == store.NEW
+    assert kept.take("r0", "often", Spread(1, 499, b"older", latest=True), BULK) == store.DUPLICATE
+    assert kept.take("r0", "plain", Spread(1, 4, b"z"), BULK) == store.DUPLICATE

@@ -201,6 +201,14 @@ def test_a_stop_reaches_all_at_the_speed_of_the_links() -> None:
         assert stopped(world, name).by == {"r0": "smoke"}
 
 
+def test_a_stop_costs_no_more_messages_than_a_flood() -> None:
+    world = World(thesis_d())
+    world.settle()
+    stop(world, "r0")
+    world.run(0.5)
+    assert world.messages[FLOOD] == 2 * len(thesis_d()) - (len(world.names) - 1)
+
+
 def test_a_stop_is_repeated_on_the_bus_until_it_is_taken_back() -> None:
     world = World(line(3))
     world.settle()
