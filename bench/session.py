@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from bench.rows import Row
 from services.mesh.core import frames
 from services.mesh.core.auth import Tagger
+from services.mesh.core.clock import MeshClock
 from services.mesh.core.session import Local, Session
 
 KEYS = {1: bytes(range(32))}
@@ -50,7 +51,8 @@ def _best(call: Callable[[], object], number: int = 5000) -> float:
 def _session(robot: str, peer: str, dials: bool, keys: dict[int, bytes]) -> Session:
     local = Local(robot, "lab", 1, not keys, {peer: dials}, frozenset((robot, peer)), keys=keys)
     dialled = peer if dials else None
-    return Session(local, os.urandom(16), 0.0, dialled=dialled, admit=lambda *_: True, counters=Counter())
+    clock = MeshClock(local.robot, local.incarnation, local.robots)
+    return Session(local, os.urandom(16), 0.0, dialled=dialled, admit=lambda *_: True, clock=clock, counters=Counter())
 
 
 def _connect(keys: dict[int, bytes]) -> tuple[Session, Session]:

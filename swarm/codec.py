@@ -19,6 +19,10 @@ from swarm.errors import LocalError, PayloadError
 MAX_PAYLOAD = 64 * 1024
 """Largest payload accepted on the bus, in bytes: messages stay small, files go by other ways."""
 
+MAX_BINARY = 960 * 1024
+"""Largest payload of raw bytes that the bus carries: what one app sends to another. Files go by other ways. A larger
+one would not fit Zenoh's queue, 16 batches of 64 KiB, and be dropped silently."""
+
 Value = float | int | bool | str | tuple[float, ...]
 """What a free-form map on the bus (an app's state, say) may hold."""
 

@@ -46,6 +46,26 @@ class LinkState:
     received: int
     reason: str
     """Why it is down; empty otherwise."""
+    rtt_min: float | None = None
+    """Smallest round-trip time of the heartbeats of the last minute, s; likewise median and 99th percentile."""
+    rtt_median: float | None = None
+    rtt_p99: float | None = None
+    sent_rate: float = 0.0
+    """bytes/s, over the last second or so."""
+    received_rate: float = 0.0
+    sent_bytes: int = 0
+    """Since the service started."""
+    received_bytes: int = 0
+    queue: int = 0
+    """Bytes that wait to leave."""
+    in_flight: int = 0
+    """Bytes that have left and are not acknowledged."""
+    window: int = 0
+    """Bytes that may be in flight before bulk has to wait."""
+    dropped: int = 0
+    """Messages for this neighbour that were lost: the link was down or its queue full."""
+    refused: int = 0
+    """Connections to or from this neighbour that were refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +192,59 @@ class Stopped:
     stopped: bool
     by: dict[str, str]
     """The robots whose stop holds, with its reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The mesh clock C(t') = t' + offset + rate (t' - t), on `swarm/<robot>/mesh/clock`, once a second and on change.
+
+    `swarm.mesh_clock` reads it. It slews, but may step, also backwards, when robots or swarms meet.
+    """
+
+    t: float
+    offset: float
+    """Mesh time minus this robot's monotonic clock at `t`, s."""
+    rate: float
+    """Change of the offset, s/s."""
+    root: str
+    """The robot whose clock it is."""
+    hop: int
+    """Links between that robot and this one."""
+    error: float
+    """Estimated standard deviation from the root's, s; asymmetry of the links cannot be seen and is not in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class EchoRequest:
+    """Measure a link: pings to a neighbour, on `mesh/set/echo`; each answer is an `Echo`."""
+
+    peer: str
+    sequence: int
+    """Given back in the answers."""
+    size: int
+    """Bytes of each ping's payload, at least 11."""
+    count: int = 1
+    """Pings sent at once."""
+    priority: str = "sync"
+    """sync or bulk."""
+    short: bool = False
+    """Whether the answers are short, to measure one direction, or as long as the pings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """An answer to a ping, or why there is none, on `swarm/<robot>/mesh/echo`."""
+
+    t: float
+    peer: str
+    sequence: int
+    index: int
+    """Which of the request's pings, from 0."""
+    size: int
+    rtt: float | None
+    """From handing the ping to the link's queue until its answer was there, s; None where it could not be sent."""
+    reason: str
+    """Why it could not be sent; empty otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,6 +424,9 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "set/flood"): FloodRequest,
     ("mesh", "set/send"): SendRequest,
     ("mesh", "set/arm"): Arm,
+    ("mesh", "clock"): Clock,
+    ("mesh", "echo"): Echo,
+    ("mesh", "set/echo"): EchoRequest,
     ("balancer", "state"): BalancerState,
     ("balancer", "odometry"): Odometry,
     ("balancer", "leds"): Leds,

@@ -11,7 +11,7 @@ import pytest
 from conftest import Processes, wait_until
 
 from swarm.bus import Bus, Router
-from swarm.codec import MAX_PAYLOAD
+from swarm.codec import MAX_BINARY
 from swarm.errors import BusError, LocalError
 from swarm.messages import Leds, read
 from swarm.paths import bus_endpoint
@@ -299,7 +299,7 @@ def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
     nothing = Samples()
     for attempt in (
         lambda: alice.publish(long, b""),
-        lambda: alice.publish("swarm/r0/test/x", bytes(MAX_PAYLOAD + 1)),
+        lambda: alice.publish("swarm/r0/test/x", bytes(MAX_BINARY + 1)),
         lambda: alice.subscribe(long, nothing),
         lambda: alice.ask(long, nothing),
         lambda: alice.serve(long, lambda *_: None),
@@ -308,7 +308,7 @@ def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
     ):
         with pytest.raises(LocalError):
             attempt()
-    talk(alice, "swarm/r0/test/" + "x" * 200, samples, bytes(MAX_PAYLOAD))
+    talk(alice, "swarm/r0/test/" + "x" * 200, samples, bytes(MAX_BINARY))
 
 
 @pytest.mark.parametrize("key", ["", "/swarm", "swarm//x", "swarm/#", "swarm/x?y", "swarm/**/**/$", "swarm/"])

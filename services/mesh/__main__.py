@@ -1,9 +1,11 @@
 """The mesh service: carries chosen keys between this robot's bus and its neighbours'."""
 
+import logging
 import os
 import random
 import threading
 import time
+from collections import Counter
 from functools import partial
 
 from services.mesh.core.dialler import dials
@@ -16,16 +18,16 @@ from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
 from swarm.bus import Bus
-from swarm.codec import encode
+from swarm.codec import MAX_BINARY, encode
 from swarm.config import Config
 from swarm.errors import PayloadError
 from swarm.keyfile import read_keys
 from swarm.keys import STOP, key
-from swarm.messages import Arm, FloodRequest, Links, SendRequest, Stop, read
+from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Links, SendRequest, Stop, read
 from swarm.service import Service
 
 _REPORT_PERIOD = 1.0
-"""s between two publications of `mesh/links` when nothing changes."""
+"""s between two publications of `mesh/links` and `mesh/clock` when nothing changes."""
 
 
 def _local(config: Config, me: str) -> Local:
@@ -44,24 +46,33 @@ def _local(config: Config, me: str) -> Local:
     )
 
 
+_log = logging.getLogger("mesh")
+
+
 class _Mesh(Runner):
     """A runner that publishes its links; the newest state is always the last one published."""
 
-    def __init__(self, node: Node, network: Network, bus: Bus, robot: str) -> None:
+    def __init__(self, node: Node, network: Network, bus: Bus, robot: str, counters: Counter[str]) -> None:
         super().__init__(
             node, listeners=network.listeners, dial=network.dial, deliver=self._to_bus, changed=self.report
         )
         self._bus = bus
+        self._counters = counters
         self._links_key = key(robot, "mesh", "links")
+        self._clock_key = key(robot, "mesh", "clock")
         self._reporting = threading.Lock()
 
     def report(self) -> None:
-        """Publish `mesh/links`."""
+        """Publish `mesh/links` and `mesh/clock`."""
         with self._reporting:
             self._bus.publish(self._links_key, Links(clock.now(), self.links()))
+            self._bus.publish(self._clock_key, Clock(*self.clock()))
 
     def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
-        self._bus.publish(key, payload, urgent=urgent)
+        if len(payload) <= MAX_BINARY:
+            self._bus.publish(key, payload, urgent=urgent)
+        else:
+            self._counters["too_large"] += 1
 
 
 class _Commands:
@@ -76,14 +87,16 @@ class _Commands:
         try:
             message = read(key, payload)
         except PayloadError as error:
-            self._service.counters["refused_payloads"] += 1
-            self._service.log.debug("%s", error)
+            self._service.counters["refused_requests"] += 1
+            self._service.log.warning("request refused: %s", error)
             return
         match message:
             case FloodRequest():
                 self._mesh.ask(lambda each, now: each.request_flood(message, now))
             case SendRequest():
                 self._mesh.ask(lambda each, now: each.request_send(message, now))
+            case EchoRequest():
+                self._mesh.ping(message)
             case Stop(_, origin, reason):
                 self._service.log.warning("stop of the swarm by=%s reason=%s", origin, reason)
                 self._mesh.ask(lambda each, now: each.stop(message, now))
@@ -110,7 +123,7 @@ def main() -> None:
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
-        mesh = _Mesh(node, network, this.bus, this.robot)
+        mesh = _Mesh(node, network, this.bus, this.robot, this.counters)
         for source, expression in enumerate(relay.subscriptions):
             this.bus.subscribe(expression, partial(mesh.publish, source))
         commands = _Commands(this, mesh)

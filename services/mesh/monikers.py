@@ -2,9 +2,10 @@
 
 sim:PATH         a Unix socket with a simulated radio behind it
 tcp:HOST:PORT    Wi-Fi or Ethernet; HOST may be [IPv6]
-rfcomm:ADDRESS   Bluetooth; known, but not in this version
+rfcomm:ADDRESS   Bluetooth Classic; ADDRESS is that of the robot's adapter, XX:XX:XX:XX:XX:XX
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +29,16 @@ class Tcp:
     port: int
 
 
-Moniker = Sim | Tcp
+@dataclass(frozen=True)
+class Rfcomm:
+    """A Bluetooth address."""
+
+    address: str
+
+
+Moniker = Sim | Tcp | Rfcomm
+
+_ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
 
 
 def parse(text: str) -> Moniker:
@@ -39,9 +49,9 @@ def parse(text: str) -> Moniker:
         return Sim(socket_path(path.parent, path.name))
     if kind == "tcp":
         return parse_address(rest, text)
-    if kind == "rfcomm":
-        raise ConfigError(f"link {text!r}: Bluetooth links are not in this version; use tcp:HOST:PORT")
-    raise ConfigError(f"link {text!r}: expected sim:PATH or tcp:HOST:PORT")
+    if kind == "rfcomm" and _ADDRESS.fullmatch(rest):
+        return Rfcomm(rest.upper())
+    raise ConfigError(f"link {text!r}: expected sim:PATH, tcp:HOST:PORT or rfcomm:ADDRESS (XX:XX:XX:XX:XX:XX)")
 
 
 def parse_address(address: str, whole: str) -> Tcp:

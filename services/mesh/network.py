@@ -1,25 +1,34 @@
 """The transports of one robot: where it listens, and how it reaches the neighbours that it dials."""
 
+import logging
 from pathlib import Path
 
 from services.mesh import monikers
 from services.mesh.core.session import Local
-from services.mesh.links import sim, tcp
+from services.mesh.links import pybluez, rfcomm, sim, tcp
 from services.mesh.links.pipe import Pipe
 from services.mesh.runner import Listener
 from swarm.config import Config
-from swarm.errors import ConfigError
+from swarm.errors import ConfigError, LocalError
+
+ANY_ADAPTER = "00:00:00:00:00:00"
+"""BDADDR_ANY: the kernel chooses, for a robot that only calls by Bluetooth and names no adapter."""
+
+_log = logging.getLogger("mesh")
 
 
 class Network:
     """Everything this robot needs to meet its neighbours; `directory` is its runtime directory."""
 
-    def __init__(self, config: Config, local: Local, directory: Path) -> None:
+    def __init__(
+        self, config: Config, local: Local, directory: Path, *, open_bluetooth: rfcomm.Open = rfcomm.open_socket
+    ) -> None:
         self._addresses = {
             peer: monikers.of_robot(config.robot(peer)) for peer, we_dial in local.dials.items() if we_dial
         }
         callers = [peer for peer, we_dial in local.dials.items() if not we_dial]
-        own = monikers.of_robot(config.robot(local.robot)) if callers else None
+        me = config.robot(local.robot)
+        own = monikers.of_robot(me) if callers else None
         listen = config.mesh.listen
         near = [monikers.of_robot(config.robot(peer)) for peer in callers]
         hosts = {moniker.host for moniker in near if isinstance(moniker, monikers.Tcp)}
@@ -28,12 +37,22 @@ class Network:
                 f"{config.path}: [mesh] listen: {', '.join(callers)} will dial {local.robot} over tcp:, "
                 f'so say where it listens, for example "0.0.0.0:{own.port}"'
             )
-        simulated = any(isinstance(each, monikers.Sim) for each in (own, *self._addresses.values()))
-        self._air = sim.Air(local.robot, directory) if simulated else None
+        kinds = {type(each) for each in (own, *self._addresses.values())}
+        self._open_bluetooth = open_bluetooth
+        self._radio = rfcomm.Radio(me.bluetooth or ANY_ADAPTER, config.mesh.rfcomm_channel, config.mesh.rfcomm_encrypt)
+        self._record: pybluez.Record | None = None
+        self._air = sim.Air(local.robot, directory) if monikers.Sim in kinds else None
         self.listeners: list[Listener] = []
         try:
+            if monikers.Rfcomm in kinds:
+                _check_bluetooth(open_bluetooth)
             if isinstance(own, monikers.Sim) and self._air is not None:
                 self.listeners.append(sim.Listener(own.path, self._air))
+            if isinstance(own, monikers.Rfcomm):
+                robots = {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
+                listener = rfcomm.Listener(self._radio, robots, open_socket=open_bluetooth)
+                self.listeners.append(listener)
+                self._record = _advertise(listener)
             if listen is not None:
                 self.listeners.append(tcp.Listener(monikers.parse_address(listen, f"[mesh] listen = {listen}"), hosts))
         except Exception:
@@ -45,12 +64,33 @@ class Network:
         address = self._addresses[peer]
         if isinstance(address, monikers.Tcp):
             return tcp.dial(address)
+        if isinstance(address, monikers.Rfcomm):
+            return rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
         assert self._air is not None
         return sim.dial(address.path, self._air, peer)
 
     def close(self) -> None:
         """Stop listening."""
+        if self._record is not None:
+            self._record.close()
         for listener in self.listeners:
             listener.close()
         if self._air is not None:
             self._air.close()
+
+
+def _check_bluetooth(open_bluetooth: rfcomm.Open) -> None:
+    """Say at the start, not at each dial, that this interpreter or kernel has no Bluetooth."""
+    try:
+        open_bluetooth().close()
+    except OSError as error:
+        raise LocalError(f"rfcomm: links need Bluetooth: {rfcomm.explained(error).strerror}") from None
+
+
+def _advertise(listener: rfcomm.Listener) -> pybluez.Record | None:
+    """A service record, where PyBluez and bluetoothd are there for it; no link needs one."""
+    try:
+        return pybluez.Record(listener.fileno())
+    except (LocalError, OSError) as error:
+        _log.info("no service record: %s", error)
+        return None

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
+from services.mesh.core.clock import ClockState
 from services.mesh.core.events import Received
 from services.mesh.core.frames import BULK
 from services.mesh.core.node import Action, Close, Dial, LinksChanged, Node, Note
@@ -22,7 +23,7 @@ from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
-from swarm.messages import LinkState
+from swarm.messages import EchoRequest, LinkState
 
 _CHUNK = 4096
 """Bytes taken from a session at a time; what is taken can no longer be overtaken."""
@@ -102,10 +103,22 @@ class Runner:
         with self._lock:
             return question(self._node.overlays, clock.now())
 
+    def ping(self, request: EchoRequest) -> None:
+        """Measure a link; what comes of it is delivered."""
+        with self._lock:
+            self._node.ping(request, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
+
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are."""
         with self._lock:
             return self._node.links()
+
+    def clock(self) -> ClockState:
+        """The mesh clock now."""
+        with self._lock:
+            return self._node.clock(clock.now())
 
     def stop(self) -> None:
         """Say goodbye to the neighbours and end all threads."""

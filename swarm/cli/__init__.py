@@ -16,11 +16,12 @@ from typing import NoReturn
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
-VERBS = ("config", "key", "kill")
+VERBS = ("config", "key", "kill", "measure", "mesh")
 """Modules of this package."""
 
 HANDED_ON = {
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
+    "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
 }
 """Verb: its help, and the module and first arguments that it becomes."""

@@ -62,6 +62,8 @@ heartbeat = 0.5            # s between heartbeats
 suspect = 1.5              # s of silence until a link is suspect,
 dead = 3.0                 # and until it is closed and dialled anew
 metric = "hops"            # the shortest way is that of fewest links, or of least measured "time"
+rfcomm_channel = 1         # of Bluetooth, 1 to 30, the same on every robot (bluetoothd -C holds 8)
+rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd and unasked pairing
 
 # ---- Relay: which keys of its own a robot sends to others, where they appear under the same name.
 # What synchronous apps say to each other (swarm/{self}/app/*/sync/...) is relayed without a rule here.

@@ -13,6 +13,9 @@ HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
 """A host name, an IPv4 address or an IPv6 address in brackets, then a port."""
 
 _PATH = re.compile(r"/.*")
+MAX_CHANNEL = 30
+"""RFCOMM has 30 server channels (Bluetooth RFCOMM specification, section 5.4)."""
+
 _UWB_ADDRESS = re.compile(r"[0-9A-Fa-f]{4}")
 _PARAMETER = "a finite number, a 64-bit whole number, true or false, a text or a list of finite numbers"
 
@@ -24,7 +27,10 @@ def is_port(text: str) -> bool:
 
 def mesh(top: Table) -> Mesh:
     """The table [mesh]."""
-    table = top.table("mesh", ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "metric"))
+    table = top.table(
+        "mesh",
+        ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "rfcomm_channel", "rfcomm_encrypt", "metric"),
+    )
     normal = Mesh()
     seconds = "a number above 0, in seconds"
     listen = table.text("listen", None, expected="HOST:PORT", pattern=HOST_PORT)
@@ -38,9 +44,13 @@ def mesh(top: Table) -> Mesh:
         suspect=table.number("suspect", normal.suspect, above=0, expected=seconds),
         dead=table.number("dead", normal.dead, above=0, expected=seconds),
         metric=table.choice("metric", normal.metric, ("hops", "time")),
+        rfcomm_channel=table.count("rfcomm_channel", normal.rfcomm_channel, low=1),
+        rfcomm_encrypt=table.flag("rfcomm_encrypt", normal.rfcomm_encrypt),
     )
     if found.insecure and found.key is not None:
         raise table.error("key", "expected either a key or insecure = true: links with and without never mix")
+    if found.rfcomm_channel > MAX_CHANNEL:
+        raise table.wrong("rfcomm_channel", f"a channel from 1 to {MAX_CHANNEL}")
     if not found.heartbeat < found.suspect < found.dead:
         raise table.error(
             None,

@@ -80,6 +80,10 @@ class Mesh:
     """s of silence until it is closed and dialled anew."""
     metric: str = "hops"
     """What makes a way short: hops, or time (measured)."""
+    rfcomm_channel: int = 1
+    """RFCOMM channel the mesh listens at on every robot, 1 to 30 (bluetoothd -C holds 8)."""
+    rfcomm_encrypt: bool = False
+    """Whether Bluetooth itself encrypts `rfcomm:` links; needs bluetoothd and pairing without questions."""
 
     @property
     def key_file(self) -> Path | None:

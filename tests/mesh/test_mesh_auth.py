@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mesh.core import frames
+from services.mesh.core import flow, frames
 from services.mesh.core.auth import Keys, Tagger, hkdf, newest_common
+from services.mesh.core.clock import Claim, MeshClock, encode_claim
 from services.mesh.core.events import LinkUp, Received
 from services.mesh.core.frames import Bind, Decoder, Heartbeat, Hello
 from services.mesh.core.session import Local, Session
@@ -26,6 +27,7 @@ DIALLER = Hello("lab", "r0", 0x1122334455667788, bytes(range(16)), dialler=True,
 LISTENER = Hello(
     "lab", "r1", 0x99AABBCCDDEEFF00, bytes(range(16, 32)), dialler=False, insecure=False, key_ids=(KEY_ID,)
 )
+SEALED = ("sealed-heartbeat", "sealed-clock", "sealed-ack", "sealed-bind", "sealed-data")
 D, L = frames.encode_hello(DIALLER), frames.encode_hello(LISTENER)
 
 
@@ -39,7 +41,8 @@ def session(robot: str, keys: dict[int, bytes] = KEYS) -> Session:
     hello, peer = (DIALLER, "r1") if robot == "r0" else (LISTENER, "r0")
     local = Local(robot, "lab", hello.incarnation, not keys, {peer: robot == "r0"}, frozenset(("r0", "r1")), keys=keys)
     dialled = peer if robot == "r0" else None
-    return Session(local, hello.nonce, 0.0, dialled=dialled, admit=lambda *_: True, counters=Counter())
+    clock = MeshClock(local.robot, local.incarnation, local.robots)
+    return Session(local, hello.nonce, 0.0, dialled=dialled, admit=lambda *_: True, clock=clock, counters=Counter())
 
 
 def connected(keys: dict[int, bytes] = KEYS, now: float = 0.0) -> tuple[Session, Session]:
@@ -111,7 +114,7 @@ def test_the_golden_bytes_follow_from_the_formulas_of_the_document() -> None:
     confirm_d, confirm_l, frames_d, frames_l = by_the_document()
     assert golden("dialler-confirm") == b"\x21\x00\x02" + confirm_d
     assert golden("listener-confirm") == b"\x21\x00\x02" + confirm_l
-    for count, name in enumerate(("sealed-heartbeat", "sealed-bind", "sealed-data")):
+    for count, name in enumerate(SEALED):
         frame, tag = golden(name)[:-8], golden(name)[-8:]
         assert tag == hashlib.blake2b(struct.pack("<Q", count) + frame, key=frames_d, digest_size=8).digest()
     frame, tag = golden("sealed-bye")[:-8], golden("sealed-bye")[-8:]
@@ -130,7 +133,7 @@ def test_sessions_speak_the_golden_bytes() -> None:
     assert not other.events()
     one.receive(golden("listener-confirm"), 1.0)
     one.send(frames.SYNC, "swarm/r0/dwm/pose", b"\x01\x02\0\0\0", latest=False)
-    expected = golden("sealed-heartbeat") + golden("sealed-bind") + golden("sealed-data")
+    expected = b"".join(golden(name) for name in SEALED)
     assert one.data_to_send(1.0, 4096) == expected
     other.receive(golden("dialler-confirm") + expected, 1.0)
     assert other.events() == [
@@ -147,6 +150,9 @@ def test_sessions_speak_the_golden_bytes() -> None:
 def test_the_examples_are_frames_of_the_codec() -> None:
     tagger = Keys(SECRET, KEY_ID, 1, D, L, dialler=True).outbound
     assert frames.seal(frames.encode_heartbeat(Heartbeat(0, 0, 1_000_000)), tagger) == golden("sealed-heartbeat")
+    own_root = Claim("r0", 0x55667788, 1, 0, False, False, 1.0, 0.0, 0.0, 0.0)
+    assert frames.seal(encode_claim(own_root), tagger) == golden("sealed-clock")
+    assert frames.seal(flow.encode_ack(len(D) + len(golden("dialler-confirm"))), tagger) == golden("sealed-ack")
     assert frames.seal(frames.encode_bind(Bind(0, 0, "swarm/r0/dwm/pose")), tagger) == golden("sealed-bind")
 
 
@@ -333,7 +339,8 @@ def test_a_recorded_connection_cannot_be_played_again() -> None:
     assert [type(event) for event in other.events()] == [LinkUp, Received]
     local = Local("r1", "lab", 5, False, {"r0": False}, frozenset(("r0", "r1")), keys=KEYS)
     counters: Counter[str] = Counter()
-    again = Session(local, bytes(16), 0.0, dialled=None, admit=lambda *_: True, counters=counters)
+    clock = MeshClock(local.robot, local.incarnation, local.robots)
+    again = Session(local, bytes(16), 0.0, dialled=None, admit=lambda *_: True, clock=clock, counters=counters)
     again.receive(record, 0.0)
     assert again.state == "down"
     assert counters == {"refused_key": 1}

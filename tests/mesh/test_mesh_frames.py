@@ -10,6 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core import frames
+from services.mesh.core.clock import Claim, decode_claim, encode_claim
+from services.mesh.core.flow import decode_ack, encode_ack
+from services.mesh.core.fragments import Fragment, decode_fragment, encode_fragment
 from services.mesh.core.frames import Bind, Decoder, Frame, Heartbeat, Hello
 from services.mesh.core.node import COUNTERS
 from swarm.errors import FrameError, LocalError
@@ -23,6 +26,10 @@ GOLDEN = {
     "heartbeat": frames.encode_heartbeat(Heartbeat(1_000_000, 1_030_000, 1_500_000)),
     "bind": frames.encode_bind(Bind(3, frames.NEIGHBOURS, "swarm/r0/dwm/pose")),
     "data": frames.encode_data(frames.SYNC, 3, b"\x01\x02\0\0\0"),
+    "fragment": encode_fragment(Fragment(3, 0, False, 5, b"abc")),
+    "last": encode_fragment(Fragment(3, 1, True, 0, b"de")),
+    "ack": encode_ack(0x01020304),
+    "clock": encode_claim(Claim("r0", 0x11223344, 7, 2, False, True, 1.5, -0.25, 0.0, 0.0009765625)),
 }
 
 DOCUMENT = Path(__file__).parents[2] / "docs/frames.md"
@@ -137,6 +144,9 @@ DECODERS = {
     frames.HEARTBEAT: frames.decode_heartbeat,
     frames.BIND: frames.decode_bind,
     frames.DATA: frames.decode_data,
+    frames.FRAGMENT: decode_fragment,
+    frames.ACK: decode_ack,
+    frames.CLOCK: decode_claim,
 }
 
 
@@ -179,7 +189,7 @@ def test_the_length_is_refused_before_anything_else_is_read(length: int) -> None
 
 @pytest.mark.parametrize(
     ("first", "text"),
-    [(0x00, "kind 0"), (0x07, "kind 7"), (0x0F, "kind 15"), (0x31, "class 3"), (0x46, "class 4")],
+    [(0x00, "kind 0"), (0x0A, "kind 10"), (0x0F, "kind 15"), (0x31, "class 3"), (0x46, "class 4")],
 )
 def test_unknown_kinds_and_classes_are_refused(first: int, text: str) -> None:
     decoder = Decoder()

@@ -14,7 +14,7 @@ from conftest import wait_until
 from services.mesh import monikers
 from services.mesh.links import sim, tcp
 from services.mesh.links.pipe import Pipe
-from services.mesh.monikers import Sim, Tcp
+from services.mesh.monikers import Rfcomm, Sim, Tcp
 from swarm import clock
 from swarm.config.types import Robot
 from swarm.errors import ConfigError, LocalError, SwarmError
@@ -265,14 +265,15 @@ def test_a_port_in_use_is_named() -> None:
 def test_monikers() -> None:
     assert monikers.parse("sim:/tmp/r0/mesh.sock") == Sim(Path("/tmp/r0/mesh.sock"))
     assert monikers.parse("tcp:robot.local:7447") == Tcp("robot.local", 7447)
+    assert monikers.parse("rfcomm:b8:27:eb:00:00:01") == Rfcomm("B8:27:EB:00:00:01")
     assert monikers.parse("tcp:[::1]:7447") == Tcp("::1", 7447)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rfcomm:B8:27:EB:00:00:01", "not in this version"),
-        ("udp:host:1", "expected sim:PATH or tcp:HOST:PORT"),
+        ("rfcomm:B8:27:EB:00:00", "or rfcomm:ADDRESS"),
+        ("udp:host:1", "expected sim:PATH, tcp:HOST:PORT or rfcomm:ADDRESS"),
         ("sim:", "expected sim:PATH"),
         ("sim:/" + "x" * 120, "at most 107"),
         ("tcp:host", "expected HOST:PORT"),
@@ -286,8 +287,7 @@ def test_wrong_monikers_say_what_was_expected(text: str, message: str) -> None:
         monikers.parse(text)
 
 
-def test_a_robot_without_a_link_is_reached_by_bluetooth_which_is_not_there_yet() -> None:
-    with pytest.raises(ConfigError, match="robot r0: link 'rfcomm:B8:27:EB:00:00:01': Bluetooth links are not in"):
-        monikers.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01"))
+def test_a_robot_without_a_link_is_reached_by_bluetooth() -> None:
+    assert monikers.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
     with pytest.raises(ConfigError, match="robot r0: it has neither"):
         monikers.of_robot(Robot("r0"))

@@ -16,6 +16,7 @@ from conftest import Processes, stop, wait_until
 from services.mesh.core import frames
 from services.mesh.core.frames import Hello
 from swarm.bus import Bus, Router
+from swarm.codec import MAX_BINARY
 from swarm.keyfile import new_key_file, read_keys, rotate
 from swarm.messages import LinkState, Status, read
 from swarm.paths import bus_endpoint
@@ -311,7 +312,7 @@ def test_strangers_are_refused_counted_and_logged_once(build: Build, kind: str) 
     assert "Traceback" not in log
 
 
-def test_a_full_link_lets_urgent_messages_pass_and_forgets_old_bulk(build: Build) -> None:
+def test_a_full_link_lets_urgent_messages_pass_and_pushes_bulk_back(build: Build) -> None:
     rule = '[[relay]]\nkeys = "swarm/{self}/app/bulk/*"\nqueue = "all"\n'
     swarm = build(extra=rule, model="latency=0.001,bandwidth=40000")
     swarm.start()
@@ -323,8 +324,8 @@ def test_a_full_link_lets_urgent_messages_pass_and_forgets_old_bulk(build: Build
         nonlocal published
         for _ in range(20):
             published += 1
-            sender.bus.publish("swarm/r0/app/bulk/x", struct.pack("<I", published) + bytes(1000))
-        return "overflowed" in sender.status().counters
+            sender.bus.publish("swarm/r0/app/bulk/x", struct.pack("<I", published) + bytes(20_000))
+        return "pushed_back" in sender.status().counters
 
     wait_until(is_full)
     sender.bus.publish(SYNC.format("r0"), b"urgent")
@@ -334,6 +335,13 @@ def test_a_full_link_lets_urgent_messages_pass_and_forgets_old_bulk(build: Build
     numbers = [struct.unpack_from("<I", payload)[0] for key, payload in receiver.samples if "bulk" in key]
     assert numbers == sorted(set(numbers))
     assert len(numbers) < published
+
+
+def test_the_largest_message_crosses_buses_and_mesh(build: Build) -> None:
+    rule = '[[relay]]\nkeys = "swarm/{self}/app/bulk/*"\nqueue = "all"\n'
+    swarm = build(extra=rule, model="latency=0.001,bandwidth=2000000")
+    swarm.start()
+    swarm.talk("r0", "r1", key="swarm/r0/app/bulk/x", payload=os.urandom(MAX_BINARY))
 
 
 @pytest.mark.parametrize("kind", ["sim", "tcp"])

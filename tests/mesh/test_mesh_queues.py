@@ -22,7 +22,7 @@ pushes = st.tuples(
 
 def pop_all(outbox: Outbox) -> list[tuple[int, str, bytes]]:
     out = []
-    while (message := outbox.pop()) is not None:
+    while (message := outbox.pop(fragment=30_000)) is not None:
         out.append((message.priority, message.key, message.payload))
     return out
 
@@ -36,11 +36,12 @@ def test_no_class_exceeds_its_bounds_and_every_message_is_accounted_for(
     for number, (priority, key, size, latest) in enumerate(steps):
         outbox.push(priority, f"{key}{priority}", bytes(size), latest)
         if pop_every and number % pop_every == 0:
-            popped += outbox.pop() is not None
-        for each, queue in enumerate(outbox._queues):
-            held = sum(len(message.key) + len(message.payload) for message in queue)
+            popped += outbox.pop(fragment=30_000) is not None
+        bulk = [message for queue in outbox._bulk.values() for message in queue]
+        for each, queue in enumerate((*outbox._urgent, bulk)):
+            held = sum(message.size for message in queue)
             assert held == outbox._sizes[each] <= LIMITS[each].size
-            assert len(queue) <= LIMITS[each].messages
+            assert len(queue) == outbox._counts[each] <= LIMITS[each].messages
     popped += len(pop_all(outbox))
     assert popped + counters.total() == len(steps)
     assert not outbox
@@ -121,7 +122,7 @@ def test_an_urgent_message_overtakes_what_waits() -> None:
 
 
 def test_a_message_that_no_frame_holds_is_counted_and_named_once() -> None:
-    world = World([("r0", "r1")], rules=[RelayRule("swarm/{self}/x/*", queue="all")])
+    world = World([("r0", "r1")], rules=[RelayRule("swarm/{self}/x/*", priority="sync", queue="all")])
     world.run(1.0)
     for _ in range(3):
         world.publish("r0", "swarm/r0/x/big", bytes(frames.MAX_PAYLOAD + 1))
@@ -129,7 +130,7 @@ def test_a_message_that_no_frame_holds_is_counted_and_named_once() -> None:
     world.run(0.1)
     bot = world.bots["r0"]
     assert bot.counters["too_large"] == 3
-    assert sum("4086 bytes, the mesh carries at most 4085" in note.text for note in bot.notes) == 1
+    assert sum("4086 bytes, the mesh carries at most 4085 in its class" in note.text for note in bot.notes) == 1
     assert [key for key, _ in world.bots["r1"].inbox] == ["swarm/r0/x/fits"]
 
 

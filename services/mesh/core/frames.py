@@ -21,8 +21,8 @@ VERSION = 1
 
 MAGIC = b"BSWM"
 
-HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA = 1, 2, 3, 4, 5, 6
-"""Kinds of frames. 7 (FRAGMENT) and 8 (ACK) are kept free: docs/frames.md has their layout."""
+HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, FRAGMENT, ACK, CLOCK = 1, 2, 3, 4, 5, 6, 7, 8, 9
+"""Kinds of frames. The bodies of the last three are made in `fragments`, `flow` and `clock`."""
 
 CONTROL, SYNC, BULK = 0, 1, 2
 """Priority classes, most urgent first."""
@@ -62,7 +62,7 @@ _HELLO = struct.Struct(f"<4sBBBBQ{NONCE_SIZE}s")
 _HEARTBEAT = struct.Struct("<QQQ")
 _BIND = struct.Struct("<HB")
 
-_KINDS = frozenset((HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA))
+_KINDS = frozenset((HELLO, CONFIRM, BYE, HEARTBEAT, BIND, DATA, FRAGMENT, ACK, CLOCK))
 _INSECURE, _DIALLER = 1, 2
 
 NEIGHBOURS, FLOOD, UNICAST = 0, 1, 2

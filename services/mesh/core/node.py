@@ -7,25 +7,29 @@ The shell moves bytes between sessions and transports, carries out `actions()`, 
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from services.mesh.core import frames, overlays, packets
+from services.mesh.core import frames, overlays, packets, probe
 from services.mesh.core.actions import Transmit
 from services.mesh.core.callers import MAX_HALF_OPEN, UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
+from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay, Send
 from services.mesh.core.session import CONNECTING, DOWN, REFUSED, SENT, Local, Session
-from swarm.messages import LinkState
+from swarm.codec import encode
+from swarm.errors import FrameError
+from swarm.keys import key
+from swarm.messages import Echo, EchoRequest, LinkState
 
 _LIMITS = {
-    frames.NEIGHBOURS: frames.MAX_PAYLOAD,
     frames.FLOOD: packets.MAX_SPREAD,
     frames.UNICAST: packets.MAX_MESSAGE,
 }
-"""Longest payload of a relayed value, in bytes, by overlay."""
+"""Longest payload of a value that flood and unicast relay, in bytes."""
 
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
@@ -37,8 +41,10 @@ COUNTERS = (
     "byes",
     "half_open",
     "inbound_refused",
+    "incomplete",
     "no_link",
     "overflowed",
+    "pushed_back",
     "replaced",
     "too_large",
     "transport_lost",
@@ -93,6 +99,11 @@ class Link:
         self.sent = 0
         """Frames of earlier connections."""
         self.received = 0
+        self.sent_bytes = 0
+        self.received_bytes = 0
+        self.dropped = 0
+        """Messages lost while the link was down, or in the queues of earlier connections."""
+        self.refused = 0
 
     def state(self) -> LinkState:
         """For the key `mesh/links`."""
@@ -103,7 +114,37 @@ class Link:
             state, rtt = session.state, session.rtt
             sent, received = self.sent + session.sent, self.received + session.received
         reason = self.reason if session is None else ""
-        return LinkState(self.peer, state, self.connection, rtt, sent, received, reason)
+        known = LinkState(
+            self.peer,
+            state,
+            self.connection,
+            rtt,
+            sent,
+            received,
+            reason,
+            sent_bytes=self.sent_bytes,
+            received_bytes=self.received_bytes,
+            dropped=self.dropped,
+            refused=self.refused,
+        )
+        return known if session is None else self._with_session(known, session)
+
+    def _with_session(self, known: LinkState, session: Session) -> LinkState:
+        rtts = sorted(session.rtts)
+        return replace(
+            known,
+            rtt_min=rtts[0] if rtts else None,
+            rtt_median=rtts[len(rtts) // 2] if rtts else None,
+            rtt_p99=rtts[len(rtts) * 99 // 100] if rtts else None,
+            sent_rate=session.sent_rate,
+            received_rate=session.received_rate,
+            sent_bytes=self.sent_bytes + session.sent_bytes,
+            received_bytes=self.received_bytes + session.received_bytes,
+            queue=session.queue.waiting_bytes,
+            in_flight=session.window.in_flight,
+            window=int(session.window.limit),
+            dropped=self.dropped + session.queue.dropped,
+        )
 
 
 class Node:
@@ -129,6 +170,10 @@ class Node:
         self._links = {
             peer: Link(peer, Dialler(random) if dials else None) for peer, dials in sorted(local.dials.items())
         }
+        self._prober = probe.Prober()
+        self._pings = {probe.ping_key(peer): peer for peer in local.dials}
+        self._pongs = {probe.pong_key(peer): peer for peer in local.dials}
+        self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._sessions: list[Session] = []
         self._callers = Callers()
         self._half_open: dict[Session, Caller] = {}
@@ -188,6 +233,23 @@ class Node:
         step(self.overlays, now)
         self._serve_overlays()
 
+    def ping(self, request: EchoRequest, now: float) -> None:
+        """Measure a link; the answers come out of `actions` as messages for the own bus."""
+        link = self._links.get(request.peer)
+        reason = probe.fault(request)
+        if link is None:
+            reason = f"{request.peer} is not a neighbour"
+        elif link.session is None:
+            reason = f"the link to {request.peer} is down"
+        elif not reason:
+            priority, name = probe.CLASSES[request.priority][0], probe.ping_key(self._local.robot)
+            for ping in self._prober.pings(request, now):
+                if not link.session.send(priority, name, ping, latest=False):
+                    reason = f"the queue of the link to {request.peer} is full"
+            self._ready.append(link.session)
+        if reason:
+            self._tell_echo(Echo(now, request.peer, request.sequence, 0, request.size, None, reason))
+
     def handle_timer(self, now: float) -> None:
         """Whatever is due. Call it at `next_deadline` or any other time."""
         for session in tuple(self._sessions):
@@ -239,6 +301,10 @@ class Node:
         """All links as they are, sorted by peer."""
         return tuple(link.state() for link in self._links.values())
 
+    def clock(self, now: float) -> ClockState:
+        """The mesh clock."""
+        return self._clock.state(now)
+
     # -- inside ------------------------------------------------------------------------------------
 
     def _open(self, peer: str | None, now: float, expected: str | None = None) -> Session:
@@ -248,6 +314,7 @@ class Node:
             now,
             dialled=peer,
             admit=self._admit,
+            clock=self._clock,
             counters=self._counters,
             expected=expected,
         )
@@ -257,9 +324,13 @@ class Node:
 
     def _send(self, send: Send, now: float) -> None:
         leg, payload = send
-        if len(payload) > (limit := _LIMITS[leg.overlay]):
+        if leg.overlay == frames.NEIGHBOURS:
+            largest = MAX_MESSAGE if leg.priority == frames.BULK else frames.MAX_PAYLOAD
+        else:
+            largest = _LIMITS[leg.overlay]
+        if len(payload) > largest:
             self._counters["too_large"] += 1
-            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {limit}")
+            self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class")
             return
         if leg.overlay != frames.NEIGHBOURS:
             if leg.overlay == frames.FLOOD:
@@ -273,6 +344,7 @@ class Node:
             session = self._links[peer].session
             if session is None:
                 self._counters["no_link"] += 1
+                self._links[peer].dropped += 1
                 continue
             session.send(leg.priority, leg.key, payload, latest=leg.latest)
             self._ready.append(session)
@@ -289,9 +361,14 @@ class Node:
             elif type(action) is Received:
                 self._actions.append(action)
 
+    def _on_packet(self, session: Session, event: Received, now: float) -> None:
+        if session.peer is not None:
+            self.overlays.receive(session.peer, event.overlay, event.key, event.payload, event.priority, now)
+            self._serve_overlays()
+
     def _admit(self, peer: str, overlay: int, key: str) -> bool:
         if overlay == frames.NEIGHBOURS:
-            admitted = self._relay.admits(peer, key)
+            admitted = self._relay.admits(peer, key) or peer in (self._pings.get(key), self._pongs.get(key))
         else:
             admitted = self.overlays.admits(peer, overlay, key)
         if admitted:
@@ -303,18 +380,34 @@ class Node:
         """Turn a session's events into actions and into states of links."""
         for event in session.events():
             if type(event) is Received:
-                if event.overlay == frames.NEIGHBOURS:
+                if event.overlay != frames.NEIGHBOURS:
+                    self._on_packet(session, event, now)
+                elif event.key in self._pings or event.key in self._pongs:
+                    self._on_probe(session, event, now)
+                else:
                     self._actions.append(event)
-                elif session.peer is not None:
-                    key, payload, priority, overlay = event
-                    self.overlays.receive(session.peer, overlay, key, payload, priority, now)
-                    self._serve_overlays()
             else:
                 self._on_event(session, event, now)
         if session.state == DOWN:
             self._remove(session)
         elif session.wants_to_send:
             self._ready.append(session)
+
+    def _on_probe(self, session: Session, event: Received, now: float) -> None:
+        """A ping that is to be answered, or an answer. One that is no such thing is dropped."""
+        try:
+            if event.key in self._pings:
+                if session.is_up:
+                    name = probe.pong_key(self._local.robot)
+                    session.send(event.priority, name, probe.answer(event.payload), latest=False)
+            elif (echo := self._prober.answered(self._pongs[event.key], event.payload, now)) is not None:
+                self._tell_echo(echo)
+        except FrameError as error:
+            self._counters["inbound_refused"] += 1
+            self._note(f"echo from {session.peer}", f"echo refused peer={session.peer} reason={error}")
+
+    def _tell_echo(self, echo: Echo) -> None:
+        self._actions.append(Received(key(self._local.robot, "mesh", "echo"), encode(echo), frames.SYNC))
 
     def _on_event(
         self,
@@ -360,6 +453,8 @@ class Node:
             if code is not None:
                 self._callers.refused(known, now)
         if code is not None:
+            if session.peer in self._links:
+                self._links[session.peer].refused += 1
             # One line for all strangers: who calls from many addresses must not fill the log.
             self._note(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
         if session.dialled is not None:
@@ -373,12 +468,16 @@ class Node:
         self._remove(old)
 
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
+        self._clock.lost(link.peer)
         link.session = None
         self.overlays.link_down(link.peer, now)
         self._serve_overlays()
         link.reason = reason
         link.sent += session.sent
         link.received += session.received
+        link.sent_bytes += session.sent_bytes
+        link.received_bytes += session.received_bytes
+        link.dropped += session.queue.dropped
         if link.dialler is not None:
             link.dialler.ended(now)
 

@@ -10,13 +10,14 @@ act until the last moment, heartbeats carry the true time, and the counter of th
 wire.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from services.mesh.core import frames
+from services.mesh.core import flow, frames
 from services.mesh.core.auth import Keys, newest_common
 from services.mesh.core.channels import Channels, overlay_of
+from services.mesh.core.clock import MeshClock, decode_claim, encode_claim
 from services.mesh.core.events import (
     Event,
     HandshakeFailed,
@@ -26,8 +27,9 @@ from services.mesh.core.events import (
     LinkUp,
     Received,
 )
-from services.mesh.core.frames import BYE_TEXT, Frame, Heartbeat, Hello
-from services.mesh.core.outbox import Outbox
+from services.mesh.core.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
+from services.mesh.core.frames import BULK, BYE_TEXT, SYNC, Frame, Heartbeat, Hello
+from services.mesh.core.outbox import Message, Outbox, Part
 from swarm.errors import FrameError, LocalError
 
 CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
@@ -40,6 +42,13 @@ _RTT_GAIN = 0.125
 
 _MAX_RTT = 60.0
 """s; a longer sample comes from wrong stamps."""
+
+RTT_SAMPLES = 120
+"""Round-trip times kept, a minute of heartbeats."""
+
+BULK_WRITE = 1000
+"""Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
+for each."""
 
 REFUSED = {
     frames.BAD_FRAME: "bad_frames",
@@ -92,16 +101,18 @@ class Session:
         *,
         dialled: str | None,
         admit: Callable[[str, int, str], bool],
+        clock: MeshClock,
         counters: Counter[str],
         expected: str | None = None,
     ) -> None:
-        """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called.
+        """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called;
+        `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does).
 
-        `expected` names the robot whose address a caller has, where the transport knows it.
         `admit(peer, overlay, key)` says whether that peer may use a channel.
         """
         self._local = local
         self._admit = admit
+        self._clock = clock
         self._counters = counters
         self.dialled = dialled
         self._expected = expected
@@ -110,6 +121,12 @@ class Session:
         self.state = CONNECTING
         self.rtt: float | None = None
         """Smoothed round-trip time, s."""
+        self.rtts: deque[float] = deque(maxlen=RTT_SAMPLES)
+        """Round-trip times of the last heartbeats, s."""
+        self.sent_rate = 0.0
+        """bytes/s over the last heartbeats."""
+        self.received_rate = 0.0
+        self._rated = (now, 0, 0)
         self.sent = 0
         """Frames handed out to be sent."""
         self.received = 0
@@ -117,6 +134,9 @@ class Session:
         self._decoder = frames.Decoder()
         self._events: list[Event] = []
         self._outbox = Outbox(counters)
+        self._window = flow.Window()
+        self._receipts = flow.Receipts()
+        self._reassembly = Reassembly(counters)
         self._channels = Channels()
         self._bound: dict[int, tuple[str, int] | None] = {}
         ids = tuple(sorted(local.keys, reverse=True))
@@ -142,9 +162,31 @@ class Session:
         return self.state in (UP, SUSPECT)
 
     @property
+    def sent_bytes(self) -> int:
+        """Bytes handed out to be sent."""
+        return self._window.sent
+
+    @property
+    def received_bytes(self) -> int:
+        """Bytes taken off the stream."""
+        return self._receipts.taken
+
+    @property
+    def queue(self) -> Outbox:
+        """What waits to leave."""
+        return self._outbox
+
+    @property
+    def window(self) -> flow.Window:
+        """What is under way."""
+        return self._window
+
+    @property
     def wants_to_send(self) -> bool:
         """Whether `data_to_send` has something."""
-        return bool(self._urgent) or self._heartbeat_due or bool(self._outbox)
+        if self._urgent or self._heartbeat_due or (self._receipts.due() and self.is_up):
+            return True
+        return self._outbox.waiting > 0 and self._outbox.leaves(self._window.free(0))
 
     def events(self) -> list[Event]:
         """What happened since the last call."""
@@ -161,6 +203,7 @@ class Session:
         """Bytes from the transport, cut anyhow."""
         if self.state == DOWN:
             return
+        self._receipts.taken += len(data)
         self._decoder.feed(data)
         try:
             while self.state != DOWN and (frame := self._decoder.next()) is not None:
@@ -181,11 +224,14 @@ class Session:
         except FrameError as error:
             self._end(frames.BAD_FRAME, f"bad frame: {error}")
 
-    def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> None:
-        """Queue a message for the other end; the link must be up. `key` is the name of the channel (`channels`)."""
+    def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> bool:
+        """Queue a message for the other end; the link must be up. False = too much bulk waits, come again later.
+
+        `key` is the name of the channel (`channels`).
+        """
         if not self.is_up:
             raise LocalError(f"the link to {self.peer} is {self.state}")
-        self._outbox.push(priority, key, payload, latest)
+        return self._outbox.push(priority, key, payload, latest)
 
     def transport_down(self, reason: str) -> None:
         """The transport is gone; nothing can be sent any more."""
@@ -218,21 +264,48 @@ class Session:
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
         """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
+        outbox, receipts = self._outbox, self._receipts
+        if not (outbox.waiting or self._urgent or self._heartbeat_due or receipts.due()):
+            return b""
         chunks, self._urgent = self._urgent, []
-        size = sum(map(len, chunks))
-        if self._heartbeat_due:
-            self._heartbeat_due = False
-            stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
-            chunks.append(frames.encode_heartbeat(stamps))
-        while size < max_bytes and (message := self._outbox.pop()) is not None:
-            channel, new = self._channels.handle(message.key)
-            if new:
-                chunks.append(frames.encode_bind(frames.Bind(channel, *overlay_of(message.key))))
-            chunks.append(frames.encode_data(message.priority, channel, message.payload))
-            size += len(chunks[-1])
-            self._counters[SENT[message.priority]] += 1
+        size = sum(map(len, chunks)) if chunks else 0
+        bulk = False
+        if self.is_up:
+            beat, self._heartbeat_due = self._heartbeat_due, False
+            if beat:
+                self._beat(chunks, now)
+            if (count := receipts.take(at_once=beat)) is not None:
+                chunks.append(flow.encode_ack(count))
+            window = self._window
+            fragment = window.fragment(now)
+            while size < max_bytes and (item := outbox.pop(window.free(size), fragment)) is not None:
+                part = item if isinstance(item, Part) else None
+                message = item if isinstance(item, Message) else item.message
+                channel, new = self._channels.handle(message.key)
+                if new:
+                    chunks.append(frames.encode_bind(frames.Bind(channel, *overlay_of(message.key))))
+                if part is None:
+                    chunks.append(frames.encode_data(message.priority, channel, message.payload))
+                elif new and part.number:
+                    # So many other keys were used since its last part that the key has lost its handle.
+                    outbox.restart(part)
+                    continue
+                else:
+                    total = 0 if part.number else len(message.payload)
+                    chunks.append(encode_fragment(Fragment(channel, part.number, part.last, total, part.data)))
+                size += len(chunks[-1])
+                if part is None or part.last:
+                    self._counters[SENT[message.priority]] += 1
+                if message.priority == SYNC:
+                    window.busy(now)
+                elif message.priority == BULK:
+                    bulk = True
+                    if size >= BULK_WRITE:
+                        break
         self.sent += len(chunks)
-        return b"".join(chunks) if self._auth is None else self._seal(self._auth, chunks)
+        data = b"".join(chunks) if self._auth is None else self._seal(self._auth, chunks)
+        self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
+        return data
 
     def _seal(self, auth: Keys, chunks: list[bytes]) -> bytes:
         """Tag what comes behind our CONFIRM."""
@@ -246,10 +319,24 @@ class Session:
                 sealed.append(frames.seal(frame, self._tag))
         return b"".join(sealed)
 
+    def _beat(self, chunks: list[bytes], now: float) -> None:
+        """A heartbeat, and what goes with it."""
+        assert self.peer is not None
+        stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
+        chunks += (frames.encode_heartbeat(stamps), encode_claim(self._clock.claim(self.peer, now)))
+        self._reassembly.expire(now)
+        since, sent, received = self._rated
+        if now > since:
+            self.sent_rate = (self.sent_bytes - sent) / (now - since)
+            self.received_rate = (self.received_bytes - received) / (now - since)
+            self._rated = (now, self.sent_bytes, self.received_bytes)
+
     # -- frames of the other end -------------------------------------------------------------------
 
     def _on_data(self, frame: Frame) -> None:
         channel, payload = frames.decode_data(frame.body)
+        if frame.priority == BULK:
+            self._receipts.bulk = True
         try:
             bound = self._bound[channel]
         except KeyError:
@@ -259,6 +346,18 @@ class Session:
         else:
             key, overlay = bound
             self._events.append(Received(key, payload, frame.priority, overlay))
+
+    def _on_fragment(self, frame: Frame, now: float) -> None:
+        fragment = decode_fragment(frame.body)
+        self._receipts.bulk = True
+        if fragment.channel not in self._bound:
+            raise FrameError(f"FRAGMENT on channel {fragment.channel}, which is not bound")
+        bound = self._bound[fragment.channel]
+        if bound is None:
+            self._counters["inbound_refused"] += fragment.number == 0
+        elif (payload := self._reassembly.add(fragment, now)) is not None:
+            key, overlay = bound
+            self._events.append(Received(key, payload, BULK, overlay))
 
     def _on_control(self, frame: Frame, now: float) -> None:
         if frame.kind == frames.BYE:
@@ -273,8 +372,15 @@ class Session:
             if frame.kind != frames.CONFIRM:
                 raise FrameError(f"frame kind {frame.kind} before CONFIRM")
             self._on_confirm(frame, now)
+        elif frame.kind == frames.FRAGMENT:
+            self._on_fragment(frame, now)
+        elif frame.kind == frames.ACK:
+            self._window.on_ack(flow.decode_ack(frame.body), now)
         elif frame.kind == frames.HEARTBEAT:
             self._on_heartbeat(frames.decode_heartbeat(frame.body), now)
+        elif frame.kind == frames.CLOCK:
+            assert self.peer is not None
+            self._clock.hear(self.peer, decode_claim(frame.body), now)
         elif frame.kind == frames.BIND:
             self._on_bind(frames.decode_bind(frame.body))
         else:
@@ -349,10 +455,16 @@ class Session:
         if stamps.echo:
             rtt = ((arrival - stamps.echo) - (stamps.sent - stamps.received)) * 1e-6
             if 0.0 <= rtt <= _MAX_RTT:
+                self.rtts.append(rtt)
                 self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
+                assert self.peer is not None
+                # The peer's clock minus ours: half of what the two directions' stamps differ (RFC 5905, section 8).
+                there_back = (stamps.received - stamps.echo) + (stamps.sent - arrival)
+                self._clock.sample(self.peer, now, rtt, there_back * 0.5e-6)
 
     def _on_bind(self, bind: frames.Bind) -> None:
         assert self.peer is not None
+        self._reassembly.drop(bind.channel)
         admitted = self._admit(self.peer, bind.overlay, bind.key)
         self._bound[bind.channel] = (bind.key, bind.overlay) if admitted else None
 

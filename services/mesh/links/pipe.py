@@ -2,7 +2,8 @@
 
 The rules come from what RFCOMM sockets do (docs/frames.md, sockets): the end of a connection may be an empty read or
 any error, and a read after it may never return. So a socket is not read again after either, and a fault while writing
-only shuts it down: the reading thread finds out, says why, and closes it.
+only shuts it down: the reading thread finds out, says why, and closes it. It finds out even where the socket does not
+become readable (RFCOMM gives an error once, to whoever comes first).
 """
 
 import contextlib
@@ -24,6 +25,8 @@ class Pipe:
         self._arrived: bytes | None = None
         self._rest = b""
         self._shut = False
+        self._over = False
+        self._unwritable = False
         self.fault = ""
         """Why reading or writing failed."""
 
@@ -35,7 +38,7 @@ class Pipe:
 
     def wants_read(self, now: float) -> bool:
         """Whether `read` is to be called when the socket is readable."""
-        return True
+        return not self._over
 
     def read(self, now: float) -> None:
         """Take what is there; `take` gives it."""
@@ -43,12 +46,14 @@ class Pipe:
 
     def take(self, now: float) -> bytes | None:
         """Bytes that have arrived, b"" at the end of the connection, None when there is nothing now."""
+        if self._arrived is None and self._unwritable and not self._over:
+            self._arrived = self._receive()
         data, self._arrived = self._arrived, None
         return data
 
     def next_change(self, now: float) -> float | None:
         """When `take` or `wants_read` may say something else than now, though nothing is read."""
-        return None
+        return now if self._unwritable and not self._over else None
 
     def close(self) -> None:
         """Close the descriptor, when nobody can write any more."""
@@ -58,12 +63,16 @@ class Pipe:
     def _receive(self) -> bytes | None:
         """One read: b"" at the end, for whatever reason; None where nothing was there."""
         try:
-            return self._sock.recv(READ_SIZE)
+            data = self._sock.recv(READ_SIZE)
         except (BlockingIOError, InterruptedError):
-            return None
+            if not self._unwritable:
+                return None
+            data = b""
         except OSError as error:
             self.fault = self.fault or describe(error)
-            return b""
+            data = b""
+        self._over = not data
+        return data
 
     # -- the writers' side, under the mesh's lock ------------------------------------------------------------
 
@@ -80,6 +89,7 @@ class Pipe:
                 return False
             except OSError as error:
                 self.fault = describe(error)
+                self._unwritable = True
                 self.shutdown()
                 break
             self._rest = self._rest[count:]

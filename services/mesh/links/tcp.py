@@ -2,8 +2,10 @@
 
 import socket
 from collections.abc import Collection
+from typing import Any
 
 from services.mesh.core.callers import UNKNOWN, Caller
+from services.mesh.links import stream
 from services.mesh.links.pipe import Pipe, describe
 from services.mesh.monikers import Tcp
 from swarm.errors import LocalError
@@ -21,7 +23,7 @@ def dial(address: Tcp) -> Pipe:
     return _pipe(sock)
 
 
-class Listener:
+class Listener(stream.Listener):
     """Where `tcp:` neighbours reach this robot."""
 
     def __init__(self, address: Tcp, neighbours: Collection[str] = ()) -> None:
@@ -29,24 +31,14 @@ class Listener:
         self._neighbours = frozenset(neighbours)
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         try:
-            self._sock = socket.create_server((address.host, address.port), family=family)
+            sock = socket.create_server((address.host, address.port), family=family, backlog=stream.BACKLOG)
         except OSError as error:
             raise LocalError(f"[mesh] listen: {address.host}:{address.port}: {describe(error)}") from None
-        self._sock.setblocking(False)
+        super().__init__(sock)
 
-    def fileno(self) -> int:
-        """For select."""
-        return self._sock.fileno()
-
-    def accept(self) -> Pipe:
-        """The next caller; raises OSError where it has gone already."""
-        sock, address = self._sock.accept()
+    def _adopt(self, sock: socket.socket, address: Any) -> Pipe:
         source: str = address[0]
         return _pipe(sock, Caller(source, reserved=source in self._neighbours))
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._sock.close()
 
 
 def _pipe(sock: socket.socket, caller: Caller = UNKNOWN) -> Pipe:

@@ -1,0 +1,95 @@
+"""Echoes between two meshes, to measure a link by payload size (`swarm measure`).
+
+A ping is an ordinary message of the `neighbours` overlay under a key that never reaches a bus: the other mesh sends it
+back, whole or only its head, in the same class. So what is measured is what messages of that size meet: queue, window,
+fragments, air.
+"""
+
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from services.mesh.core.fragments import MAX_MESSAGE
+from services.mesh.core.frames import BULK, MAX_PAYLOAD, SYNC
+from swarm.errors import FrameError
+from swarm.keys import key
+from swarm.messages import Echo, EchoRequest
+
+CLASSES: Mapping[str, tuple[int, int]] = {"sync": (SYNC, MAX_PAYLOAD), "bulk": (BULK, MAX_MESSAGE)}
+"""Class and largest size by the name in a request."""
+
+MAX_COUNT = 256
+"""Pings of one request."""
+
+FORGET = 30.0
+"""s after which an answer is no longer waited for."""
+
+_HEAD = struct.Struct("<QHB")
+_SHORT = 1
+
+MIN_SIZE = _HEAD.size
+
+
+def ping_key(robot: str) -> str:
+    """Under which a robot's pings travel."""
+    return key(robot, "mesh", "ping")
+
+
+def pong_key(robot: str) -> str:
+    """Under which a robot's answers travel."""
+    return key(robot, "mesh", "pong")
+
+
+class _Sent(NamedTuple):
+    at: float
+    size: int
+
+
+class Prober:
+    """The pings of one robot that wait for their answers."""
+
+    def __init__(self) -> None:
+        self._sent: dict[tuple[str, int, int], _Sent] = {}
+
+    def pings(self, request: EchoRequest, now: float) -> list[bytes]:
+        """What to send for a request that `fault` finds nothing wrong with."""
+        for name in [name for name, sent in self._sent.items() if now >= sent.at + FORGET]:
+            del self._sent[name]
+        flags = _SHORT if request.short else 0
+        padding = bytes(request.size - MIN_SIZE)
+        for index in range(request.count):
+            self._sent[request.peer, request.sequence, index] = _Sent(now, request.size)
+        return [_HEAD.pack(request.sequence, index, flags) + padding for index in range(request.count)]
+
+    def answered(self, peer: str, payload: bytes, now: float) -> Echo | None:
+        """An answer came; None where nobody waits for it any more. Raises `FrameError`."""
+        sequence, index, _ = _head(payload)
+        sent = self._sent.pop((peer, sequence, index), None)
+        return None if sent is None else Echo(now, peer, sequence, index, sent.size, now - sent.at, "")
+
+
+def fault(request: EchoRequest) -> str:
+    """What is wrong with a request; empty where nothing is."""
+    if request.priority not in CLASSES:
+        return f"class {request.priority!r}: expected {' or '.join(CLASSES)}"
+    largest = CLASSES[request.priority][1]
+    if not MIN_SIZE <= request.size <= largest:
+        return f"size {request.size}: {MIN_SIZE} to {largest} bytes are allowed in class {request.priority}"
+    if not 1 <= request.count <= MAX_COUNT or request.count * request.size > MAX_MESSAGE:
+        return f"count {request.count}: 1 to {MAX_COUNT}, together at most {MAX_MESSAGE} bytes"
+    if not 0 <= request.sequence < 1 << 63:
+        return f"sequence {request.sequence}: expected 0 to 2^63 - 1"
+    return ""
+
+
+def answer(payload: bytes) -> bytes:
+    """What goes back for a ping. Raises `FrameError`."""
+    _, _, flags = _head(payload)
+    return payload[:MIN_SIZE] if flags & _SHORT else payload
+
+
+def _head(payload: bytes) -> tuple[int, int, int]:
+    if len(payload) < MIN_SIZE:
+        raise FrameError(f"an echo of {len(payload)} bytes: it has at least {MIN_SIZE}")
+    sequence, index, flags = _HEAD.unpack_from(payload)
+    return sequence, index, flags

@@ -1,0 +1,56 @@
+"""`swarm discover`: Bluetooth devices in range, and which of them are robots of the swarm.
+
+For writing a swarm.toml, and for seeing what a radio sees. Needs PyBluez (python3-bluez).
+"""
+
+import argparse
+import json
+import sys
+
+from services.mesh.links import pybluez
+from swarm.config import load
+from swarm.errors import ConfigError, LocalError
+
+
+def main() -> None:
+    """Print what answers an inquiry."""
+    parser = argparse.ArgumentParser(prog="swarm discover", description="Bluetooth devices in range, by PyBluez.")
+    parser.add_argument("--seconds", type=float, default=8 * pybluez.INQUIRY_UNIT, metavar="S", help="(10.24)")
+    parser.add_argument("--services", action="store_true", help="ask each of them for a mesh: slow")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    arguments = parser.parse_args()
+    try:
+        lines = _lines(arguments)
+    except LocalError as error:
+        sys.exit(f"swarm: {error}")
+    except OSError as error:
+        sys.exit(f"swarm: no Bluetooth inquiry: {error}")
+    for line in lines:
+        sys.stdout.write(line + "\n")
+
+
+def _lines(arguments: argparse.Namespace) -> list[str]:
+    robots = _robots()
+    lines = []
+    for found in pybluez.discover(arguments.seconds, ask_services=arguments.services):
+        robot = robots.get(found.address)
+        if arguments.json:
+            shown = {"address": found.address, "name": found.name, "robot": robot, "channel": found.channel}
+            lines.append(json.dumps(shown))
+        else:
+            mesh = f"mesh on channel {found.channel}" if found.channel is not None else ""
+            lines.append(f"{found.address}  {robot or '-':<16}  {found.name:<24}  {mesh}".rstrip())
+    return lines
+
+
+def _robots() -> dict[str, str]:
+    """Known addresses, where there is a swarm.toml."""
+    try:
+        config = load()
+    except ConfigError:
+        return {}
+    return {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
+
+
+if __name__ == "__main__":
+    main()

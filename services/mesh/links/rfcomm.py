@@ -1,0 +1,123 @@
+"""`rfcomm:` links, over Bluetooth Classic, by the sockets of the standard library.
+
+Once connected they are pipes like those of TCP; what is special is how they are made and what their errors mean. Who
+calls is known by its Bluetooth address, so a caller must be the robot that has it. An address can be forged, of course:
+the check keeps honest robots apart, the key keeps strangers out.
+"""
+
+import errno
+import socket
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from services.mesh.core.callers import Caller
+from services.mesh.links import stream
+from services.mesh.links.pipe import Pipe, describe
+from swarm.errors import LocalError
+
+DIAL_TIMEOUT = 10.0
+"""s. The kernel gives up an absent robot after 5.2 s with EHOSTDOWN, which says more than a time-out; encryption with
+nobody to answer for the pairing (no bluetoothd) hangs for ever."""
+
+SOL_BLUETOOTH = 274
+BT_SECURITY = 4
+SECURITY_MEDIUM = 2
+"""From linux/net/bluetooth/bluetooth.h; Python has no names for them. Medium = encrypted, paired without asking."""
+
+_SECURITY = struct.Struct("BB")
+"""struct bt_security: level, key size (0 = the kernel's choice)."""
+
+Open = Callable[[], socket.socket]
+
+HINTS = {
+    errno.EHOSTUNREACH: "the own Bluetooth adapter is not there or switched off (bluetoothctl list)",
+    errno.EHOSTDOWN: "not in range, or switched off",
+    errno.EBUSY: "an earlier connection to it has not ended yet",
+    errno.ECONNREFUSED: "it is there, but no mesh listens on that channel",
+    errno.EACCES: "it refuses to pair for encryption",
+    errno.EADDRINUSE: "something else listens on that channel (bluetoothd -C holds channel 8)",
+    errno.EAFNOSUPPORT: "this kernel has no Bluetooth",
+    errno.EPROTONOSUPPORT: "this kernel has no RFCOMM (modprobe rfcomm)",
+}
+"""What an error of an RFCOMM socket means for us, as measured on Linux 6.12 (docs/frames.md, sockets)."""
+
+
+@dataclass(frozen=True)
+class Radio:
+    """This robot's side of all its RFCOMM links."""
+
+    adapter: str
+    """Address of the own adapter, as the config has it: XX:XX:XX:XX:XX:XX."""
+    channel: int = 1
+    """RFCOMM channel of the mesh on every robot, 1 to 30."""
+    encrypt: bool = False
+    """Whether the links are to be encrypted by Bluetooth itself, which needs bluetoothd on both robots."""
+
+
+def open_socket() -> socket.socket:
+    """A new RFCOMM socket; `LocalError` where this interpreter was built without them."""
+    if not hasattr(socket, "AF_BLUETOOTH"):
+        raise LocalError(
+            "this Python was built without Bluetooth sockets (AF_BLUETOOTH): run the mesh with Debian's python3, "
+            "for example from a venv made by: /usr/bin/python3 -m venv --system-site-packages VENV"
+        )
+    return socket.socket(socket.AF_BLUETOOTH, socket.SOCK_STREAM, socket.BTPROTO_RFCOMM)
+
+
+def dial(radio: Radio, address: str, *, open_socket: Open = open_socket) -> Pipe:
+    """Connect to the robot with that Bluetooth address; raises OSError whose text says what it means."""
+    sock = None
+    try:
+        sock = open_socket()
+        _prepare(sock, radio)
+        # Channel 0: any; only the adapter matters.
+        sock.bind((radio.adapter, 0))
+        sock.settimeout(DIAL_TIMEOUT)
+        sock.connect((address, radio.channel))
+    except OSError as error:
+        if sock is not None:
+            sock.close()
+        raise explained(error) from None
+    return Pipe(sock)
+
+
+class Listener(stream.Listener):
+    """Where `rfcomm:` neighbours reach this robot."""
+
+    def __init__(self, radio: Radio, robots: Mapping[str, str], *, open_socket: Open = open_socket) -> None:
+        """`robots` has the name of the robot of each known Bluetooth address."""
+        self._robots = {address.upper(): name for address, name in robots.items()}
+        sock = None
+        try:
+            sock = open_socket()
+            _prepare(sock, radio)
+            sock.bind((radio.adapter, radio.channel))
+            sock.listen(stream.BACKLOG)
+        except OSError as error:
+            if sock is not None:
+                sock.close()
+            raise LocalError(
+                f"Bluetooth {radio.adapter} channel {radio.channel}: {explained(error).strerror}"
+            ) from None
+        super().__init__(sock)
+
+    def _adopt(self, sock: socket.socket, address: Any) -> Pipe:
+        who = str(address[0]).upper()
+        return Pipe(sock, Caller(who, robot=self._robots.get(who, "")))
+
+
+def _prepare(sock: socket.socket, radio: Radio) -> None:
+    """Settings that must be there before connect or listen."""
+    if radio.encrypt:
+        sock.setsockopt(SOL_BLUETOOTH, BT_SECURITY, _SECURITY.pack(SECURITY_MEDIUM, 0))
+
+
+def explained(error: OSError) -> OSError:
+    """The same error with a text that says what it means here. A time-out of Python's own has no number."""
+    text = describe(error)
+    if error.errno is None and isinstance(error, TimeoutError):
+        return OSError(errno.ETIMEDOUT, f"no answer within {DIAL_TIMEOUT:g} s")
+    hint = HINTS.get(error.errno or 0)
+    return OSError(error.errno or 0, f"{text}: {hint}" if hint else text)

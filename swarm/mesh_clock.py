@@ -1,0 +1,52 @@
+"""The swarm's common time, as apps and services use it: `MeshClock(bus, robot).now()`.
+
+The mesh service relates the robots' monotonic clocks and publishes the relation once a second (docs/keys.md, Clock);
+here it is applied. No time server is needed, and mesh time has nothing to do with the time of day.
+"""
+
+import logging
+
+from swarm import clock
+from swarm.bus import Bus
+from swarm.codec import decode
+from swarm.errors import PayloadError
+from swarm.keys import key
+from swarm.messages import Clock
+
+_log = logging.getLogger("mesh_clock")
+
+
+def mesh_time(state: Clock, monotonic: float) -> float:
+    """Mesh time at a time of the robot's monotonic clock, s."""
+    return monotonic + state.offset + state.rate * (monotonic - state.t)
+
+
+def monotonic_time(state: Clock, mesh: float) -> float:
+    """The robot's monotonic clock when it will be (or was) that mesh time, s: for deadlines."""
+    return (mesh - state.offset + state.rate * state.t) / (1.0 + state.rate)
+
+
+class MeshClock:
+    """Reads one robot's mesh clock from its bus."""
+
+    def __init__(self, bus: Bus, robot: str) -> None:
+        self._key = key(robot, "mesh", "clock")
+        self.state: Clock | None = None
+        """The newest message; None until the first has come, at most a second after the mesh is there."""
+        bus.subscribe(self._key, self._receive)
+
+    def now(self) -> float | None:
+        """Mesh time, s; None as long as the mesh has not told it. Where the mesh has died, its last word holds on."""
+        state = self.state
+        return None if state is None else mesh_time(state, clock.now())
+
+    def monotonic(self, mesh: float) -> float | None:
+        """When, on the robot's monotonic clock, it will be that mesh time."""
+        state = self.state
+        return None if state is None else monotonic_time(state, mesh)
+
+    def _receive(self, key: str, payload: bytes) -> None:
+        try:
+            self.state = decode(Clock, payload, key)
+        except PayloadError as error:
+            _log.warning("%s", error)

@@ -1,0 +1,114 @@
+"""Two sessions joined by a link of a certain latency and bandwidth, under virtual time."""
+
+import heapq
+import itertools
+import random
+from collections import Counter
+from collections.abc import Callable
+
+from services.mesh.core.clock import MeshClock
+from services.mesh.core.delay import AirModel, DelayLine
+from services.mesh.core.events import Received
+from services.mesh.core.session import Local, Session
+
+
+class Side:
+    """One end: its session, the socket's queue before it, and what has come."""
+
+    def __init__(self, name: str, peer: str, dialled: bool, line: DelayLine) -> None:
+        self.counters: Counter[str] = Counter()
+        local = Local(name, "lab", 1, insecure=True, dials={peer: dialled}, robots=frozenset((name, peer)))
+        self.session = Session(
+            local,
+            bytes(16),
+            0.0,
+            dialled=peer if dialled else None,
+            admit=lambda *_: True,
+            clock=MeshClock(name, 1, frozenset((name, peer))),
+            counters=self.counters,
+        )
+        self.line = line
+        self.socket: list[bytes] = []
+        self.inbox: list[tuple[float, Received]] = []
+        self.written = 0
+        self.wakes_at = -1.0
+
+
+class Link:
+    """The link. `sndbuf` bytes fit between a session and the air, as in the kernel's socket."""
+
+    def __init__(
+        self,
+        *,
+        latency: float = 0.03,
+        jitter: float = 0.0,
+        bandwidth: float | None = 78_000.0,
+        sndbuf: int = 50_000,
+        seed: int = 1,
+    ) -> None:
+        model = AirModel(latency, jitter, bandwidth)
+        draw = random.Random(seed)
+        self.sndbuf = sndbuf
+        self.now = 0.0
+        self._schedule: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self.a = Side("a", "b", True, DelayLine(model, draw.gauss))
+        self.b = Side("b", "a", False, DelayLine(model, draw.gauss))
+        self._timers: dict[Side, float | None] = {self.a: None, self.b: None}
+        for side in (self.a, self.b):
+            self.work(side)
+        self.run(1.0)
+        assert self.a.session.is_up
+        assert self.b.session.is_up
+
+    def other(self, side: Side) -> Side:
+        return self.b if side is self.a else self.a
+
+    def at(self, time: float, call: Callable[[], None]) -> None:
+        heapq.heappush(self._schedule, (time, next(self._order), call))
+
+    def send(self, side: Side, priority: int, key: str, payload: bytes, latest: bool = False) -> bool:
+        taken = side.session.send(priority, key, payload, latest=latest)
+        self.work(side)
+        return taken
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        end = self.now + seconds
+        while self._schedule and self._schedule[0][0] <= end and not until():
+            self.now, _, call = heapq.heappop(self._schedule)
+            call()
+        if not until():
+            self.now = end
+
+    def work(self, side: Side) -> None:
+        """Move what can be moved: from the session into the socket, from there onto the air."""
+        session = side.session
+        for event in session.events():
+            if isinstance(event, Received):
+                side.inbox.append((self.now, event))
+        while sum(map(len, side.socket)) < self.sndbuf and (data := session.data_to_send(self.now, 4096)):
+            side.socket.append(data)
+            side.written += len(data)
+        line, receiver = self.other(side).line, self.other(side)
+        # The air takes the bytes at its own pace: each write when those before it have passed.
+        if self.now >= side.wakes_at:
+            side.wakes_at = -1.0
+        while side.socket and line.free_at <= self.now:
+            data = side.socket.pop(0)
+            line.push(data, self.now)
+            self.at(line._last_arrival, lambda data=data: self._arrive(receiver, data))  # type: ignore[misc]
+        if side.socket and side.wakes_at < self.now:
+            side.wakes_at = line.free_at
+            self.at(line.free_at, lambda: self.work(side))
+        deadline = session.next_deadline()
+        if deadline is not None and deadline != self._timers[side]:
+            self._timers[side] = deadline
+            self.at(max(deadline, self.now), lambda: self._timer(side))
+
+    def _timer(self, side: Side) -> None:
+        side.session.handle_timer(self.now)
+        self.work(side)
+
+    def _arrive(self, side: Side, data: bytes) -> None:
+        side.session.receive(data, self.now)
+        self.work(side)

@@ -1,0 +1,379 @@
+"""The mesh clock under virtual time: how well robots agree, who leads, what happens when it is lost or restarted."""
+
+import heapq
+import itertools
+import random
+import statistics
+from collections.abc import Callable
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mesh_world import World
+
+from services.mesh.core import clock, frames
+from services.mesh.core.clock import Claim, LinkClock, MeshClock, decode_claim, encode_claim
+from swarm.core.graph import Graph
+from swarm.errors import FrameError
+from swarm.mesh_clock import mesh_time, monotonic_time
+from swarm.messages import Clock
+
+
+class Clocks:
+    """Robots with crystals of their own and links with delays; heartbeats as the sessions send them."""
+
+    def __init__(
+        self, graph: Graph, *, seed: int = 1, latency: float = 0.03, jitter: float = 0.01, skew: float = 30e-6
+    ) -> None:
+        self.random = random.Random(seed)
+        self.graph = graph
+        self.latency, self.jitter = latency, jitter
+        self.rate = {name: 1.0 + self.random.uniform(-skew, skew) for name in graph.names}
+        self.since = {name: self.random.uniform(0.0, 1000.0) for name in graph.names}
+        self.clocks = {name: self.new(name, 1) for name in graph.names}
+        self.now = 0.0
+        self.dead: set[str] = set()
+        self.down: set[tuple[str, str]] = set()
+        self.stamps: dict[tuple[str, str], tuple[float, float]] = {}
+        self.arrival: dict[tuple[str, str], float] = {}
+        self.schedule: list[tuple[float, int, Callable[[], None]]] = []
+        self.order = itertools.count()
+        for a, b in graph.edges:
+            for pair in ((a, b), (b, a)):
+                self.at(self.random.uniform(0.0, 0.5), lambda pair=pair: self.beat(*pair))  # type: ignore[misc]
+
+    def new(self, name: str, incarnation: int) -> MeshClock:
+        return MeshClock(name, incarnation, frozenset(self.graph.names))
+
+    def at(self, time: float, call: Callable[[], None]) -> None:
+        heapq.heappush(self.schedule, (time, next(self.order), call))
+
+    def monotonic(self, name: str) -> float:
+        return self.since[name] + self.rate[name] * self.now
+
+    def open(self, sender: str, receiver: str) -> bool:
+        pair = (min(sender, receiver), max(sender, receiver))
+        return pair not in self.down and not {sender, receiver} & self.dead
+
+    def beat(self, sender: str, receiver: str) -> None:
+        self.at(self.now + 0.5, lambda: self.beat(sender, receiver))
+        if not self.open(sender, receiver):
+            return
+        t1, t2 = self.stamps.get((sender, receiver), (0.0, 0.0))
+        t3 = self.monotonic(sender)
+        claim = self.clocks[sender].claim(receiver, t3)
+        claim = decode_claim(encode_claim(claim)[3:])
+        delay = max(self.random.gauss(self.latency, self.jitter), 0.012)
+        arrival = max(self.now + delay, self.arrival.get((sender, receiver), 0.0))
+        self.arrival[sender, receiver] = arrival
+        self.at(arrival, lambda: self.arrive(sender, receiver, (t1, t2, t3), claim))
+
+    def arrive(self, sender: str, receiver: str, stamps: tuple[float, float, float], claim: Claim) -> None:
+        if not self.open(sender, receiver):
+            return
+        t4 = self.monotonic(receiver)
+        t1, t2, t3 = stamps
+        self.stamps[receiver, sender] = (t3, t4)
+        if t1:
+            offset = ((t2 - t1) + (t3 - t4)) / 2
+            self.clocks[receiver].sample(sender, t4, (t4 - t1) - (t3 - t2), offset)
+        self.clocks[receiver].hear(sender, claim, t4)
+
+    def run(self, seconds: float, every: float = 1.0, look: Callable[[], None] = lambda: None) -> None:
+        end, next_look = self.now + seconds, self.now + every
+        while True:
+            event = self.schedule[0][0] if self.schedule else end
+            if next_look <= min(event, end):
+                self.now = next_look
+                look()
+                next_look += every
+            elif event <= end:
+                self.now, _, call = heapq.heappop(self.schedule)
+                call()
+            else:
+                self.now = end
+                return
+
+    def part(self, *pairs: tuple[str, str]) -> None:
+        """Links go down, and both ends know."""
+        self.down.update(pairs)
+        for a, b in pairs:
+            self.clocks[a].lost(b)
+            self.clocks[b].lost(a)
+
+    def kill(self, name: str) -> None:
+        self.dead.add(name)
+        for other in self.clocks.values():
+            other.lost(name)
+
+    def times(self) -> dict[str, float]:
+        """Every living robot's mesh time at this moment."""
+        times = {}
+        for name in self.graph.names:
+            if name not in self.dead:
+                now = self.monotonic(name)
+                times[name] = now + self.clocks[name].state(now).offset
+        return times
+
+    def spread(self, *names: str) -> float:
+        times = [time for name, time in self.times().items() if not names or name in names]
+        return max(times) - min(times)
+
+    def roots(self) -> set[str]:
+        return {
+            self.clocks[name].state(self.monotonic(name)).root for name in self.graph.names if name not in self.dead
+        }
+
+
+def shaped(shape: str, robots: int = 6) -> Graph:
+    return Graph.of_shape(shape, [f"r{number}" for number in range(robots)])
+
+
+@pytest.mark.parametrize("shape", ["line", "loop", "thesis-d"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_robots_agree_to_some_milliseconds(shape: str, seed: int) -> None:
+    """30 +- 10 ms links, crystals +- 30 ppm: at most 6 ms mean and 12 ms worst between any two robots."""
+    world = Clocks(shaped(shape), seed=seed)
+    world.run(120.0)
+    spreads: list[float] = []
+    world.run(240.0, 1.0, lambda: spreads.append(world.spread()))
+    assert world.roots() == {"r0"}
+    assert statistics.mean(spreads) < 0.006
+    assert max(spreads) < 0.012
+
+
+def test_without_jitter_they_agree_to_a_fraction_of_a_millisecond() -> None:
+    world = Clocks(shaped("line"), jitter=0.0)
+    world.run(150.0)
+    assert world.spread() < 0.001
+
+
+def test_what_a_robot_says_of_its_error_is_about_right() -> None:
+    world = Clocks(shaped("line"))
+    world.run(120.0)
+    errors, claimed = [], []
+
+    def look() -> None:
+        times = world.times()
+        errors.append(times["r5"] - times["r0"])
+        claimed.append(world.clocks["r5"].state(world.monotonic("r5")).error)
+
+    world.run(240.0, 1.0, look)
+    actual = statistics.fmean(error * error for error in errors) ** 0.5
+    assert actual / 3 < statistics.mean(claimed) < actual * 3
+
+
+def test_hops_count_links_to_the_root() -> None:
+    world = Clocks(shaped("line"))
+    world.run(20.0)
+    assert [world.clocks[f"r{n}"].state(world.monotonic(f"r{n}")).hop for n in range(6)] == [0, 1, 2, 3, 4, 5]
+
+
+def test_after_the_first_meeting_mesh_time_only_slews() -> None:
+    world = Clocks(shaped("loop"))
+    world.run(30.0)
+    before: dict[str, tuple[float, float]] = {}
+
+    def look() -> None:
+        for name, time in world.times().items():
+            if name in before:
+                t, c = before[name]
+                assert abs((time - c) - (world.now - t)) <= (clock.MAX_SLEW + 60e-6) * (world.now - t) + 1e-6
+            before[name] = (world.now, time)
+
+    world.run(60.0, 0.1, look)
+
+
+def test_when_the_root_is_lost_the_next_name_goes_on_with_the_same_time() -> None:
+    world = Clocks(shaped("loop"))
+    world.run(60.0)
+    before = {name: time - world.now for name, time in world.times().items()}
+    world.kill("r0")
+    world.run(4.0)
+    assert world.roots() == {"r0"}, "not given up yet"
+    world.run(10.0)
+    assert world.roots() == {"r1"}
+    world.run(30.0)
+    for name, time in world.times().items():
+        assert abs(time - world.now - before[name]) < 0.02
+    assert world.spread() < 0.012
+
+
+def test_a_root_started_anew_takes_over_the_time_of_the_others() -> None:
+    world = Clocks(shaped("line"))
+    world.run(60.0)
+    before = world.times()["r5"] - world.now
+    world.kill("r0")
+    world.run(20.0)
+    world.dead.clear()
+    world.clocks["r0"] = world.new("r0", 2)
+    world.since["r0"] = 5.0 - world.now  # its machine was switched off, too
+    world.run(8.0)
+    assert world.roots() == {"r1"}
+    assert world.spread() < 0.05
+    world.run(30.0)
+    assert world.roots() == {"r0"}
+    assert world.spread() < 0.02
+    assert abs(world.times()["r5"] - world.now - before) < 0.02
+
+
+def test_a_root_process_started_anew_at_once_is_followed_again() -> None:
+    world = Clocks(shaped("line"))
+    world.run(60.0)
+    before = world.times()["r5"] - world.now
+    world.clocks["r0"] = world.new("r0", 2)
+    world.run(40.0)
+    assert world.roots() == {"r0"}
+    assert world.spread() < 0.02
+    assert abs(world.times()["r5"] - world.now - before) < 0.02
+
+
+def test_parts_that_meet_again_follow_the_smaller_root() -> None:
+    world = Clocks(shaped("line"))
+    world.part(("r2", "r3"))
+    world.run(40.0)
+    assert world.roots() == {"r0", "r3"}
+    assert world.spread("r0", "r1", "r2") < 0.02
+    assert world.spread("r3", "r4", "r5") < 0.02
+    left = world.times()["r0"] - world.now
+    world.down.clear()
+    world.run(40.0)
+    assert world.roots() == {"r0"}
+    assert world.spread() < 0.02
+    assert abs(world.times()["r0"] - world.now - left) < 0.002
+
+
+def test_a_small_difference_is_slewed_when_parts_meet() -> None:
+    world = Clocks(shaped("line", 4), jitter=0.0, skew=0.0)
+    world.run(30.0)
+    world.part(("r1", "r2"))
+    world.run(20.0)
+    for name in ("r2", "r3"):
+        world.clocks[name]._offset += 0.05
+    world.down.clear()
+    spreads: list[float] = []
+    world.run(150.0, 1.0, lambda: spreads.append(world.spread()))
+    assert spreads[10] > 0.03
+    assert spreads[-1] < 0.002
+    assert all(after <= before + 0.002 for before, after in itertools.pairwise(spreads))
+
+
+@given(st.lists(st.tuples(st.sampled_from(["part", "join", "kill", "start"]), st.integers(0, 8)), max_size=8))
+def test_whatever_happens_every_part_ends_with_its_smallest_robot_as_root(steps: list[tuple[str, int]]) -> None:
+    world = Clocks(shaped("thesis-d"), jitter=0.0)
+    world.run(3.0)
+    for number, (what, which) in enumerate(steps):
+        edge, name = world.graph.edges[which], world.graph.names[which % 6]
+        if what == "part":
+            world.part(edge)
+        elif what == "join":
+            world.down.discard(edge)
+        elif what == "kill":
+            world.kill(name)
+        elif name in world.dead:
+            world.dead.discard(name)
+            world.clocks[name] = world.new(name, number + 2)
+        world.run(1.3)
+    world.run(30.0)
+    alive = [name for name in world.graph.names if name not in world.dead]
+    edges = [edge for edge in world.graph.edges if edge not in world.down and not world.dead & set(edge)]
+    for part in Graph(alive, edges).components():
+        for name in part:
+            assert world.clocks[name].state(world.monotonic(name)).root == min(part)
+        assert world.spread(*part) < 0.02
+
+
+def test_a_neighbours_reboot_is_seen_at_its_first_sample() -> None:
+    link = LinkClock()
+    for number in range(100):
+        link.add(number * 0.5, 0.06, 1000.0)
+    link.add(60.0, 0.06, 3.0)
+    assert link.fit is not None
+    assert link.fit.offset_at(60.0) == 3.0
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-100e-6, 100e-6))
+def test_a_straight_line_is_found(offset: float, skew: float) -> None:
+    link = LinkClock()
+    for number in range(200):
+        link.add(number * 0.5, 0.06, offset + skew * number * 0.5)
+    assert link.fit is not None
+    assert link.fit.offset_at(100.0) == pytest.approx(offset + skew * 100.0, abs=1e-6)
+
+
+def test_the_longest_delays_are_not_used() -> None:
+    link, draw = LinkClock(), random.Random(1)
+    for number in range(200):
+        queue = draw.choice((0.0, 0.0, 0.0, 0.5))  # other traffic in one direction
+        link.add(number * 0.5, 0.06 + queue, 7.0 + queue / 2)
+    assert link.fit is not None
+    assert link.fit.offset_at(100.0) == pytest.approx(7.0)
+
+
+# -- on the wire --
+
+claims = st.builds(
+    Claim,
+    root=st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True),
+    incarnation=st.integers(0, 2**32 - 1),
+    epoch=st.integers(0, 2**32 - 1),
+    hop=st.integers(0, 255),
+    child=st.booleans(),
+    settled=st.booleans(),
+    at=st.integers(0, 2**40).map(lambda microseconds: microseconds * 1e-6),
+    offset=st.floats(-1e10, 1e10),
+    rate=st.floats(-(2.0**-11), 2.0**-11, width=32),
+    error=st.floats(0.0, 1e9, width=32),
+)
+
+
+@given(claims)
+def test_claims_round_trip(claim: Claim) -> None:
+    decoded = decode_claim(encode_claim(claim)[3:])
+    assert decoded._replace(at=0.0) == claim._replace(at=0.0)
+    assert decoded.at == pytest.approx(claim.at, abs=2e-6)
+
+
+@given(st.binary(max_size=80))
+def test_any_bytes_raise_frame_errors_only(body: bytes) -> None:
+    with suppress(FrameError):
+        decode_claim(body)
+
+
+@pytest.mark.parametrize("field", ["offset", "rate", "error"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30])
+def test_numbers_that_would_poison_the_clock_are_refused(field: str, value: float) -> None:
+    claim = Claim("r0", 1, 1, 0, False, True, 1.0, 0.0, 0.0, 0.0)._replace(**{field: value})
+    with pytest.raises(FrameError, match="out of bounds"):
+        decode_claim(encode_claim(claim)[3:])
+
+
+def test_robots_that_are_not_of_the_swarm_are_never_root() -> None:
+    own = MeshClock("r1", 1, frozenset(("r1", "r2")))
+    own.sample("r2", 1.0, 0.06, 5.0)
+    own.hear("r2", Claim("a0", 1, 9, 0, False, True, 6.0, 0.0, 0.0, 0.0), 1.0)
+    assert own.state(1.1).root == "r1"
+
+
+def test_sessions_carry_it() -> None:
+    world = World([("r0", "r1"), ("r1", "r2")])
+    world.run(20.0)
+    states = [world.bots[name].node.clock(world.now) for name in ("r0", "r1", "r2")]
+    assert [(state.root, state.hop) for state in states] == [("r0", 0), ("r0", 1), ("r0", 2)]
+    # All robots of this world share one monotonic clock.
+    assert all(abs(state.offset) < 1e-3 for state in states)
+    world.kill("r0")
+    world.run(8.0)
+    assert [world.bots[name].node.clock(world.now).root for name in ("r1", "r2")] == ["r1", "r1"]
+
+
+def test_a_clock_frame_is_short() -> None:
+    claim = Claim("r0", 1, 1, 0, False, True, 1.0, 0.0, 0.0, 0.0)
+    assert len(encode_claim(claim)) + frames.TAG_SIZE <= 48
+
+
+@given(st.floats(0.0, 1e6), st.floats(-1e6, 1e6), st.floats(-500e-6, 500e-6), st.floats(0.0, 100.0))
+def test_mesh_time_and_back(t: float, offset: float, rate: float, later: float) -> None:
+    state = Clock(t, offset, rate, "r0", 1, 0.001)
+    assert monotonic_time(state, mesh_time(state, t + later)) == pytest.approx(t + later, abs=1e-6)

@@ -1,0 +1,224 @@
+"""Echoes between meshes, what links tell of themselves, and the commands `swarm mesh` and `swarm measure`."""
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import suppress
+
+import pytest
+from conftest import Processes, wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+from mesh_world import World
+
+from services.mesh.core import probe
+from services.mesh.core.frames import SYNC
+from services.mesh.core.probe import Prober
+from swarm.bus import Router
+from swarm.cli import mesh
+from swarm.cli.mesh import View
+from swarm.codec import decode
+from swarm.config.types import RelayRule
+from swarm.errors import FrameError
+from swarm.messages import Clock, Echo, EchoRequest, Links, LinkState
+from swarm.paths import bus_endpoint
+
+
+def echoes(world: World, robot: str) -> list[Echo]:
+    key = f"swarm/{robot}/mesh/echo"
+    return [decode(Echo, payload, key) for each, payload in world.bots[robot].inbox if each == key]
+
+
+def ping(world: World, robot: str, request: EchoRequest) -> list[Echo]:
+    world.bots[robot].inbox.clear()
+    world.step(robot, lambda node: node.ping(request, world.now))
+    world.run(1.0)
+    return echoes(world, robot)
+
+
+@pytest.mark.parametrize("priority", ["sync", "bulk"])
+@pytest.mark.parametrize("size", [11, 1000, 4085])
+def test_a_ping_comes_back_after_a_round_trip_and_reaches_no_bus(priority: str, size: int) -> None:
+    world = World([("r0", "r1")], latency=0.03)
+    world.run(1.0)
+    (echo,) = ping(world, "r0", EchoRequest("r1", 7, size, priority=priority))
+    assert echo.rtt == pytest.approx(0.06, abs=0.001)
+    assert (echo.peer, echo.sequence, echo.index, echo.size) == ("r1", 7, 0, size)
+    assert not world.bots["r1"].inbox
+
+
+def test_many_pings_are_numbered_and_short_answers_are_short() -> None:
+    world = World([("r0", "r1")])
+    world.run(1.0)
+    before = world.link("r1", "r0").sent_bytes
+    found = ping(world, "r0", EchoRequest("r1", 1, 1000, count=20, priority="bulk", short=True))
+    assert [echo.index for echo in found] == list(range(20))
+    assert world.link("r1", "r0").sent_bytes - before < 3000
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (EchoRequest("r9", 1, 50), "r9 is not a neighbour"),
+        (EchoRequest("r1", 1, 10), "size 10: 11 to 4085"),
+        (EchoRequest("r1", 1, 5000), "size 5000: 11 to 4085 bytes are allowed in class sync"),
+        (EchoRequest("r1", 1, 50, count=0), "count 0"),
+        (EchoRequest("r1", 1, 65536, count=256, priority="bulk"), "together at most"),
+        (EchoRequest("r1", 1, 50, priority="control"), "class 'control': expected sync or bulk"),
+        (EchoRequest("r1", -1, 50), "sequence -1"),
+    ],
+)
+def test_what_cannot_be_pinged_is_said(request_: EchoRequest, reason: str) -> None:
+    world = World([("r0", "r1")])
+    world.run(1.0)
+    (echo,) = ping(world, "r0", request_)
+    assert echo.rtt is None
+    assert reason in echo.reason
+
+
+def test_a_link_that_is_down_is_said() -> None:
+    world = World([("r0", "r1")])
+    world.run(1.0)
+    world.kill("r1")
+    world.run(1.0)
+    (echo,) = ping(world, "r0", EchoRequest("r1", 1, 50))
+    assert echo.reason == "the link to r1 is down"
+
+
+@given(st.binary(max_size=40), st.booleans())
+def test_any_echo_is_answered_or_refused(payload: bytes, first: bool) -> None:
+    with suppress(FrameError):
+        assert probe.answer(payload) in (payload, payload[: probe.MIN_SIZE])
+    with suppress(FrameError):
+        assert Prober().answered("r1", payload, 0.0) is None
+
+
+def test_bad_echoes_are_counted_and_harm_nothing() -> None:
+    world = World([("r0", "r1")])
+    world.run(1.0)
+    (session,) = world.bots["r0"].ends
+    session.send(SYNC, "swarm/r0/mesh/ping", b"short", latest=False)
+    session.send(SYNC, "swarm/r0/mesh/pong", b"", latest=False)
+    session.send(SYNC, "swarm/r1/mesh/ping", bytes(11), latest=False)
+    world.run(1.0)
+    assert world.bots["r1"].counters["inbound_refused"] == 3
+    assert world.all_up()
+
+
+def test_answers_that_never_come_are_forgotten() -> None:
+    prober = Prober()
+    for number in range(100):
+        prober.pings(EchoRequest("r1", number, 50, count=10), number * 1.0)
+    assert len(prober._sent) <= 10 * (probe.FORGET + 1)
+
+
+# -- what a link tells --
+
+
+def test_a_link_tells_its_round_trips_rates_and_losses() -> None:
+    world = World([("r0", "r1")], latency=0.03, rules=[RelayRule("swarm/{self}/x/*", queue="all")])
+    world.publish("r0", "swarm/r0/x/a", b"before there is a link")
+    world.run(10.0)
+    link = world.link("r0", "r1")
+    assert link.dropped == 1
+    assert link.rtt_min == pytest.approx(0.06, abs=0.001)
+    assert link.rtt_min <= link.rtt_median <= link.rtt_p99
+    assert 50 < link.sent_rate < 500
+    for number in range(80):
+        world.publish("r0", f"swarm/r0/x/{number}", bytes(20_000))
+    link = world.link("r0", "r1")
+    assert link.queue > 1_000_000
+    assert link.in_flight <= link.window + 2000
+    assert link.dropped > 1
+    world.run(0.5)
+    assert world.link("r1", "r0").received_bytes > 10_000
+    world.kill("r1")
+    world.run(1.0)
+    down = world.link("r0", "r1")
+    assert (down.queue, down.in_flight, down.rtt_median, down.sent_rate) == (0, 0, None, 0.0)
+    assert down.sent_bytes >= link.sent_bytes
+
+
+# -- swarm mesh --
+
+
+def link(peer: str, state: str = "up", rtt: float | None = 0.06) -> LinkState:
+    return LinkState(peer, state, 1, rtt, 5, 5, "" if state == "up" else "host is down", rtt, rtt, rtt)
+
+
+def test_the_table_and_the_graph() -> None:
+    views = {
+        "r0": View(Links(1.0, (link("r1"),)), Clock(1.0, 0.0, 0.0, "r0", 0, 0.0)),
+        "r1": View(Links(1.0, (link("r0"), link("r2", "down", None))), Clock(1.0, 0.0, 0.0, "r0", 1, 0.0012)),
+        "r2": View(),
+    }
+    text = "\n".join(mesh.table(views))
+    assert "r0+1 ±1.2 ms" in text
+    assert "host is down" in text
+    assert "silent" in text
+    graph = mesh.graph(views)
+    assert graph[1].split() == ["r0", ".", "60.0", "-"]
+    assert graph[2].split() == ["r1", "60.0", ".", "x"]
+    assert graph[3].split() == ["r2", "-", "x", "."]
+    assert graph[-1] == "3 robots, 1 of 2 links up, median round trip 60.0 ms; 2 parts: r0 r1; r2"
+    assert mesh.as_json(views)["parts"] == [["r0", "r1"], ["r2"]]
+
+
+def test_a_large_swarm_is_a_list() -> None:
+    names = [f"r{number:02}" for number in range(20)]
+    views = {
+        name: View(Links(1.0, tuple(link(peer) for peer in names if abs(int(peer[1:]) - int(name[1:])) == 1)), None)
+        for name in names
+    }
+    graph = mesh.graph(views)
+    assert graph[1] == "r01: r00 60.0, r02 60.0"
+    assert graph[-1].endswith("19 of 19 links up, median round trip 60.0 ms, diameter 19")
+
+
+def test_commands_ask_running_meshes(processes: Processes) -> None:
+    runtime = processes.runtime
+    config = runtime / "swarm.toml"
+    config.write_text(
+        f'network = "test"\n[[robots]]\nname = "r0"\nlink = "sim:{runtime}/r0/mesh.sock"\n'
+        f'[[robots]]\nname = "r1"\nlink = "sim:{runtime}/r1/mesh.sock"\n'
+        '[topology]\nshape = "line"\n[mesh]\ninsecure = true\n'
+    )
+    routers = []
+    for name in ("r0", "r1"):
+        (runtime / name).mkdir()
+        routers.append(Router(bus_endpoint(runtime / name)))
+    environment = {"SWARM_CONFIG": str(config), "SWARM_ROBOT": "r0", "SWARM_RUNTIME": str(runtime / "r0")}
+    for name in ("r0", "r1"):
+        place = {"SWARM_ROBOT": name, "SWARM_RUNTIME": str(runtime / name), "SWARM_SIM_LINK": "latency=0.005"}
+        processes.start_ready("-m", "services.mesh", **{**environment, **place})
+
+    def swarm(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", "from swarm.cli import main; main()", *arguments],
+            env={**os.environ, **environment, "MPLCONFIGDIR": str(runtime)},
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+
+    wait_until(lambda: swarm("mesh").returncode == 0, timeout=30, what="the link is up")
+    shown = json.loads(swarm("mesh", "--json").stdout)
+    assert shown["robots"]["r0"]["links"][0]["state"] == "up"
+    assert shown["robots"]["r0"]["clock"]["root"] == "r0"
+    plot = runtime / "rtt.png"
+    done = swarm("measure", "rtt", "r1", "--count", "3", "--sizes", "50,1000", "--json", "--plot", str(plot))
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)["sizes"]
+    assert [(each["size"], each["samples"]) for each in figures] == [(50, 3), (1000, 3)]
+    assert all(each["rtt_min"] >= 0.01 for each in figures)
+    assert plot.stat().st_size > 1000
+    done = swarm("measure", "throughput", "r1", "--count", "1", "--sizes", "500")
+    assert done.returncode == 0, done.stderr
+    assert "payload B/s" in done.stdout
+    wrong = swarm("measure", "rtt", "r7", "--count", "1")
+    assert wrong.returncode == 2
+    assert wrong.stderr == "swarm: r7 is not a neighbour\n"
+    processes.end()
+    for router in routers:
+        router.close()

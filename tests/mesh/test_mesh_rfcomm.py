@@ -1,0 +1,349 @@
+"""RFCOMM links over a stand-in socket family with the faults of the real one (docs/frames.md, sockets).
+
+Neither this kernel nor CI's has Bluetooth; what a stand-in cannot show is range, pairing and the real stack.
+"""
+
+import os
+import random
+import select
+import socket
+import types
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from conftest import wait_until
+from rfcomm_air import RfcommAir
+
+from services.mesh.core import frames
+from services.mesh.core.callers import UNKNOWN, Caller
+from services.mesh.core.dialler import dials
+from services.mesh.core.frames import Hello
+from services.mesh.core.node import Node
+from services.mesh.core.overlays import Overlays
+from services.mesh.core.relay import Relay
+from services.mesh.core.session import Local
+from services.mesh.links import pybluez, rfcomm
+from services.mesh.links.pipe import Pipe
+from services.mesh.links.rfcomm import Radio
+from services.mesh.network import Network
+from services.mesh.runner import Runner
+from swarm import clock
+from swarm.config import parse
+from swarm.errors import LocalError
+
+A, B, C = (f"B8:27:EB:00:00:0{digit}" for digit in "ABC")
+STRANGER = "00:11:22:33:44:55"
+
+
+@pytest.fixture
+def air() -> Iterator[RfcommAir]:
+    made = RfcommAir(A, B)
+    yield made
+    for sock in made.sockets:
+        sock.close()
+
+
+@pytest.fixture
+def listener(air: RfcommAir) -> Iterator[rfcomm.Listener]:
+    made = rfcomm.Listener(Radio(B), {A.lower(): "r0"}, open_socket=air.open)
+    yield made
+    made.close()
+
+
+def dial(air: RfcommAir, adapter: str = A, **radio: object) -> Pipe:
+    return rfcomm.dial(Radio(adapter, **radio), B, open_socket=air.open)  # type: ignore[arg-type]
+
+
+def accept(listener: rfcomm.Listener) -> Pipe:
+    wait_until(lambda: select.select([listener], [], [], 0)[0])
+    return listener.accept()
+
+
+def read(pipe: Pipe) -> bytes:
+    """What the mesh's thread would get next, without waiting longer than a test may."""
+    found: list[bytes] = []
+
+    def look() -> bool:
+        now = clock.now()
+        if pipe.wants_read(now) and select.select([pipe], [], [], 0)[0]:
+            pipe.read(now)
+        if (data := pipe.take(now)) is not None:
+            found.append(data)
+        return bool(found)
+
+    wait_until(look)
+    return found[0]
+
+
+def write(pipe: Pipe, data: bytes) -> None:
+    pipe.offer(data)
+    assert pipe.flush()
+
+
+# -- each row of the table --
+
+
+def test_bytes_pass_and_the_caller_is_known_by_its_address(air: RfcommAir, listener: rfcomm.Listener) -> None:
+    near, far = dial(air), accept(listener)
+    assert (near.caller, far.caller) == (UNKNOWN, Caller(A, robot="r0"))
+    write(near, b"ping")
+    assert read(far) == b"ping"
+    write(far, b"pong")
+    assert read(near) == b"pong"
+
+
+def test_an_unknown_address_stands_for_no_robot(air: RfcommAir, listener: rfcomm.Listener) -> None:
+    air.adapters.add(STRANGER)
+    dial(air, STRANGER)
+    assert accept(listener).caller == Caller(STRANGER, robot="")
+
+
+def test_the_end_is_a_reset_after_the_last_bytes_and_nothing_is_read_after_it(
+    air: RfcommAir, listener: rfcomm.Listener
+) -> None:
+    near, far = dial(air), accept(listener)
+    write(far, b"last words")
+    far.close()
+    assert read(near) == b"last words"
+    assert read(near) == b""
+    assert near.fault == "connection reset by peer"
+    assert not near.wants_read(clock.now())
+    assert near.next_change(clock.now()) is None
+    assert near.take(clock.now()) is None
+
+
+def test_a_reset_that_the_writer_meets_first_still_ends_the_connection(
+    air: RfcommAir, listener: rfcomm.Listener
+) -> None:
+    near, far = dial(air), accept(listener)
+    far.close()
+    write(near, b"into the void")
+    assert near.fault == "connection reset by peer"
+    assert near.next_change(5.0) == 5.0, "the reader is to look, though its read would wait for ever"
+    assert read(near) == b""
+
+
+def test_a_lost_radio_is_a_time_out(air: RfcommAir, listener: rfcomm.Listener) -> None:
+    near, far = dial(air), accept(listener)
+    next(sock for sock in air.sockets if sock.fileno() == near.fileno()).silent = True
+    write(far, b"wake")
+    assert read(near) == b""
+    assert near.fault == "connection timed out"
+
+
+def test_a_full_socket_waits_without_an_error(air: RfcommAir, listener: rfcomm.Listener) -> None:
+    near, _ = dial(air), accept(listener)
+    for _ in range(1000):
+        near.offer(bytes(4000))
+        if not near.flush():
+            break
+    else:
+        pytest.fail("the socket never filled")
+    assert not near.fault
+
+
+@pytest.mark.parametrize(
+    ("prepare", "message"),
+    [
+        (lambda air: air.out_of_range.add(B), "host is down: not in range"),
+        (lambda air: air.listening.clear(), "connection refused: it is there, but no mesh listens on that channel"),
+        (lambda air: air.pairs.add((A, B)), "device or resource busy: an earlier connection"),
+        (lambda air: air.adapters.discard(A), "no route to host: the own Bluetooth adapter is not there"),
+    ],
+)
+def test_why_a_dial_failed_is_said(
+    air: RfcommAir, listener: rfcomm.Listener, prepare: Callable[[RfcommAir], object], message: str
+) -> None:
+    prepare(air)
+    with pytest.raises(OSError, match=message):
+        dial(air)
+    assert all(sock.fileno() < 0 for sock in air.sockets[1:]), "the socket of a failed dial is closed"
+
+
+def test_pythons_own_time_out_has_a_text_too(air: RfcommAir, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hang(*_: object) -> None:
+        raise TimeoutError("timed out")
+
+    monkeypatch.setattr("rfcomm_air.RfcommSocket.connect", hang)
+    with pytest.raises(OSError, match="no answer within 10 s"):
+        dial(air)
+
+
+def test_a_taken_channel_is_named(air: RfcommAir, listener: rfcomm.Listener) -> None:
+    with pytest.raises(LocalError, match=f"Bluetooth {B} channel 1: address already in use.*holds channel 8"):
+        rfcomm.Listener(Radio(B), {}, open_socket=air.open)
+    rfcomm.Listener(Radio(B, channel=2), {}, open_socket=air.open).close()
+
+
+def test_an_unknown_adapter_is_named(air: RfcommAir) -> None:
+    with pytest.raises(LocalError, match=f"Bluetooth {C} channel 1: no route to host: the own Bluetooth adapter"):
+        rfcomm.Listener(Radio(C), {}, open_socket=air.open)
+
+
+def test_encryption_is_asked_for_before_connecting_and_listening(air: RfcommAir) -> None:
+    rfcomm.Listener(Radio(B, encrypt=True), {}, open_socket=air.open)
+    dial(air, encrypt=True)
+    assert [sock.security for sock in air.sockets] == [b"\x02\x00", b"\x02\x00"]
+
+
+# -- this interpreter, this kernel --
+
+
+def test_an_interpreter_without_bluetooth_says_which_one_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(socket, "AF_BLUETOOTH", raising=False)
+    with pytest.raises(LocalError, match=r"built without Bluetooth sockets.*python3 -m venv --system-site-packages"):
+        rfcomm.open_socket()
+
+
+@pytest.mark.skipif(hasattr(socket, "AF_BLUETOOTH"), reason="this Python has Bluetooth")
+def test_a_mesh_that_needs_bluetooth_says_at_once_that_there_is_none(runtime: Path) -> None:
+    with pytest.raises(LocalError, match="built without Bluetooth sockets"):
+        Network(parse(CONFIG, Path("swarm.toml")), local("r0"), runtime)
+
+
+def test_a_kernel_without_bluetooth_is_named(runtime: Path) -> None:
+    def nothing() -> socket.socket:
+        raise OSError(97, "Address family not supported by protocol")
+
+    with pytest.raises(LocalError, match=r"rfcomm: links need Bluetooth: .*this kernel has no Bluetooth"):
+        Network(parse(CONFIG, Path("swarm.toml")), local("r0"), runtime, open_bluetooth=nothing)
+
+
+# -- meshes over it --
+
+CONFIG = f"""\
+network = "lab"
+[[robots]]
+name = "r0"
+bluetooth = "{A}"
+[[robots]]
+name = "r1"
+bluetooth = "{B}"
+[topology]
+shape = "line"
+[mesh]
+insecure = true
+"""
+
+
+def local(me: str) -> Local:
+    config = parse(CONFIG, Path("swarm.toml"))
+    return Local(
+        me,
+        "lab",
+        random.getrandbits(64),
+        insecure=True,
+        dials={peer: dials(config.robot(me), config.robot(peer)) for peer in config.neighbours(me)},
+        robots=frozenset(config.names),
+    )
+
+
+class Mesh:
+    """A whole mesh of one robot over the stand-in."""
+
+    def __init__(self, name: str, air: RfcommAir, directory: Path) -> None:
+        config, own = parse(CONFIG, Path("swarm.toml")), local(name)
+        self.network = Network(config, own, directory, open_bluetooth=air.open)
+        self.counters: Counter[str] = Counter()
+        node = Node(
+            own,
+            Relay(name, tuple(own.dials), config.relay),
+            Overlays(name, config.names, incarnation=1, random=random.random, counters=self.counters),
+            random=random.random,
+            nonce=lambda: os.urandom(16),
+            counters=self.counters,
+        )
+        self.inbox: list[tuple[str, bytes]] = []
+        self.runner = Runner(
+            node,
+            listeners=self.network.listeners,
+            dial=self.network.dial,
+            deliver=lambda key, payload, _: "/mesh/" in key or self.inbox.append((key, payload)),
+            changed=lambda: None,
+        )
+        self.runner.start()
+
+    @property
+    def state(self) -> tuple[str, int, str]:
+        (link,) = self.runner.links()
+        return link.state, link.connection, link.reason
+
+    def stop(self) -> None:
+        self.runner.stop()
+        self.network.close()
+
+
+def test_meshes_meet_over_rfcomm_part_and_meet_again(air: RfcommAir, runtime: Path) -> None:
+    air.page_timeout = 0.05
+    air.out_of_range.add(B)
+    near, far = Mesh("r0", air, runtime), Mesh("r1", air, runtime)
+    wait_until(lambda: near.state[2].startswith("host is down"))
+    air.out_of_range.clear()
+    wait_until(lambda: near.state[0] == far.state[0] == "up")
+    key = "swarm/r0/app/x/sync/a"
+    near.runner.publish(0, key, b"hello")
+    wait_until(lambda: (key, b"hello") in far.inbox)
+    # The far robot loses its sockets as kill -9 would have it.
+    for sock in [sock for sock in air.sockets if sock.fileno() >= 0 and sock.adapter == ""]:
+        sock.shutdown(socket.SHUT_RDWR)
+    wait_until(lambda: near.state[:2] == far.state[:2] == ("up", 2))
+    assert near.counters["transport_lost"] == 1
+    near.stop()
+    far.stop()
+
+
+def test_a_call_from_the_address_of_no_robot_is_ended_before_a_handshake(air: RfcommAir, runtime: Path) -> None:
+    far = Mesh("r1", air, runtime)
+    air.adapters.add(STRANGER)
+    pipe = dial(air, STRANGER)
+    write(pipe, frames.encode_hello(Hello("lab", "r0", 1, bytes(16), dialler=True, insecure=True)))
+    assert not read(pipe)
+    assert far.counters["refused_robot"] == 1
+    far.stop()
+
+
+# -- PyBluez --
+
+
+def test_without_pybluez_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "bluetooth", None)
+    with pytest.raises(LocalError, match="PyBluez is not installed: apt install python3-bluez"):
+        pybluez.discover(1.0, ask_services=False)
+
+
+@pytest.fixture
+def bluetooth(monkeypatch: pytest.MonkeyPatch) -> types.SimpleNamespace:
+    """A module with the calls of PyBluez 0.23 that are used."""
+    module = types.SimpleNamespace(
+        RFCOMM=3,
+        SERIAL_PORT_CLASS="1101",
+        SERIAL_PORT_PROFILE=("1101", 0x0100),
+        advertised=[],
+        BluetoothSocket=lambda protocol: socket.socket(socket.AF_UNIX),
+        discover_devices=lambda duration, flush_cache, lookup_names: [(B.lower(), "raspberrypi"), (A, "phone")],
+        find_service=lambda uuid, address: (
+            [{"protocol": "L2CAP", "port": 3}, {"protocol": "RFCOMM", "port": 1}] if address == B.lower() else []
+        ),
+    )
+    module.advertise_service = lambda sock, *names, **ids: module.advertised.append((sock.getsockname(), names, ids))
+    monkeypatch.setitem(__import__("sys").modules, "bluetooth", module)
+    return module
+
+
+def test_devices_in_range_and_their_meshes_are_found(bluetooth: types.SimpleNamespace) -> None:
+    phone, robot = pybluez.discover(5.0, ask_services=True)
+    assert (phone.address, phone.channel) == (A, None)
+    assert (robot.address, robot.name, robot.channel) == (B, "raspberrypi", 1)
+
+
+def test_the_record_is_that_of_the_listening_socket(
+    bluetooth: types.SimpleNamespace, air: RfcommAir, listener: rfcomm.Listener
+) -> None:
+    record = pybluez.Record(listener.fileno())
+    ((address, names, ids),) = bluetooth.advertised
+    assert address.decode() == air.listening[B, 1]
+    assert names == (pybluez.SERVICE_NAME,)
+    assert ids["service_id"] == pybluez.SERVICE
+    record.close()
