@@ -13,6 +13,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A property is about values; how long an example takes is the machine's matter (a busy one made good tests fail).
+settings.register_profile("swarm", deadline=None)
+settings.load_profile("swarm")
 
 CONFIG = """\
 network = "test"

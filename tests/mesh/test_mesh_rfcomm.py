@@ -247,10 +247,20 @@ class Mesh:
         config, own = parse(CONFIG, Path("swarm.toml")), local(name)
         self.network = Network(config, own, directory, open_bluetooth=air.open)
         self.counters: Counter[str] = Counter()
+        relay = Relay(name, tuple(own.dials), config.relay)
+        overlays = Overlays(
+            name,
+            config.names,
+            incarnation=own.incarnation,
+            random=random.random,
+            counters=self.counters,
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+        )
         node = Node(
             own,
-            Relay(name, tuple(own.dials), config.relay),
-            Overlays(name, config.names, incarnation=1, random=random.random, counters=self.counters),
+            relay,
+            overlays,
             random=random.random,
             nonce=lambda: os.urandom(16),
             counters=self.counters,
@@ -260,7 +270,7 @@ class Mesh:
             node,
             listeners=self.network.listeners,
             dial=self.network.dial,
-            deliver=lambda key, payload, _: "/mesh/" in key or self.inbox.append((key, payload)),
+            deliver=lambda key, payload, _: self.inbox.append((key, payload)),
             changed=lambda: None,
         )
         self.runner.start()

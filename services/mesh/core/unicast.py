@@ -293,8 +293,8 @@ class Unicast:
             self._deliver(message.key, message.payload, priority)
         else:
             self._counters["unicast_duplicates"] += 1
-        # Not more urgent than sync unless the message was: a burst of answers must not push LSAs and stops, which wait in
-        # the control class, out of it.
+        # Not more urgent than sync unless the message was: a burst of answers must not push LSAs and stops out of the
+        # control class.
         ack = Ack(self._me, message.sender, message.incarnation, message.number, refused, TTL)
         route = self._route(message.sender)
         if route is not None:
