@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
 from services.mesh.core import linkstate, packets, unicast
-from services.mesh.core.frames import CONTROL, SYNC, UNICAST
+from services.mesh.core.frames import BULK, CONTROL, SYNC, UNICAST
 from services.mesh.core.linkstate import HOPS, TIME, Level, LinkState
 from services.mesh.core.packets import Advertisement, Message, encode_advertisement
 from services.mesh.core.routing import Edge, routes
@@ -219,6 +219,19 @@ def test_the_latest_value_replaces_one_that_waits() -> None:
     world.edges[frozenset(("r0", "r1"))].alive = True
     world.run(1.0)
     assert world.got("r1", "allowed") == [b"99"]
+
+
+@pytest.mark.parametrize(("priority", "answer"), [(CONTROL, CONTROL), (SYNC, SYNC), (BULK, SYNC)])
+def test_answers_do_not_crowd_the_control_class(priority: int, answer: int) -> None:
+    """LSAs wait there, which a burst of answers after a lost link would push out of a full queue."""
+    world = World(line(3))
+    world.settle()
+    classes: dict[int, set[int]] = {packets.MESSAGE: set(), packets.ACK: set()}
+    world.watch = lambda sender, peer, packet: classes[packet.payload[0]].add(packet.priority)
+    key = "swarm/r2/x/set/allowed"
+    world.step("r0", lambda each: each.send("r2", key, b"x", priority, world.now, latest=False))
+    world.run(0.5)
+    assert classes == {packets.MESSAGE: {priority}, packets.ACK: {answer}}
 
 
 def test_hops_to_live_are_counted() -> None:

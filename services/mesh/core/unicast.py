@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from services.mesh.core import packets
 from services.mesh.core.actions import Emit, Transmit
-from services.mesh.core.frames import CONTROL, UNICAST
+from services.mesh.core.frames import SYNC, UNICAST
 from services.mesh.core.packets import Ack, Message
 from services.mesh.core.routing import Route
 from services.mesh.core.window import Window
@@ -293,11 +293,13 @@ class Unicast:
             self._deliver(message.key, message.payload, priority)
         else:
             self._counters["unicast_duplicates"] += 1
+        # Not more urgent than sync unless the message was: a burst of answers must not push LSAs and stops out of the
+        # control class.
         ack = Ack(self._me, message.sender, message.incarnation, message.number, refused, TTL)
         route = self._route(message.sender)
         if route is not None:
             ack = ack._replace(ttl=min(max(TTL, 2 * route.hops), 255))
-            self._hand_over(route.next_hop, message.sender, packets.encode_ack(ack), CONTROL, now)
+            self._hand_over(route.next_hop, message.sender, packets.encode_ack(ack), min(priority, SYNC), now)
         else:
             self._counters["unicast_no_route"] += 1
 
