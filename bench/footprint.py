@@ -2,7 +2,6 @@
 
 import contextlib
 import tempfile
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from services.sim import footprint, options, scenario
 from services.sim.module import ModuleBoard
 from services.sim.processes import Processes
 from services.sim.run import APP_SERVICE, SERVICE_MODULES
+from swarm import clock
 from swarm.config.dump import dump
 
 LIMIT_MIB = 130.0
@@ -39,10 +39,8 @@ def rows() -> Iterator[Row]:
         for service, module in SERVICE_MODULES.items():
             processes.add(robot, service, [module], run_dir / robot)
         processes.add(robot, "app/localization", [APP_SERVICE, "localization"], run_dir / robot)
-        done = threading.Event()
-        timer = threading.Timer(SETTLE_S, done.set)
-        timer.start()
-        while not done.is_set():
+        settled = clock.now() + SETTLE_S
+        while clock.now() < settled:
             modules.poll(0.05)
         total = 0.0
         for child in processes.children:

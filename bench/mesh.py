@@ -4,7 +4,6 @@ import contextlib
 import json
 import queue
 import signal
-import socket
 import statistics
 import tempfile
 import threading
@@ -12,9 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-import msgpack
-
 from bench.rows import Row
+from services.sim import air
 from services.sim.processes import Child, Processes
 from swarm import clock
 from swarm.bus import Bus
@@ -89,9 +87,8 @@ class Swarm:
 
     def cut(self, a: str, b: str, seconds: float) -> None:
         """Silence a link; both ends must notice it themselves."""
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-            for name, peer in ((a, b), (b, a)):
-                sock.sendto(msgpack.packb({"cut": peer, "seconds": seconds}), str(self._home / name / "air.sock"))
+        for name, peer in ((a, b), (b, a)):
+            air.silence(self._home, name, peer, seconds)
 
     def counters(self) -> dict[str, int]:
         """Counters of all meshes, added up."""

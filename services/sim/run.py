@@ -3,17 +3,14 @@
 import contextlib
 import os
 import signal
-import socket
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-import msgpack
-
-from services.sim import footprint, trajectory
+from services.sim import air, footprint, trajectory
 from services.sim.monitor import Monitor, Seen
-from services.sim.options import Options
+from services.sim.options import Cut, Options
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
@@ -159,16 +156,11 @@ class Run:
             robot.progress is not None and robot.progress.phase == "done" for robot in seen.values()
         )
 
-    def _cut(self, cut: object) -> None:
-        a, b, seconds = cut.a, cut.b, cut.seconds  # type: ignore[attr-defined]
-        self._progress.say(f"cut {a}-{b} for {seconds:g} s")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-            for robot, peer in ((a, b), (b, a)):
-                with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
-                    sock.sendto(
-                        msgpack.packb({"cut": peer, "seconds": seconds}),
-                        str(self._run_dir / robot / "air.sock"),
-                    )
+    def _cut(self, cut: Cut) -> None:
+        self._progress.say(f"cut {cut.a}-{cut.b} for {cut.seconds:g} s")
+        for robot, peer in ((cut.a, cut.b), (cut.b, cut.a)):
+            with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
+                air.silence(self._run_dir, robot, peer, cut.seconds)
 
     def _refresh(self, now: float) -> None:
         """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""

@@ -69,7 +69,7 @@ class Scenario:
 def build(options: Options, run_dir: Path) -> Scenario:
     """The scenario of `options` with its sockets in `run_dir`; raises `ConfigError` or `RecordingError`."""
     recordings = read_folder(options.replay) if options.replay is not None else []
-    base = _from_file(options.config) if options.config is not None else _default(options, len(recordings))
+    base = configuration.load(options.config) if options.config is not None else _default(options, len(recordings))
     if recordings and len(recordings) != len(base.robots):
         raise ConfigError(f"{options.replay} holds {len(recordings)} robots, the swarm has {len(base.robots)}")
     app = loader.load(options.app) if options.app is not None else None
@@ -171,10 +171,6 @@ def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
         return Graph.of_matrix([[int(float(cell)) for cell in row] for row in rows], names).edges
     except (ValueError, LocalError) as error:
         raise ConfigError(f"--topology {topology}: {error}") from None
-
-
-def _from_file(path: Path) -> Config:
-    return configuration.load(path)
 
 
 def _dwm(dwm: Dwm, replay: Path | None, run_dir: Path) -> Dwm:
