@@ -1,0 +1,101 @@
+"""Every message on the bus and the key it travels under. One place, so that no two services can disagree; a
+module for each service, all of them imported from here.
+
+Payloads are msgpack maps with these field names (`swarm.codec`). SI units: m, rad, s, V. `t` is the sender's
+monotonic clock in seconds, common to all processes of one robot; the mesh relates the robots' clocks. The
+only binary payloads are what apps send each other: frames of the synchronous overlay (`swarm.core.lockstep`) and
+what they flood and send (`swarm.overlays`).
+"""
+
+from swarm.codec import decode
+from swarm.errors import PayloadError
+from swarm.keys import STOP, parse
+from swarm.messages import apps, balancer, dwm, mesh, service, sim
+from swarm.messages.apps import AppProgress, AppState
+from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
+from swarm.messages.dwm import Measurement, Pose, Range, Ranges
+from swarm.messages.mesh import (
+    Arm,
+    Clock,
+    Echo,
+    EchoRequest,
+    Flooded,
+    FloodRequest,
+    Links,
+    LinkState,
+    Member,
+    MemberChange,
+    Members,
+    SendRequest,
+    Sent,
+    Stop,
+    Stopped,
+)
+from swarm.messages.service import Status
+from swarm.messages.sim import Truth
+
+__all__ = [
+    "TOPICS",
+    "AppProgress",
+    "AppState",
+    "Arm",
+    "BalancerState",
+    "Clock",
+    "Echo",
+    "EchoRequest",
+    "FloodRequest",
+    "Flooded",
+    "Leds",
+    "LinkState",
+    "Links",
+    "Measurement",
+    "Member",
+    "MemberChange",
+    "Members",
+    "Odometry",
+    "Pose",
+    "Range",
+    "Ranges",
+    "SendRequest",
+    "Sent",
+    "SetMode",
+    "Status",
+    "Stop",
+    "Stopped",
+    "Truth",
+    "read",
+    "type_of",
+]
+
+TOPICS: dict[tuple[str, str], type] = {
+    **service.TOPICS,
+    **mesh.TOPICS,
+    **balancer.TOPICS,
+    **dwm.TOPICS,
+    **apps.TOPICS,
+    **sim.TOPICS,
+}
+"""Message type of each key, by (service, topic); `*` is any one chunk. A test compares docs/keys.md to it."""
+
+
+def type_of(key: str) -> type | None:
+    """The message type that travels under `key`, None where the key is none of ours.
+
+    Raises `PayloadError` for a key that is not even well formed.
+    """
+    if key == STOP:
+        return Stop
+    _, service, topic = parse(key)
+    _, _, tail = topic.partition("/")
+    for candidate in ((service, topic), (service, f"*/{tail}"), ("*", topic)):
+        if candidate in TOPICS:
+            return TOPICS[candidate]
+    return None
+
+
+def read(key: str, payload: bytes) -> object:
+    """Decode a payload by its key; `PayloadError` where the key is unknown or the payload not of its type."""
+    kind = type_of(key)
+    if kind is None:
+        raise PayloadError(f"{key}: no message travels under this key (docs/keys.md lists them)")
+    return decode(kind, payload, key)

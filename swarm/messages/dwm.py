@@ -1,0 +1,71 @@
+"""Messages of the UWB service."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The distance to one anchor (or to the target, which is a module like any other)."""
+
+    anchor: str
+    """Short UWB address as printed on the module and in shell output, e.g. C933."""
+    distance: float
+    """m, calibrated and filtered as the service is configured."""
+    raw: float
+    """m, as the module reported it."""
+    quality: int
+    """0-100 as the module reported it."""
+    age: float
+    """s since it was measured, at `t` of the message."""
+    sequence: int
+    """Counts new measurements of this anchor; a repeat keeps its number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """All ranges of one module report, on `swarm/<robot>/dwm/ranges` at 10 Hz."""
+
+    t: float
+    sequence: int
+    ranges: tuple[Range, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the robot is, on `swarm/<robot>/dwm/pose` at 10 Hz."""
+
+    t: float
+    """When it was measured: a repeat of the module keeps time and sequence."""
+    sequence: int
+    """The number of the module report it comes from, as in `Ranges`."""
+    x: float
+    """m, in the frame of the anchors."""
+    y: float
+    heading: float | None
+    """rad, counter-clockwise from x; None where the filter does not estimate it."""
+    quality: int
+    """0-100; 0 = no fix, the numbers are not to be used."""
+    source: str
+    """Which filter made it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """Row k of a replayed recording, answered by `dwm/measurement?sequence=k`: range to target, own place."""
+
+    t: float
+    """The recording's own time, s since its start: a row has one answer, whenever it is asked for."""
+    sequence: int
+    distance: float
+    """Range to the target, m."""
+    x: float
+    """Own position, m."""
+    y: float
+
+
+TOPICS: dict[tuple[str, str], type] = {
+    ("dwm", "ranges"): Ranges,
+    ("dwm", "pose"): Pose,
+    ("dwm", "measurement"): Measurement,
+}
+"""Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -1,0 +1,245 @@
+"""Messages of the mesh service, and the stop of the swarm that it carries."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """One mesh link as its own robot sees it."""
+
+    peer: str
+    state: str
+    """down, connecting, up or suspect."""
+    connection: int
+    """Counts the connections so far: a change tells that the link was renewed, even between two samples."""
+    rtt: float | None
+    """Smoothed round-trip time, s; None before the first heartbeat came back."""
+    sent: int
+    """Frames sent since the service started."""
+    received: int
+    reason: str
+    """Why it is down; empty otherwise."""
+    rtt_min: float | None = None
+    """Smallest round-trip time of the heartbeats of the last minute, s; likewise median and 99th percentile."""
+    rtt_median: float | None = None
+    rtt_p99: float | None = None
+    sent_rate: float = 0.0
+    """bytes/s, over the last second or so."""
+    received_rate: float = 0.0
+    sent_bytes: int = 0
+    """Since the service started."""
+    received_bytes: int = 0
+    queue: int = 0
+    """Bytes that wait to leave."""
+    in_flight: int = 0
+    """Bytes that have left and are not acknowledged."""
+    window: int = 0
+    """Bytes that may be in flight before bulk has to wait."""
+    dropped: int = 0
+    """Messages for this neighbour that were lost: the link was down or its queue full."""
+    refused: int = 0
+    """Connections to or from this neighbour that were refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """All mesh links of a robot, on `swarm/<robot>/mesh/links`: on change and once a second."""
+
+    t: float
+    links: tuple[LinkState, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """Another robot of the swarm, as one robot sees it."""
+
+    robot: str
+    state: str
+    """here (there is a way to it), left (it said that it stops), gone, or never (not seen yet)."""
+    since: float
+    """Time of the last change of state."""
+    hops: int | None
+    """Links on the way to it; None where there is no way."""
+    via: str | None
+    """The neighbour that the way begins with."""
+
+
+@dataclass(frozen=True, slots=True)
+class MemberChange:
+    """What has happened to a robot."""
+
+    t: float
+    robot: str
+    what: str
+    """join, leave, crash, partition, heal, return or restart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Members:
+    """Who is in the swarm, on `swarm/<robot>/mesh/members`: on change, every 10 s, and as answer to queries."""
+
+    t: float
+    members: tuple[Member, ...]
+    """All other robots of the configuration."""
+    changes: tuple[MemberChange, ...]
+    """The newest 32, the newest last."""
+
+
+@dataclass(frozen=True, slots=True)
+class FloodRequest:
+    """Command on `mesh/set/flood`: carry a payload to the whole swarm, and say in `mesh/flooded` whom it reached.
+
+    It appears on every other robot's bus, raw, under `swarm/<this robot>/app/<app>/flood`.
+    """
+
+    ticket: str
+    """Names this request; a repetition of it is not flooded again but gets the answer again."""
+    app: str
+    payload: bytes
+    priority: str
+    """control, sync or bulk."""
+    announce: bool
+    """Whether the answer is flooded, too: every robot learns that the flood is complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flooded:
+    """End of a flood, on `swarm/<robot>/mesh/flooded` of its origin; elsewhere only where it is announced."""
+
+    t: float
+    """At the origin."""
+    ticket: str
+    app: str
+    robots: tuple[str, ...]
+    """Whom it reached, besides the origin."""
+    complete: bool
+    """Whether these are all that could be reached."""
+    problem: str
+    """Why it is not complete; empty otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class SendRequest:
+    """Command on `mesh/set/send`: carry a payload to one robot, and say in `mesh/sent` whether it arrived.
+
+    It appears on that robot's bus, raw, under `swarm/<this robot>/app/<app>/send/<to>`.
+    """
+
+    ticket: str
+    app: str
+    to: str
+    payload: bytes
+    priority: str
+    timeout: float
+    """s after which it is given up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """End of a message, on `swarm/<robot>/mesh/sent`."""
+
+    t: float
+    ticket: str
+    app: str
+    to: str
+    delivered: bool
+    """Whether the other robot's mesh has confirmed it."""
+    problem: str
+    """Why not; empty otherwise. It may have arrived all the same where the answer was lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """On `swarm/stop`: every robot switches its motors off."""
+
+    t: float
+    origin: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Command on `mesh/set/arm`: take back every stop of the swarm that this robot knows of."""
+
+    t: float
+    origin: str
+    """Who takes them back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is."""
+
+    t: float
+    stopped: bool
+    by: dict[str, str]
+    """The robots whose stop holds, with its reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The mesh clock C(t') = t' + offset + rate (t' - t), on `swarm/<robot>/mesh/clock`, once a second and on change.
+
+    `swarm.mesh_clock` reads it. It slews, but may step, also backwards, when robots or swarms meet.
+    """
+
+    t: float
+    offset: float
+    """Mesh time minus this robot's monotonic clock at `t`, s."""
+    rate: float
+    """Change of the offset, s/s."""
+    root: str
+    """The robot whose clock it is."""
+    hop: int
+    """Links between that robot and this one."""
+    error: float
+    """Estimated standard deviation from the root's, s; asymmetry of the links cannot be seen and is not in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class EchoRequest:
+    """Measure a link: pings to a neighbour, on `mesh/set/echo`; each answer is an `Echo`."""
+
+    peer: str
+    sequence: int
+    """Given back in the answers."""
+    size: int
+    """Bytes of each ping's payload, at least 11."""
+    count: int = 1
+    """Pings sent at once."""
+    priority: str = "sync"
+    """sync or bulk."""
+    short: bool = False
+    """Whether the answers are short, to measure one direction, or as long as the pings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """An answer to a ping, or why there is none, on `swarm/<robot>/mesh/echo`."""
+
+    t: float
+    peer: str
+    sequence: int
+    index: int
+    """Which of the request's pings, from 0."""
+    size: int
+    rtt: float | None
+    """From handing the ping to the link's queue until its answer was there, s; None where it could not be sent."""
+    reason: str
+    """Why it could not be sent; empty otherwise."""
+
+
+TOPICS: dict[tuple[str, str], type] = {
+    ("mesh", "links"): Links,
+    ("mesh", "members"): Members,
+    ("mesh", "flooded"): Flooded,
+    ("mesh", "sent"): Sent,
+    ("mesh", "stopped"): Stopped,
+    ("mesh", "set/flood"): FloodRequest,
+    ("mesh", "set/send"): SendRequest,
+    ("mesh", "set/arm"): Arm,
+    ("mesh", "clock"): Clock,
+    ("mesh", "echo"): Echo,
+    ("mesh", "set/echo"): EchoRequest,
+}
+"""Message type of each key, by (service, topic); `*` is any one chunk."""

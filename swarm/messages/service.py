@@ -1,0 +1,26 @@
+"""Messages of every service."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Life cycle of a service, on `swarm/<robot>/<service>/status`: sent on change, answered to queries."""
+
+    t: float
+    service: str
+    state: str
+    """starting, ready, degraded or stopping."""
+    reason: str
+    """Why it is degraded or not yet ready; empty when ready."""
+    pid: int
+    since: float
+    """Time of the last change of state."""
+    counters: dict[str, int]
+    """What was dropped, refused or retried since the start, by name."""
+
+
+TOPICS: dict[tuple[str, str], type] = {
+    ("*", "status"): Status,
+}
+"""Message type of each key, by (service, topic); `*` is any one chunk."""
