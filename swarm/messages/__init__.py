@@ -10,9 +10,10 @@ what they flood and send (`swarm.overlays`).
 from swarm.codec import decode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
-from swarm.messages import apps, balancer, dwm, mesh, service, sim
+from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import AppProgress, AppState
 from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
+from swarm.messages.devices import ModuleAnswer, ModuleRequest, Uwb, UwbRange
 from swarm.messages.dwm import Measurement, Pose, Range, Ranges
 from swarm.messages.mesh import (
     Arm,
@@ -52,6 +53,8 @@ __all__ = [
     "Member",
     "MemberChange",
     "Members",
+    "ModuleAnswer",
+    "ModuleRequest",
     "Odometry",
     "Pose",
     "Range",
@@ -63,6 +66,8 @@ __all__ = [
     "Stop",
     "Stopped",
     "Truth",
+    "Uwb",
+    "UwbRange",
     "read",
     "type_of",
 ]
@@ -71,6 +76,7 @@ TOPICS: dict[tuple[str, str], type] = {
     **service.TOPICS,
     **mesh.TOPICS,
     **balancer.TOPICS,
+    **devices.TOPICS,
     **dwm.TOPICS,
     **apps.TOPICS,
     **sim.TOPICS,
