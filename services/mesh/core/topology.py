@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
+from services.mesh.core.packets import TOPOLOGY
 from swarm.core.graph import SHAPES, Edge, Graph
 from swarm.errors import FrameError, LocalError
 
@@ -19,9 +20,6 @@ MAX_LINKS = 7
 
 AUTO = "auto"
 """In place of a shape: the robots find their neighbours themselves."""
-
-KIND = 6
-"""Of the packet on flood channels."""
 
 MAX_VERSION = (1 << 32) - 1
 
@@ -86,7 +84,7 @@ class Ground:
     def encode(self, value: Topology) -> bytes:
         """A TOPOLOGY packet: head, issuer, then for each robot its neighbours that come later in the configuration."""
         issuer = value.issuer.encode()
-        head = _HEAD.pack(KIND, value.auto * _AUTO, self.base, value.version, value.step)
+        head = _HEAD.pack(TOPOLOGY, value.auto * _AUTO, self.base, value.version, value.step)
         later: list[list[int]] = [[] for _ in self.names]
         for a, b in value.edges:
             later[self._place[a]].append(self._place[b])
