@@ -10,9 +10,10 @@ what they flood and send (`swarm.overlays`).
 from swarm.codec import decode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
-from swarm.messages import apps, balancer, dwm, mesh, service, sim
+from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import AppProgress, AppState
 from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
+from swarm.messages.devices import ModuleAnswer, ModuleRequest, Uwb, UwbRange
 from swarm.messages.dwm import Measurement, Pose, Range, Ranges
 from swarm.messages.mesh import (
     Arm,
@@ -21,11 +22,13 @@ from swarm.messages.mesh import (
     EchoRequest,
     Flooded,
     FloodRequest,
+    GraphRobot,
     Links,
     LinkState,
     Member,
     MemberChange,
     Members,
+    MeshGraph,
     SendRequest,
     Sent,
     Stop,
@@ -45,6 +48,7 @@ __all__ = [
     "EchoRequest",
     "FloodRequest",
     "Flooded",
+    "GraphRobot",
     "Leds",
     "LinkState",
     "Links",
@@ -52,6 +56,9 @@ __all__ = [
     "Member",
     "MemberChange",
     "Members",
+    "MeshGraph",
+    "ModuleAnswer",
+    "ModuleRequest",
     "Odometry",
     "Pose",
     "Range",
@@ -63,6 +70,8 @@ __all__ = [
     "Stop",
     "Stopped",
     "Truth",
+    "Uwb",
+    "UwbRange",
     "read",
     "type_of",
 ]
@@ -71,6 +80,7 @@ TOPICS: dict[tuple[str, str], type] = {
     **service.TOPICS,
     **mesh.TOPICS,
     **balancer.TOPICS,
+    **devices.TOPICS,
     **dwm.TOPICS,
     **apps.TOPICS,
     **sim.TOPICS,

@@ -1,0 +1,80 @@
+"""Messages of the balancer about the devices on its bus: what the ATmega32U4 holds of the DWM1001."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class UwbRange:
+    """The distance to one module, as the DWM1001 reported it."""
+
+    anchor: str
+    """Short UWB address as printed on the module, e.g. C933."""
+    distance: float
+    """m, raw; whole millimetres."""
+    quality: int
+    """0-100."""
+    x: float
+    """Where that module was set up to be, m."""
+    y: float
+    z: float
+    place_quality: int
+    """0-100; 0 = it was not set up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Uwb:
+    """The ATmega's UWB block, on `swarm/<robot>/balancer/uwb`: on each new report, and once a second without any."""
+
+    t: float
+    """When the block was read, s."""
+    state: str
+    """The ATmega's last poll of the module: ok, silent, refused, broken or paused (for the mailbox)."""
+    error: int
+    """The module's error code of its last refusal; 0 = none so far."""
+    bad: int
+    """Polls whose answer was not whole, since the balancer found the ATmega."""
+    sequence: int
+    """Counts reports since the balancer started: another number is a new one. 0 = none yet; then the rest is zero."""
+    lost: int
+    """Reports that came to the ATmega and were not read in time, since the balancer started."""
+    age: float
+    """s since the ATmega got the report, at `t`; 65.535 = that or more."""
+    x: float
+    """Own position as the module reckons it, m."""
+    y: float
+    z: float
+    quality: int
+    """0-100; 0 = no fix, and the coordinates are old ones or zero."""
+    count: int
+    """Modules in sight; `ranges` has the first four of them."""
+    ranges: tuple[UwbRange, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ModuleRequest:
+    """Command on `balancer/set/module`: one request to the DWM1001."""
+
+    ticket: str
+    """Names the request; the answer carries it. The one under way and the last one answered are not done twice."""
+    request: bytes
+    """Type, length and value as in the DWM1001's generic mode: 2 to 255 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModuleAnswer:
+    """What the DWM1001 said, on `balancer/module`."""
+
+    t: float
+    ticket: str
+    answer: bytes
+    """Status and data parts, `40 01 err ...`; what came instead where `problem` says so."""
+    problem: str
+    """Why there is no proper answer; empty where there is one (which may be a refusal by the module)."""
+
+
+TOPICS: dict[tuple[str, str], type] = {
+    ("balancer", "uwb"): Uwb,
+    ("balancer", "module"): ModuleAnswer,
+    ("balancer", "set/module"): ModuleRequest,
+}
+"""Message type of each key, by (service, topic)."""
