@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from services.dwm.core import calibration
-from services.dwm.core.filters import MovingAverage
+from services.dwm.core.filters import PlaceFilter, RangeFilter
 from services.dwm.core.tlv import AnchorRange, Location, Position
 from swarm.config.types import Dwm
 from swarm.messages import Pose, Range, Ranges
@@ -17,7 +17,7 @@ MAX_ANCHORS = 64
 
 @dataclass(slots=True)
 class _Anchor:
-    average: MovingAverage
+    average: RangeFilter
     sequence: int = -1
     seen: float = 0.0
 
@@ -33,8 +33,7 @@ class Pipeline:
     def __init__(self, settings: Dwm) -> None:
         self._settings = settings
         self._anchors: dict[str, _Anchor] = {}
-        self._x = MovingAverage(settings.window)
-        self._y = MovingAverage(settings.window)
+        self._place = PlaceFilter(settings.window)
         self._fix: tuple[float, float] = (0.0, 0.0)
         self._fix_at = 0.0
         self._last: Location | None = None
@@ -56,7 +55,7 @@ class Pipeline:
         return self._messages
 
     def _range(self, item: AnchorRange, now: float) -> Range:
-        anchor = self._anchors.pop(item.anchor, None) or _Anchor(MovingAverage(self._settings.window))
+        anchor = self._anchors.pop(item.anchor, None) or _Anchor(RangeFilter(self._settings.window))
         self._anchors[item.anchor] = anchor  # at the end: the first one is the longest unseen
         if len(self._anchors) > MAX_ANCHORS:
             del self._anchors[next(iter(self._anchors))]
@@ -71,10 +70,8 @@ class Pipeline:
         """Without quality a place is none: its numbers are old or zero and enter nothing."""
         if place.quality > 0:
             if now - self._fix_at > FORGET:
-                self._x.clear()
-                self._y.clear()
+                self._place.clear()
             self._fix_at = now
-            x, y = calibration.position(self._settings.position, place.x, place.y)
-            self._fix = (self._x.add(x), self._y.add(y))
+            self._fix = self._place.add(*calibration.position(self._settings.position, place.x, place.y))
         source = "average" if self._settings.window > 1 else "module"
         return Pose(now, self._sequence, *self._fix, None, place.quality, source)
