@@ -1,19 +1,19 @@
-"""The automatic topology as a pure function: from what links there are and who hears whom, which links there should be.
+"""The automatic topology as a pure function: from what links there are and who hears whom, which ones there should be.
 
-A link that works stays: the plan only adds what is lacking, and takes away what is clearly too much, in five steps, none of
-which undoes another's work. So the same swarm gives the same plan, and a plan of its own plan is the plan itself.
+A link that works stays: the plan only adds what is lacking, and takes away what is clearly too much, in five steps,
+none of which undoes another's work. So the same swarm has the same plan, and the plan of a plan is the plan itself.
 
- connect    join parts by links between robots with few of them: Kruskal's forest grown by degree. Where a robot is full, one
-            of its links gives way to another between others: the exchange of Fürer and Raghavachari (1994), whose
-            trees of least degree are within one of the best there are. Links that are up come first.
- relieve    a robot with all its seven links gives up one that others can replace, so that it can let in who comes.
- double     no robot, and no link, is the only one between two parts, wherever ears allow it (Eswaran and Tarjan 1976:
-            biconnectivity augmentation; here by the farthest pair, so that a line becomes a loop)
- shorten    while some are farther apart than the binary logarithm of their number, the farthest pair with few links gets one:
-            few long chords make the world small (Watts and Strogatz 1998).
- prune      of links between two robots that both have more than they need those go that neither of this takes.
+connect  join parts by links between robots with few of them: Kruskal's forest grown by degree, links that are up first.
+         Where a robot is full, one of its links gives way to another between others: the exchange of Fürer and
+         Raghavachari (1994), whose trees of least degree are within one of the best there are.
+relieve  a robot with all its seven links gives up one that others can replace, so that it can let in who comes.
+double   no robot is the only one between two parts, wherever ears allow it (Eswaran and Tarjan 1976: biconnectivity
+         augmentation; here by the farthest pair, so that a line becomes a loop).
+shorten  while some are farther apart than the binary logarithm of their number, the farthest pair with few links gets
+         one: few long chords make the world small (Watts and Strogatz 1998).
+prune    of links between two robots that both have more than they need those go that neither of this takes.
 
-The parts between robots of which one is away stay as far as there is room: who comes back finds its links.
+Links with a robot that is away stay as far as there is room: who comes back finds its links.
 """
 
 import heapq
@@ -116,7 +116,9 @@ def plan(
     if len(graph.parts()) > 1:
         # What is up has room, and may hold together what could not be joined.
         fallback = _Graph(inside, is_up)
-        if len(fallback.parts()) < len(graph.parts()) and all(len(near) <= MAX_LINKS for near in fallback.near.values()):
+        if len(fallback.parts()) < len(graph.parts()) and all(
+            len(near) <= MAX_LINKS for near in fallback.near.values()
+        ):
             graph = fallback
     for member in graph.near:
         if graph.degree(member) >= MAX_LINKS:

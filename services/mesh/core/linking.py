@@ -1,20 +1,20 @@
 """Which links this robot has: those of the topology in force, and for a while those that hold the swarm together.
 
-The topology (core.topology) is a register that neighbours merge: the greatest value holds. It goes to each new link, and
-what is new to a robot goes on to its other neighbours at once, so it reaches everybody who can be reached, whoever issued
-it and whether that robot is still there. (A flooded latest value would be void when its origin restarts.)
+The topology (core.topology) is a register that neighbours merge: the greatest value holds. It goes to each new link,
+and what is new to a robot goes on to its other neighbours at once, so it reaches everybody who can be reached, whoever
+issued it and whether that robot is still there. (A flooded latest value would be void when its origin restarts.)
 
 Make before break. A new value's links are asked for at once. A link that it does not contain stays until
- 1. every robot in reach has the same value (its link state says so), or `PATIENCE` is over,
- 2. this robot's own links of it are up, as far as their other ends are in reach, or `MAKE` is over, and
- 3. for `GRACE` its two ends have been connected without it: by links of the topology, and unwanted ones of a lower rank.
-By 3 the links that stay are a minimum spanning forest with the topology's links at no cost (Kruskal 1956), so robots that
-drop links at the same time, on old news even, never count on one another's: whoever is dropped, a chain of lower-ranked ones
-remained. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good, should the
+1. every robot in reach has the same value (its link state says so), or `PATIENCE` is over,
+2. this robot's own links of it are up, as far as their other ends are in reach, or `MAKE` is over, and
+3. for `GRACE` its two ends have been connected without it: by links of the topology, and unwanted ones of lower rank.
+By 3 the links that stay are a minimum spanning forest with the topology's links at no cost (Kruskal 1956), so robots
+that drop links at the same time, on old news even, never count on one another's: whatever is dropped, a chain of lower
+ones remains. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good, should the
 links that are to replace it never come up: a bad topology leaves a swarm that can be told a better one.
 
-Any robot of the configuration may call: it may have missed the news, or look for the rest of its swarm. Its link counts as
-an unwanted one. Those who cannot be reached are looked for (core.search) once the topology is not the configuration's own.
+Any robot of the configuration may call: it may have missed the news, or look for the rest of its swarm. Its link counts
+as an unwanted one. Who cannot be reached is looked for (core.search) once the topology is not the configuration's own.
 """
 
 from collections import Counter
@@ -47,7 +47,7 @@ REPEAT_PERIOD = 10.0
 """s between two messages to neighbours that still have another value, for queues may drop anything."""
 
 DOUBT = 10.0
-"""s that a link of the topology must have been down, in vain called again, until its other end counts as out of reach."""
+"""s that a link of the topology must have been down, and called in vain, until its other end counts as out of reach."""
 
 SETTLE = 1.0
 """s of news that the automatic rule waits for, and between two changes of it."""
@@ -79,18 +79,16 @@ class Linking:
         *,
         emit: Emit,
         act: Callable[[LinkAction], None],
-        changed: Callable[[], None],
         random: Callable[[], float],
         counters: Counter[str],
     ) -> None:
-        """`changed()` is called when what `mesh/topology` tells is another."""
+        """`random` gives numbers from 0 up to 1."""
         self._me = me
         self._ground = start.ground
         self._dials = start.dials
         self._map = map
         self._emit = emit
         self._act = act
-        self._changed = changed
         self._counters = counters
         self._place = {name: place for place, name in enumerate(start.ground.names)}
         self._search = Search(random)
@@ -150,7 +148,6 @@ class Linking:
         self._links[peer] = None
         self._send(peer)
         self._look_soon(now)
-        self._changed()
         return True
 
     def link_down(self, peer: str, now: float) -> None:
@@ -164,7 +161,6 @@ class Linking:
         else:
             self._act(Disconnect(peer, frames.UNWANTED))
         self._look_soon(now)
-        self._changed()
 
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """A robot could not be reached."""
@@ -210,8 +206,8 @@ class Linking:
                 if self._map.topology(peer) != self.tag:
                     self._repeat_at = now + REPEAT_PERIOD
                     self._send(peer)
-        if (peer := self._search.take(now)) is not None:
-            self._act(Connect(peer, once=True))
+        if (stranger := self._search.take(now)) is not None:
+            self._act(Connect(stranger, once=True))
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called."""
@@ -263,7 +259,6 @@ class Linking:
         self._repeat_at = now + REPEAT_PERIOD
         self._announce(now)
         self._look_soon(now)
-        self._changed()
 
     def _send(self, peer: str) -> None:
         data = self._ground.encode(self.value)
@@ -299,7 +294,9 @@ class Linking:
             return
         strangers = () if len(self._links) >= MAX_LINKS else self._strangers()
         far = [name for name in strangers if name not in reachable]
-        near = [name for name in strangers if name in reachable and not self._reach.get(name)] if self.value.auto else []
+        near = (
+            [name for name in strangers if name in reachable and not self._reach.get(name)] if self.value.auto else []
+        )
         self._search.aim(far, near, now)
         if self.value.auto:
             self._plan_at = min(self._plan_at, now + SETTLE)

@@ -93,7 +93,8 @@ class Overlays:
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
-        `start` is where the topology begins; without it links are the caller's matter. `admits_flood(key)`, `admits_unicast(sender, key)`: which keys the relay rules let in."""
+        `start` is where the topology begins; without it links are the caller's matter. `admits_flood(key)`,
+        `admits_unicast(sender, key)`: which keys the relay rules let in."""
         self.me = me
         self._robots = frozenset(robots) | {me}
         self._counters = counters
@@ -130,14 +131,13 @@ class Overlays:
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
         self._stopped_key = key_of(me, "mesh", "stopped")
-        self._topology_key = key_of(me, "mesh", "topology")
         self._topology_set_key = key_of(me, "mesh", "topology_set")
         self.linking: Linking | None = None
         """Which links there are to be; None where that is the caller's matter."""
         if start is not None:
             self.linking = Linking(
                 me, start, self._map,
-                emit=emit, act=emit, changed=self._tell_topology, random=random, counters=counters,
+                emit=emit, act=emit, random=random, counters=counters,
             )  # fmt: skip
         self._flooded_key = key_of(me, "mesh", "flooded")
         self._sent_key = key_of(me, "mesh", "sent")
@@ -307,6 +307,11 @@ class Overlays:
         if now >= self._confirm_at:
             self._confirm(now)
 
+    @property
+    def now(self) -> float:
+        """The time of the last call."""
+        return self._now
+
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
         return self._deadline
@@ -353,10 +358,12 @@ class Overlays:
             tuple(sorted(linking.wanted)), linking.up, linking.kept, dict(linking.missing),
         )  # fmt: skip
 
-    # -- inside ------------------------------------------------------------------------------------------------
+    def topology_file(self) -> bytes:
+        """What is to be kept of it through restarts."""
+        assert self.linking is not None
+        return self.linking.to_file()
 
-    def _tell_topology(self) -> None:
-        self._to_bus(self._topology_key, encode(self.topology(self._now)), CONTROL)
+    # -- inside ------------------------------------------------------------------------------------------------
 
     def _to_bus(self, key: str, payload: bytes, priority: int) -> None:
         self._actions.append(Received(key, payload, priority))

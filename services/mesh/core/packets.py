@@ -300,9 +300,7 @@ def encode_advertisement(packet: Advertisement) -> bytes:
     names = b"".join(_packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
     heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
     flags = packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2
-    tail = (_FIRST.pack(packet.topology) if packet.topology else b"") + (
-        bytes((len(heard),)) + heard if heard else b""
-    )
+    tail = (_FIRST.pack(packet.topology) if packet.topology else b"") + (bytes((len(heard),)) + heard if heard else b"")
     return _LSA.pack(flags, len(packet.neighbours)) + names + tail
 
 
@@ -320,7 +318,7 @@ def decode_advertisement(data: bytes) -> Advertisement:
         name = reader.name()
         (neighbours[name],) = reader.unpack(_METRIC)
     topology = reader.unpack(_FIRST)[0] if flags & 2 else 0
-    heard = int.from_bytes(reader.bytes(), "little") if flags & 4 else 0
+    heard = int.from_bytes(reader.octets(), "little") if flags & 4 else 0
     reader.end()
     return Advertisement(neighbours, bool(flags & 1), topology, heard)
 
@@ -418,7 +416,7 @@ class _Reader:
         except UnicodeDecodeError:
             raise FrameError("overlay packet: a text is not UTF-8") from None
 
-    def bytes(self) -> bytes:
+    def octets(self) -> bytes:
         return self._text(255)
 
     def end(self) -> None:

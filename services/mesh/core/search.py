@@ -1,9 +1,9 @@
 """Looking for robots by calling them: which one to call next, and when.
 
-The targets are robots that we would dial and have no link with. Those out of the swarm's reach (`far`) are called
-again and again, with a growing pause; those in the swarm whom we have never called (`near`) to learn whether they are in
-our own reach, which the automatic topology wants to know. One call at a time: a page of an absent robot takes a Bluetooth
-adapter 5 s. (An inquiry would take it 10 s, finds also what is not ours, and needs PyBluez: it is `swarm discover`'s.)
+The targets are robots that we would dial and have no link with. Those out of the swarm's reach (`far`) are called again
+and again, with a growing pause; those in the swarm whom we have not reached ourselves (`near`) to learn whether we hear
+each other, which the automatic topology wants to know. One call at a time: a page of an absent robot takes a Bluetooth
+adapter 5 s. (An inquiry takes it 10 s, finds also what is not ours, and needs PyBluez: that is `swarm discover`.)
 """
 
 from collections.abc import Callable, Collection

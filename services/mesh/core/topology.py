@@ -1,9 +1,9 @@
 """Which links the swarm is to have: a value that can be changed at run time, and is the same everywhere in the end.
 
-Values have a total order, their fields' order: the version first (an operator's sets), then the step (what the automatic
-rule changes within a version), then the issuer's name, then the content. Of two values the greater one holds, so two
-sets at once end alike on every robot. Version 0 is what the configuration says; a value belongs to one configuration
-(`Ground.base`), and another configuration makes it void.
+Values have a total order, that of their fields: the version first (an operator's sets), then the step (what the
+automatic rule changes within a version), then the issuer's name, then the content. Of two values the greater one holds,
+so two sets at once end alike on every robot. Version 0 is what the configuration says; a value belongs to one
+configuration (`Ground.base`), and another configuration makes it void.
 """
 
 import struct
@@ -95,9 +95,9 @@ class Ground:
         """The value in a TOPOLOGY packet; None where it belongs to another configuration. Raises `FrameError`."""
         if len(data) <= _HEAD.size:
             raise FrameError(f"TOPOLOGY of {len(data)} bytes: it has more than {_HEAD.size}")
-        _, flags, base, version, step = _HEAD.unpack_from(data)
-        if flags & ~_AUTO:
-            raise FrameError(f"TOPOLOGY flags {flags:#x}: bit 0 is known")
+        kind, flags, base, version, step = _HEAD.unpack_from(data)
+        if kind != TOPOLOGY or flags & ~_AUTO:
+            raise FrameError(f"TOPOLOGY kind {kind}, flags {flags:#x}: kind {TOPOLOGY} and bit 0 are known")
         if base != self.base:
             return None
         at = _HEAD.size + 1
