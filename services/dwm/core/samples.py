@@ -1,0 +1,222 @@
+"""Samples of a calibration: what a module reported where its robot truly was. Two layouts of CSV are read.
+
+Ours, written by `swarm calibrate`, one line for each range (a report of four ranges makes four lines), SI units, empty
+where there was none, heading empty where it was not told:
+
+    place,x,y,heading,t,module,distance,px,py
+
+The thesis' (its folder calibration/): a line with one number begins the place of that number; a line of three is a
+sample, `range to the target, x, y` in mm. Where its 22 places are, the thesis' program knows.
+"""
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from services.dwm.core.filters import Place, inliers, inlying_places, mean
+from swarm.errors import RecordingError
+from swarm.recordings import Recording
+
+HEADER = "place,x,y,heading,t,module,distance,px,py"
+
+TARGET = "C933"
+"""The thesis' target, which stood at TARGET_PLACE."""
+TARGET_PLACE = (0.5, 1.0)
+
+THESIS_PLACES = (
+    (25, 100), (75, 100), (100, 100), (125, 100), (150, 100), (175, 100), (200, 100), (50, 0), (50, 25), (50, 50),
+    (50, 75), (50, 125), (50, 150), (50, 175), (100, 150), (150, 150), (150, 50), (100, 50), (0, 175), (175, 175),
+    (175, 25), (0, 25),
+)  # fmt: skip
+"""cm; place k of the recording is the k-th."""
+
+_MM = 1000.0
+_MAX_RANGE = 1000.0
+"""m: a larger number is none."""
+
+Point = tuple[float, float, float]
+
+
+class Sample(NamedTuple):
+    """One range of one report; lengths in m."""
+
+    place: int
+    x: float
+    """Where the robot truly was."""
+    y: float
+    heading: float | None
+    """rad, as told; None where it was not."""
+    t: float
+    """s; the same for all ranges of a report."""
+    module: str
+    distance: float
+    """As reported."""
+    px: float | None
+    """The place as the module reported it; None without a fix."""
+    py: float | None
+
+
+@dataclass(frozen=True)
+class Group:
+    """The ranges to one module at one place and, where it was told, in one orientation."""
+
+    place: int
+    true: float
+    """m."""
+    heading: float | None
+    values: tuple[float, ...]
+
+    @cached_property
+    def mean(self) -> float:
+        """Of what is no outlier (eq. 2.1)."""
+        return mean(inliers(self.values))
+
+    @cached_property
+    def raw_mean(self) -> float:
+        """Of all."""
+        return mean(self.values)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """The reported positions at one place."""
+
+    place: int
+    x: float
+    """True, m."""
+    y: float
+    values: tuple[Place, ...]
+
+    @cached_property
+    def mean(self) -> Place:
+        """Of what is no outlier (figure 2.12)."""
+        return _centroid(inlying_places(self.values))
+
+    @cached_property
+    def raw_mean(self) -> Place:
+        """Of all."""
+        return _centroid(self.values)
+
+
+def read(text: str, name: str) -> list[Sample]:
+    """The samples of a file in either layout; `name` is for the messages. Raises `RecordingError`."""
+    lines = text.splitlines()
+    own = bool(lines) and lines[0].strip() == HEADER
+    samples = _read_own(lines, name) if own else _read_thesis(lines, name)
+    if not samples:
+        raise RecordingError(f"{name}: holds no samples")
+    return samples
+
+
+def write(sample: Sample) -> str:
+    """A line of our layout, without its end."""
+    return ",".join("" if value is None else str(value) for value in sample)
+
+
+def digest(samples: Sequence[Sample]) -> str:
+    """SHA-256 over the samples in our layout: says of a calibration what it was made from."""
+    return hashlib.sha256("\n".join(map(write, samples)).encode()).hexdigest()
+
+
+def groups(samples: Sequence[Sample], modules: Mapping[str, Point]) -> list[Group]:
+    """Ranges to modules whose places (x, y, z) are known, the robot's antenna at height 0, by place and orientation."""
+    found: dict[tuple[int, str, float | None], list[Sample]] = {}
+    for sample in samples:
+        if sample.module in modules:
+            found.setdefault((sample.place, sample.module, sample.heading), []).append(sample)
+    return [
+        Group(
+            place,
+            math.dist((of[0].x, of[0].y, 0.0), modules[module]),
+            heading,
+            tuple(sample.distance for sample in of),
+        )
+        for (place, module, heading), of in found.items()
+    ]
+
+
+def spots(samples: Sequence[Sample]) -> list[Spot]:
+    """Positions by place, each report once."""
+    found: dict[int, dict[float, Sample]] = {}
+    for sample in samples:
+        if sample.px is not None:
+            found.setdefault(sample.place, {})[sample.t] = sample
+    result = []
+    for place, of in found.items():
+        reports = list(of.values())
+        values = tuple((s.px, s.py) for s in reports if s.px is not None and s.py is not None)
+        result.append(Spot(place, reports[0].x, reports[0].y, values))
+    return result
+
+
+def of_recording(recording: Recording, place: Place, module: str = TARGET) -> list[Sample]:
+    """What a robot of a localization run measured to the target, called `module`, from its true place (x, y in m)."""
+    return [
+        Sample(0, *place, None, t, module, row.distance, row.x, row.y)
+        for t, row in zip(recording.times, recording.rows, strict=True)
+    ]
+
+
+def _read_own(lines: Sequence[str], name: str) -> list[Sample]:
+    samples = []
+    for number, line in enumerate(lines[1:], 2):
+        if not line.strip():
+            continue
+        cells = line.split(",")
+        try:
+            if len(cells) != 9:
+                raise ValueError(f"{len(cells)} columns, expected 9 ({HEADER})")
+            place, module = int(cells[0]), cells[5].strip()
+            x, y, t, distance = (_number(cells[i]) for i in (1, 2, 4, 6))
+            heading, px, py = (_number(cells[i]) if cells[i].strip() else None for i in (3, 7, 8))
+            if not 0 <= distance < _MAX_RANGE:
+                raise ValueError(f"a range of {distance:g} m")
+            if (px is None) != (py is None):
+                raise ValueError("px without py, or py without px")
+        except ValueError as error:
+            raise RecordingError(f"{name}:{number}: {error}") from None
+        samples.append(Sample(place, x, y, heading, t, module, distance, px, py))
+    return samples
+
+
+def _read_thesis(lines: Sequence[str], name: str) -> list[Sample]:
+    samples: list[Sample] = []
+    place = -1
+    for number, line in enumerate(lines, 1):
+        cells = line.split(",")
+        try:
+            values = [_number(cell) for cell in cells]
+            if len(values) == 1:
+                place = int(values[0])
+                if place != values[0] or not 0 <= place < len(THESIS_PLACES):
+                    raise ValueError(f"place {values[0]:g}, the thesis has 0 to {len(THESIS_PLACES) - 1}")
+                continue
+            if len(values) != 3:
+                raise ValueError(f"{len(values)} columns: neither ours (first line {HEADER}) nor the thesis' layout")
+            if place < 0:
+                raise ValueError("a sample before the first place")
+            if not 0 <= values[0] < _MAX_RANGE * _MM:
+                raise ValueError(f"a range of {values[0]:g} mm")
+        except ValueError as error:
+            raise RecordingError(f"{name}:{number}: {error}") from None
+        distance, px, py = (value / _MM for value in values)
+        x, y = (value / 100 for value in THESIS_PLACES[place])
+        samples.append(Sample(place, x, y, None, float(number), TARGET, distance, px, py))
+    return samples
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text) if "_" not in text else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{text.strip()[:40]!r} is no number")
+    return value
+
+
+def _centroid(places: Sequence[Place]) -> Place:
+    return mean([place[0] for place in places]), mean([place[1] for place in places])
