@@ -75,10 +75,11 @@ def dwm(top: Table) -> Dwm:
     """The table [dwm]."""
     table = top.table("dwm", ("source", "target", "rate", "window", "distance", "position"))
     normal = Dwm()
-    expected = "serial:PATH or replay:DIR, {robot} in it standing for the robot's name"
+    expected = "serial:PATH, balancer or replay:DIR, {robot} in it standing for the robot's name"
     source = table.text("source", normal.source, expected=expected)
     kind, _, place = source.partition(":")
-    if kind not in ("serial", "replay") or not place or set("{}") & set(place.replace("{robot}", "")):
+    named = kind in ("serial", "replay") and place and not set("{}") & set(place.replace("{robot}", ""))
+    if source != "balancer" and not named:
         raise table.wrong("source", expected)
     distance = table.table("distance", ("gain", "offset"))
     gain = distance.number("gain", normal.distance.gain, above=0, expected="a number above 0")

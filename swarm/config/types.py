@@ -125,7 +125,8 @@ class Dwm:
     """UWB module, calibration and filter."""
 
     source: str = "serial:/dev/serial0"
-    """serial:PATH (a DWM1001 in generic mode) or replay:DIR (a recording); `{robot}` = the own name."""
+    """serial:PATH (a DWM1001 in generic mode), balancer (one that is wired to the ATmega32U4) or replay:DIR (a
+    recording); `{robot}` = the own name."""
     target: str | None = None
     """Address of the module that is the target."""
     rate: float = 10.0

@@ -1,0 +1,66 @@
+"""A DWM1001 that is wired to the ATmega32U4: its reports come over the bus from the balancer, requests to it go there."""
+
+import queue
+
+from services.dwm.core.block import Block
+from services.dwm.core.calls import call_of
+from services.dwm.core.pipeline import Pipeline
+from services.dwm.core.poller import Health
+from services.dwm.requests import Requests
+from swarm import clock
+from swarm.codec import decode
+from swarm.errors import FrameError, PayloadError
+from swarm.keys import key
+from swarm.messages import ModuleAnswer, Uwb
+from swarm.service import Service
+
+_POLL = 0.25
+"""s between looks at whether to stop: a signal does not wake a queue."""
+
+
+def serve(service: Service) -> None:
+    """Publish what the ATmega hears of the module until the service is to stop."""
+    robot, bus = service.robot, service.bus
+    arrived: queue.SimpleQueue[Uwb | ModuleAnswer | None] = queue.SimpleQueue()
+
+    def take(name: str, payload: bytes) -> None:
+        try:
+            arrived.put(decode(Uwb if name.endswith("uwb") else ModuleAnswer, payload, name))
+        except PayloadError as error:
+            service.counters["refused_payloads"] += 1
+            service.log.debug("%s", error)
+
+    bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
+    requests = Requests(service, lambda: arrived.put(None))
+    block, pipeline = Block(clock.now()), Pipeline(service.config.dwm)
+    service.ready()
+    while not service.stopping.is_set():
+        try:
+            message = arrived.get(timeout=_POLL)
+        except queue.Empty:
+            message = None
+        now = clock.now()
+        _pass_on(service, requests)
+        if isinstance(message, ModuleAnswer):
+            requests.answer(message.ticket, message.answer, message.problem)
+            continue
+        for event in block.handle_timer(now) if message is None else block.receive(message, now):
+            if isinstance(event, Health):
+                (service.ready if event.working else lambda reason=event.reason: service.degraded(reason))()
+            else:
+                ranges, pose = pipeline.report(event.location, now - event.age)
+                service.counters["reports"] += 1
+                bus.publish(key(robot, "dwm", "ranges"), ranges)
+                bus.publish(key(robot, "dwm", "pose"), pose)
+        service.watchdog()
+
+
+def _pass_on(service: Service, requests: Requests) -> None:
+    """Requests go to the balancer under the same ticket; only calls that are let through."""
+    for request in requests.new():
+        try:
+            call_of(request.request)
+        except FrameError as error:
+            requests.answer(request.ticket, b"", str(error))
+        else:
+            service.bus.publish(key(service.robot, "balancer", "set", "module"), request)
