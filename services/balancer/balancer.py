@@ -10,7 +10,8 @@ from collections.abc import Callable
 from services.balancer.core import balboa, lqr
 from services.balancer.core.body import BodyModel
 from services.balancer.core.controller import FAULT, IDLE, STARTING, Controller, Regulator
-from services.balancer.core.estimator import Estimate, Estimator, GyroZero
+from services.balancer.core.estimator import Estimate, Estimator
+from services.balancer.core.gyro import GyroZero, Zero
 from services.balancer.core.leds import Shown, shown
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
@@ -104,7 +105,7 @@ class Balancer:
             reading = self._imu.read()
             counters = self._balboa.fetch_encoders()
             if self._estimator is None:
-                zero = self._zero.add(reading.pitch_rate, now)
+                zero = self._zero.add(reading, now)
                 self._balboa.write_motors(0.0, 0.0)
                 if zero is not None:
                     self._start(zero, now)
@@ -151,11 +152,11 @@ class Balancer:
                 self.duty = (0.0, 0.0)
                 return
 
-    def _start(self, zero: float, now: float) -> None:
+    def _start(self, zero: Zero, now: float) -> None:
         self._estimator = Estimator(self._body, zero)
         if self._controller.mode == IDLE:
             self._controller.command(self._wish, now)
-        _log.info("gyro zero found zero=%.4f rad/s restarts=%d", zero, self._zero.restarts)
+        _log.info("gyro zero found zero=%.4f rad/s restarts=%d", zero.pitch, self._zero.restarts)
 
     def _connect(self, now: float) -> bool:
         if now < self._retry_at:

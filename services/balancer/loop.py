@@ -146,7 +146,18 @@ class Loop:
         if estimate is None:
             return None
         self._sequence += 1
-        return Odometry(estimate.t, self._sequence, estimate.left, estimate.right, estimate.heading)
+        return Odometry(
+            t=estimate.t,
+            sequence=self._sequence,
+            left=estimate.left,
+            right=estimate.right,
+            x=estimate.x,
+            y=estimate.y,
+            heading=estimate.heading,
+            gyro_heading=estimate.gyro_heading,
+            wheel_heading=estimate.wheel_heading,
+            tilt=estimate.tilt,
+        )
 
 
 def main(

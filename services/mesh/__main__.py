@@ -10,10 +10,10 @@ from functools import partial
 
 from services.mesh.core.dialler import dials
 from services.mesh.core.frames import NONCE_SIZE
+from services.mesh.core.handshake import Local
 from services.mesh.core.node import Node
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
-from services.mesh.core.session import Local
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service

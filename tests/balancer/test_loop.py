@@ -129,7 +129,7 @@ def test_what_only_the_loop_says_is_no_command(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     loop = VirtualLoop(monkeypatch)
-    loop.bridge.incoming = [Odometry(1.0, 1, 0.0, 0.0, 0.0)]
+    loop.bridge.incoming = [Odometry(1.0, 1, *[0.0] * 8)]
     loop.run(2)
     assert "the bridge sent a Odometry" in caplog.text
 

@@ -48,6 +48,10 @@ class Reading(NamedTuple):
     """Specific force along the body's X axis, m/s^2: +g when it stands."""
     back: float
     """Along Z, m/s^2: +g when it lies on its front."""
+    up_rate: float = 0.0
+    """About the body's X axis, rad/s: turning left when it stands; with the sensor's zero offset."""
+    back_rate: float = 0.0
+    """About Z, rad/s: turning left when it lies on its front; with the sensor's zero offset."""
 
 
 def check_identity(value: int) -> None:
@@ -65,10 +69,16 @@ def decode(block: bytes) -> Reading:
     """
     if len(block) != BLOCK:
         raise RemoteError(f"IMU: {len(block)} bytes instead of {BLOCK}")
-    _, rate, _, up, side, back = _WORDS.unpack(block)
+    up_rate, rate, back_rate, up, side, back = _WORDS.unpack(block)
     if up == side == back == 0:
         raise RemoteError("IMU: no data, it was reset")
-    return Reading(rate * GYRO_SCALE, up * ACCELERATION_SCALE, back * ACCELERATION_SCALE)
+    return Reading(
+        rate * GYRO_SCALE,
+        up * ACCELERATION_SCALE,
+        back * ACCELERATION_SCALE,
+        up_rate * GYRO_SCALE,
+        back_rate * GYRO_SCALE,
+    )
 
 
 def gravity_tilt(reading: Reading, tilt: float = 0.0, acceleration: float = 0.0) -> float:
@@ -80,3 +90,8 @@ def gravity_tilt(reading: Reading, tilt: float = 0.0, acceleration: float = 0.0)
     back = reading.back + acceleration * math.cos(tilt)
     up = reading.up - acceleration * math.sin(tilt)
     return math.atan2(back, up)
+
+
+def turn_rate(up_rate: float, back_rate: float, tilt: float) -> float:
+    """Rate about the vertical, rad/s, to the left: the vertical's shares of the two axes that lean with the body."""
+    return up_rate * math.cos(tilt) + back_rate * math.sin(tilt)

@@ -38,6 +38,9 @@ class ImuErrors(NamedTuple):
     gyro_noise: float
     """rad/s."""
     gyro_offset: float
+    """About the axle, rad/s; the next two about the other axes."""
+    up_rate_offset: float
+    back_rate_offset: float
     acceleration_noise: float
     """m/s^2."""
     up_offset: float
@@ -51,13 +54,15 @@ def draw_errors(noise: Noise) -> ImuErrors:
     return ImuErrors(
         gyro_noise=math.radians(7e-3 * math.sqrt(104)),
         gyro_offset=math.radians(noise.uniform(-10, 10)),
+        up_rate_offset=math.radians(noise.uniform(-10, 10)),
+        back_rate_offset=math.radians(noise.uniform(-10, 10)),
         acceleration_noise=90e-6 * math.sqrt(104) * imu.STANDARD_GRAVITY,
         up_offset=noise.uniform(-offset, offset),
         back_offset=noise.uniform(-offset, offset),
     )
 
 
-NO_ERRORS = ImuErrors(0.0, 0.0, 0.0, 0.0, 0.0)
+NO_ERRORS = ImuErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class ImuDevice:
@@ -108,7 +113,11 @@ class ImuDevice:
         if self._registers[imu.CTRL2_G] >> 4:
             scale = _GYRO_SCALES[self._registers[imu.CTRL2_G] >> 2 & 3]
             rate = body.tilt_rate + errors.gyro_offset + gauss(0.0, errors.gyro_noise)
-            gyro = (0, _word(rate / scale), _word(body.turn_rate * math.cos(body.tilt) / scale))
+            # The vertical's shares of the axes that lean with the body, and with the sensor on it.
+            leaning = body.tilt + self._trim
+            up = body.turn_rate * math.cos(leaning) + errors.up_rate_offset + gauss(0.0, errors.gyro_noise)
+            back = body.turn_rate * math.sin(leaning) + errors.back_rate_offset + gauss(0.0, errors.gyro_noise)
+            gyro = (_word(up / scale), _word(rate / scale), _word(back / scale))
         if self._registers[imu.CTRL1_XL] >> 4:
             scale = _ACCELERATION_SCALES[self._registers[imu.CTRL1_XL] >> 2 & 3]
             # Specific force at the sensor, along body axes turned from the vertical by `tilt`; then its mounting.
