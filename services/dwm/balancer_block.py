@@ -1,4 +1,4 @@
-"""A DWM1001 that is wired to the ATmega32U4: its reports come over the bus from the balancer, requests to it go there."""
+"""A DWM1001 that is wired to the ATmega32U4: reports come over the bus from the balancer, requests go there."""
 
 import queue
 
@@ -8,10 +8,9 @@ from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.poller import Health
 from services.dwm.requests import Requests
 from swarm import clock
-from swarm.codec import decode
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import key
-from swarm.messages import ModuleAnswer, Uwb
+from swarm.messages import ModuleAnswer, Uwb, read
 from swarm.service import Service
 
 _POLL = 0.25
@@ -25,14 +24,17 @@ def serve(service: Service) -> None:
 
     def take(name: str, payload: bytes) -> None:
         try:
-            arrived.put(decode(Uwb if name.endswith("uwb") else ModuleAnswer, payload, name))
+            message = read(name, payload)
         except PayloadError as error:
             service.counters["refused_payloads"] += 1
             service.log.debug("%s", error)
+            return
+        if isinstance(message, Uwb | ModuleAnswer):
+            arrived.put(message)
 
     bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
-    requests = Requests(service, lambda: arrived.put(None))
-    block, pipeline = Block(clock.now()), Pipeline(service.config.dwm)
+    requests = Requests(service, lambda: arrived.put(None), repeats=True)
+    block, pipeline = Block(clock.now()), Pipeline(service.config.dwm, service.config.robots_by_module)
     service.ready()
     while not service.stopping.is_set():
         try:
@@ -45,11 +47,14 @@ def serve(service: Service) -> None:
             requests.answer(message.ticket, message.answer, message.problem)
             continue
         for event in block.handle_timer(now) if message is None else block.receive(message, now):
-            if isinstance(event, Health):
-                (service.ready if event.working else lambda reason=event.reason: service.degraded(reason))()
+            if isinstance(event, Health) and event.working:
+                service.ready()
+            elif isinstance(event, Health):
+                service.degraded(event.reason)
             else:
                 ranges, pose = pipeline.report(event.location, now - event.age)
                 service.counters["reports"] += 1
+                service.counters.update(pipeline.dropped())
                 bus.publish(key(robot, "dwm", "ranges"), ranges)
                 bus.publish(key(robot, "dwm", "pose"), pose)
         service.watchdog()

@@ -1,12 +1,12 @@
 """Requests to the module that come over the bus (`dwm/set/module`), and their answers (`dwm/module`).
 
-A request is named by its ticket and repeated by whoever asks until the answer is there, since the bus may lose messages:
-the one under way is not done twice, and the last ones are answered again from memory.
+A request is named by its ticket and repeated by whoever asks until the answer is there, since the bus may lose
+messages. The last ones are answered again from memory, so that nothing is done twice.
 """
 
-import os
 import queue
 from collections import OrderedDict
+from collections.abc import Callable
 
 from swarm import clock
 from swarm.codec import decode
@@ -23,34 +23,28 @@ MAX_REQUEST = 255
 
 
 class Requests:
-    """What is asked for and not yet answered. `fileno` is readable when there is something to take."""
+    """What is asked for and not yet answered."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: Service, wake: Callable[[], None], *, repeats: bool = False) -> None:
+        """`wake()` is called on Zenoh's thread when there is something to take. With `repeats` a request that is
+        repeated before its answer is there comes again: for one who passes it on over the bus."""
         self._service = service
+        self._wake = wake
+        self._repeats = repeats
         self._queue: queue.SimpleQueue[ModuleRequest] = queue.SimpleQueue()
         self._answers: OrderedDict[str, ModuleAnswer | None] = OrderedDict()
         self._key = key(service.robot, "dwm", "module")
-        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         service.bus.subscribe(key(service.robot, "dwm", "set", "module"), self._take)
-
-    def fileno(self) -> int:
-        """For `select`."""
-        return self._wake
 
     def new(self) -> list[ModuleRequest]:
         """What came since the last call."""
-        try:
-            os.eventfd_read(self._wake)
-        except BlockingIOError:
-            return []
         return [self._queue.get_nowait() for _ in range(self._queue.qsize())]
 
     def answer(self, ticket: str, data: bytes, problem: str) -> None:
-        """Publish what the module said."""
-        message = ModuleAnswer(clock.now(), ticket, data, problem)
+        """Publish what the module said; nothing where nobody has asked here."""
         if ticket in self._answers:
-            self._answers[ticket] = message
-        self._service.bus.publish(self._key, message)
+            message = self._answers[ticket] = ModuleAnswer(clock.now(), ticket, data, problem)
+            self._service.bus.publish(self._key, message)
 
     def _take(self, name: str, payload: bytes) -> None:
         """Runs on Zenoh's thread."""
@@ -60,16 +54,19 @@ class Requests:
             self._service.counters["refused_payloads"] += 1
             self._service.log.debug("%s", error)
             return
+        if len(request.request) > MAX_REQUEST:
+            self._service.counters["refused_payloads"] += 1
+            return
         if request.ticket in self._answers:
             known = self._answers[request.ticket]
             if known is not None:
                 self._service.bus.publish(self._key, known)
-            return
-        if len(request.request) > MAX_REQUEST:
-            self._service.counters["refused_payloads"] += 1
-            return
-        self._answers[request.ticket] = None
-        if len(self._answers) > MAX_OPEN:
-            self._answers.popitem(last=False)
+                return
+            if not self._repeats:
+                return
+        else:
+            self._answers[request.ticket] = None
+            if len(self._answers) > MAX_OPEN:
+                self._answers.popitem(last=False)
         self._queue.put(request)
-        os.eventfd_write(self._wake, 1)
+        self._wake()

@@ -3,6 +3,7 @@
 What others want of the module (`swarm dwm`) comes over the bus, since the port has one owner.
 """
 
+import os
 import select
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,8 +36,9 @@ def serve(service: Service, path: Path) -> None:
         raise LocalError(
             "[dwm] source is a serial port, which needs pyserial: pip install balboa-swarm[robot]"
         ) from None
-    pipeline = Pipeline(service.config.dwm)
-    requests = Requests(service)
+    pipeline = Pipeline(service.config.dwm, service.config.robots_by_module)
+    wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+    requests = Requests(service, lambda: os.eventfd_write(wake, 1))
     pause = _FIRST_PAUSE
     service.ready()  # to serve; how the module does is told from here on
     while not service.stopping.is_set():
@@ -44,7 +46,7 @@ def serve(service: Service, path: Path) -> None:
         try:
             # exclusive: two processes polling one module would read each other's answers
             with serial.Serial(str(path), BAUD, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True) as port:
-                _poll(service, port, pipeline, requests)
+                _poll(service, port, pipeline, requests, wake)
         except OSError as error:  # pyserial's own errors are OSErrors too
             service.counters["port_errors"] += 1
             service.degraded(f"{path}: {error.strerror or error}")
@@ -57,7 +59,7 @@ def serve(service: Service, path: Path) -> None:
         pause = min(pause * 2, _MAX_PAUSE)
 
 
-def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests: Requests) -> None:
+def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests: Requests, wake: int) -> None:
     """Runs the poller until the service is to stop; raises `OSError` when the port goes away."""
     poller = Poller(service.config.dwm.rate, clock.now())
     port.reset_input_buffer()
@@ -65,8 +67,9 @@ def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests:
     while not service.stopping.is_set():
         now = clock.now()
         wait = min(max(0.0, poller.next_deadline() - now), _MAX_WAIT)
-        readable, _, _ = select.select([port.fileno(), requests], [], [], wait)
-        if requests in readable:
+        readable, _, _ = select.select([port.fileno(), wake], [], [], wait)
+        if wake in readable:
+            os.eventfd_read(wake)
             for request in requests.new():
                 poller.ask(request.ticket, request.request)
         if port.fileno() in readable:
@@ -74,8 +77,8 @@ def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests:
         now = clock.now()
         if now >= poller.next_deadline():
             poller.handle_timer(now)
-        if request := poller.to_send():
-            port.write(request)
+        if data := poller.to_send():
+            port.write(data)
         if now >= watchdog_at:
             service.watchdog()
             watchdog_at = now + _WATCHDOG_PERIOD
@@ -87,6 +90,7 @@ def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests:
             else:
                 ranges, pose = pipeline.report(event.location, now)
                 service.counters["reports"] += 1
+                service.counters.update(pipeline.dropped())
                 service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
                 service.bus.publish(key(service.robot, "dwm", "pose"), pose)
 

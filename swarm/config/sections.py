@@ -63,7 +63,7 @@ def anchors(top: Table) -> tuple[Anchor, ...]:
     """The tables [[anchors]]."""
     found: list[Anchor] = []
     for table in top.tables("anchors", ("address", "x", "y", "z")):
-        address = _uwb_address(table, "address")
+        address = uwb_address(table, "address")
         if any(anchor.address == address for anchor in found):
             raise table.error("address", f"{address} is already that of another anchor")
         x, y = (table.number(key, expected="a finite number, in m") for key in ("x", "y"))
@@ -87,7 +87,7 @@ def dwm(top: Table) -> Dwm:
     position = table.table("position", ("matrix", "offset"))
     return Dwm(
         source=source,
-        target=_uwb_address(table, "target") if "target" in table else None,
+        target=uwb_address(table, "target") if "target" in table else None,
         rate=table.number("rate", normal.rate, above=0, up_to=10, expected="a number above 0 up to 10, in Hz"),
         window=table.count("window", normal.window, low=1),
         distance=Linear(gain, offset),
@@ -140,7 +140,8 @@ def simulation(top: Table, robots: Sequence[str]) -> Simulation:
     )
 
 
-def _uwb_address(table: Table, key: str) -> str:
+def uwb_address(table: Table, key: str) -> str:
+    """The short address of a DWM1001."""
     address: str = table.text(key, expected="four hex digits like C933", pattern=_UWB_ADDRESS)
     return address.upper()
 

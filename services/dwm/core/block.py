@@ -27,7 +27,7 @@ class Block:
         self._state, self._times = "", 0
 
     def receive(self, block: Uwb, now: float) -> list[Report | Health]:
-        """A message of the balancer. The report's age says how long the ATmega has had it."""
+        """A message of the balancer."""
         self._heard = now
         self._times = self._times + 1 if block.state == self._state else 1
         self._state = block.state
@@ -36,7 +36,7 @@ class Block:
         if reason is not None:
             events += self._tell(reason)
         if block.sequence not in (0, self._sequence):
-            events.append(Report(location(block), block.age))
+            events.append(Report(location(block), max(0.0, now - block.t) + block.age))
         self._sequence = block.sequence
         return events
 
@@ -67,6 +67,4 @@ def location(block: Uwb) -> Location:
 
 
 def _range(item: UwbRange) -> AnchorRange:
-    return AnchorRange(
-        item.anchor, item.distance, item.quality, Position(item.x, item.y, item.z, item.place_quality)
-    )
+    return AnchorRange(item.anchor, item.distance, item.quality, Position(item.x, item.y, item.z, item.place_quality))

@@ -32,6 +32,8 @@ class Report:
     """The module's answer."""
 
     location: Location
+    age: float = 0.0
+    """s since it was given; above zero where somebody else has asked for it."""
 
 
 @dataclass(frozen=True, slots=True)
