@@ -2,11 +2,8 @@ from dataclasses import replace
 
 import pytest
 from dwm_frames import LOCATION
-from hypothesis import given
-from hypothesis import strategies as st
 
 from services.dwm.core import calibration
-from services.dwm.core.filters import MovingAverage
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.ranges import FORGET, MAX_DISTANCE, MAX_MODULES, STALE, STUCK
 from services.dwm.core.tlv import AnchorRange, Location, Position
@@ -35,15 +32,6 @@ def test_the_position_model_of_the_thesis():
     x, y = calibration.position(POSITION, 0.439, 1.526)
     assert x == pytest.approx(0.93538932 * 0.439 + 0.00353817 * 1.526 + 0.046239576)
     assert y == pytest.approx(-0.01071457 * 0.439 + 0.94470965 * 1.526 + 0.050861534)
-
-
-@given(st.integers(1, 30), st.lists(st.floats(-100, 100), min_size=1, max_size=60))
-def test_moving_average(window, values):
-    average = MovingAverage(window)
-    means = [average.add(value) for value in values]
-    for index, mean in enumerate(means):
-        part = values[max(0, index + 1 - window) : index + 1]
-        assert mean == pytest.approx(sum(part) / len(part), abs=1e-9)
 
 
 def test_all_ranges_are_published_with_both_values():

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from services.dwm.core import calibration
-from services.dwm.core.filters import MovingAverage
+from services.dwm.core.filters import PlaceFilter, RangeFilter
 from services.dwm.core.ranges import FORGET, RangeBook, Track
 from services.dwm.core.tlv import Location, Position
 from swarm.config.types import Dwm
@@ -22,9 +22,8 @@ class Pipeline:
         """`robots`: name of the robot that carries a module, by address."""
         self._settings = settings
         self._book = RangeBook(settings.rate, robots or {})
-        self._distances: dict[str, tuple[MovingAverage, float]] = {}
-        self._x = MovingAverage(settings.window)
-        self._y = MovingAverage(settings.window)
+        self._distances: dict[str, tuple[RangeFilter, float]] = {}
+        self._place = PlaceFilter(settings.window)
         self._fix: tuple[float, float] = (0.0, 0.0)
         self._fix_at = 0.0
         self._sequence = -1
@@ -46,9 +45,9 @@ class Pipeline:
 
     def _smooth(self, now: float) -> None:
         """Let new samples into their averages."""
-        smoothed: dict[str, tuple[MovingAverage, float]] = {}
+        smoothed: dict[str, tuple[RangeFilter, float]] = {}
         for anchor, track in self._book.tracks.items():
-            average, before = self._distances.get(anchor) or (MovingAverage(self._settings.window), 0.0)
+            average, before = self._distances.get(anchor) or (RangeFilter(self._settings.window), 0.0)
             if track.fresh:
                 if track.gap > FORGET:
                     average.clear()
@@ -73,10 +72,8 @@ class Pipeline:
         """Without quality a place is none: its numbers are old or zero and enter nothing."""
         if place.quality > 0:
             if now - self._fix_at > FORGET:
-                self._x.clear()
-                self._y.clear()
+                self._place.clear()
             self._fix_at = now
-            x, y = calibration.position(self._settings.position, place.x, place.y)
-            self._fix = (self._x.add(x), self._y.add(y))
+            self._fix = self._place.add(*calibration.position(self._settings.position, place.x, place.y))
         source = "average" if self._settings.window > 1 else "module"
         return Pose(now, self._sequence, *self._fix, None, place.quality, source)
