@@ -284,6 +284,16 @@ def buffer(driven: Driven) -> dict[int, int]:
     return {at: value for at, value in enumerate(data) if at not in VOLATILE}
 
 
+def test_the_simulated_atmega_has_the_same_room_at_every_offset(new_bench) -> None:
+    """Zeros: no request is sent to the module by them, no tune is played."""
+    real, simulated = Driven(Real(new_bench())), Driven(Simulated())
+    for offset in range(256):
+        for size in (1, 2, 3, 4, 7, 8, 28, 29, 30, 31, 32):
+            written = bytes((offset,)) + bytes(size)
+            assert outcome(simulated, written) == outcome(real, written), (offset, size)
+    assert buffer(simulated) == buffer(real)
+
+
 @given(done=st.lists(writes, max_size=6))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
 def test_the_simulated_atmega_takes_and_refuses_what_the_firmware_does(new_bench, done) -> None:
