@@ -7,7 +7,7 @@ is timed later (Decawave APS011). Below the shortest range of the fit the curve 
 A place: matrix m + offset (eq. 2.10).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import log as ln
 
 from swarm.config.types import Affine, Linear
@@ -48,8 +48,8 @@ class RangeModel:
 class Calibration:
     """Both models of one robot."""
 
-    ranges: RangeModel = RangeModel()
-    position: Affine = Affine()
+    ranges: RangeModel = field(default_factory=RangeModel)
+    position: Affine = field(default_factory=Affine)
 
 
 def position(model: Affine, x: float, y: float) -> tuple[float, float]:

@@ -4,7 +4,8 @@ Models compete on places they have not seen: each place is left out in turn, the
 mean of the place that was left out counts ("leave one place out"). More samples at a place are no more evidence than
 few: its own multipath and antenna errors do not average out. A model wins over the linear one when the squares of its
 errors are smaller by more than their standard error over the places, and when it is not worse where all places of one
-distance are left out, so that it must reach beyond what it has seen. Else the linear model stays. What the choice itself is worth is judged by the same choice made anew without each place.
+distance are left out, so that it must reach beyond what it has seen. Else the linear model stays. What the choice
+itself is worth is judged by the same choice made anew without each place.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,9 +25,9 @@ MARGIN = 0.98
 """A model of places with fewer unknowns than the thesis' wins when its error is at most this part of that one's."""
 
 CURVED = 0.6
-"""Share of the logarithmic model in the curved one. On the thesis' recording the logarithmic model alone errs less still
-(2.65 cm at places left out, curved 2.72, linear 2.90), but with halves of the places left out at random it is worse than
-the linear one twice as often (9 % of the halves against 5 %)."""
+"""Share of the logarithmic model in the curved one. On the thesis' recording the logarithmic model alone errs less
+still (2.65 cm at places left out, curved 2.72, linear 2.90), but with halves of the places left out at random it is
+worse than the linear one twice as often (9 % of the halves against 5 %)."""
 
 _SAME = 0.05
 """m: distances as near as that count as one."""

@@ -163,49 +163,51 @@ def of_recording(recording: Recording, place: Place, module: str = TARGET) -> li
 def _read_own(lines: Sequence[str], name: str) -> list[Sample]:
     samples = []
     for number, line in enumerate(lines[1:], 2):
-        if not line.strip():
-            continue
-        cells = line.split(",")
-        try:
-            if len(cells) != 9:
-                raise ValueError(f"{len(cells)} columns, expected 9 ({HEADER})")
-            place, module = int(cells[0]), cells[5].strip()
-            x, y, t, distance = (_number(cells[i]) for i in (1, 2, 4, 6))
-            heading, px, py = (_number(cells[i]) if cells[i].strip() else None for i in (3, 7, 8))
-            if not 0 <= distance < _MAX_RANGE:
-                raise ValueError(f"a range of {distance:g} m")
-            if (px is None) != (py is None):
-                raise ValueError("px without py, or py without px")
-        except ValueError as error:
-            raise RecordingError(f"{name}:{number}: {error}") from None
-        samples.append(Sample(place, x, y, heading, t, module, distance, px, py))
+        if line.strip():
+            try:
+                samples.append(_own_sample(line.split(",")))
+            except ValueError as error:
+                raise RecordingError(f"{name}:{number}: {error}") from None
     return samples
+
+
+def _own_sample(cells: Sequence[str]) -> Sample:
+    _expect(len(cells) == 9, f"{len(cells)} columns, expected 9 ({HEADER})")
+    _expect(cells[0].strip().isdigit(), f"the place {cells[0].strip()[:40]!r} is no number from 0")
+    x, y, t, distance = (_number(cells[i]) for i in (1, 2, 4, 6))
+    heading, px, py = (_number(cells[i]) if cells[i].strip() else None for i in (3, 7, 8))
+    _expect(0 <= distance < _MAX_RANGE, f"a range of {distance:g} m")
+    _expect((px is None) == (py is None), "px without py, or py without px")
+    return Sample(int(cells[0]), x, y, heading, t, cells[5].strip(), distance, px, py)
 
 
 def _read_thesis(lines: Sequence[str], name: str) -> list[Sample]:
     samples: list[Sample] = []
     place = -1
     for number, line in enumerate(lines, 1):
-        cells = line.split(",")
         try:
-            values = [_number(cell) for cell in cells]
+            values = [_number(cell) for cell in line.split(",")]
             if len(values) == 1:
+                _expect(values[0] in range(len(THESIS_PLACES)), f"place {values[0]:g}, the thesis has 0 to 21")
                 place = int(values[0])
-                if place != values[0] or not 0 <= place < len(THESIS_PLACES):
-                    raise ValueError(f"place {values[0]:g}, the thesis has 0 to {len(THESIS_PLACES) - 1}")
                 continue
-            if len(values) != 3:
-                raise ValueError(f"{len(values)} columns: neither ours (first line {HEADER}) nor the thesis' layout")
-            if place < 0:
-                raise ValueError("a sample before the first place")
-            if not 0 <= values[0] < _MAX_RANGE * _MM:
-                raise ValueError(f"a range of {values[0]:g} mm")
+            _expect(
+                len(values) == 3,
+                f"{len(values)} columns: neither ours (first line {HEADER}) nor the thesis' layout",
+            )
+            _expect(place >= 0, "a sample before the first place")
+            _expect(0 <= values[0] < _MAX_RANGE * _MM, f"a range of {values[0]:g} mm")
         except ValueError as error:
             raise RecordingError(f"{name}:{number}: {error}") from None
         distance, px, py = (value / _MM for value in values)
         x, y = (value / 100 for value in THESIS_PLACES[place])
         samples.append(Sample(place, x, y, None, float(number), TARGET, distance, px, py))
     return samples
+
+
+def _expect(right: bool, message: str) -> None:
+    if not right:
+        raise ValueError(message)
 
 
 def _number(text: str) -> float:

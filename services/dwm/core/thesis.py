@@ -3,7 +3,7 @@
 Distances (eqs 2.4 and 2.8, table 2.3): samples pooled by true distance, outliers out by the quartiles, a window of 5
 averaged in place, a line through the ten means. The table's errors are then taken at the means of **all** samples.
 Places (eq. 2.10, table 2.4): outliers by the percentiles 40 and 60, the same average; the equation from all 22 places,
-the table and figure 2.14 from 20 (without (200,100) and (50,0)), and the table's rms is that of single coordinates, not of distances.
+the table and figure 2.14 from 20 (without (200,100) and (50,0)), and the table's rms is that of single coordinates.
 """
 
 from collections.abc import Sequence
