@@ -72,7 +72,7 @@ def parse(text: str, path: Path) -> Config:
         anchors=sections.anchors(top),
         mesh=sections.mesh(top),
         body=sections.body(top),
-        dwm=sections.dwm(top),
+        dwm=sections.dwm(top, names),
         apps=sections.apps(top, names),
         simulation=sections.simulation(top, names),
     )
