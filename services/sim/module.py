@@ -16,11 +16,11 @@ from pathlib import Path
 from services.dwm.core.calls import Settings
 from services.dwm.core.tlv import NOWHERE, Location, Position
 from services.sim.core.dwm1001 import Dwm1001, Flash
+from services.sim.core.module_line import TTY
 from services.sim.core.uwb import Module, Tag
 from swarm import clock
 from swarm.config import Config
 
-TTY = "dwm.tty"
 ANCHORS = "anchors"
 
 _IDENTITY = 0xDECA9AABC0A2 << 16

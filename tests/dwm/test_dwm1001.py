@@ -40,7 +40,7 @@ class Line:
             return measure()
 
         flash = Flash(settings, rate, place)
-        self.module = Dwm1001(IDENTITY, flash, random.Random(1), measuring, self.now)
+        self.module = Dwm1001(IDENTITY, flash, random.Random(1), measuring, self.now, chunk=8)
         self.arrived: list[tuple[float, bytes]] = []
 
     def run(self, seconds):
@@ -73,10 +73,10 @@ def test_an_answer_takes_its_latency_and_its_bytes_their_time():
     for _ in range(40):
         asked = line.now
         assert line.send(LOC_GET.request, 0.1) == encode_location(LOCATION)
-        (first, one), (last, two) = line.arrived[-2:]
-        assert (len(one), len(two)) == (64, 37)
-        assert LATENCY[0] + 64 * BYTE <= first - asked <= LATENCY[1] + 64 * BYTE
-        assert last - first == pytest.approx(37 * BYTE)
+        pieces = line.arrived[-13:]
+        assert [len(data) for _, data in pieces] == [8] * 12 + [5]
+        assert LATENCY[0] + 8 * BYTE <= pieces[0][0] - asked <= LATENCY[1] + 8 * BYTE
+        assert pieces[-1][0] - pieces[0][0] == pytest.approx(93 * BYTE)
     assert pytest.approx(0.0088, abs=1e-4) == 101 * BYTE
 
 

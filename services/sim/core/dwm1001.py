@@ -37,9 +37,6 @@ LATENCY = (0.010, 0.030)
 BYTE = 10 / 115200
 """s that a byte takes on the line."""
 
-CHUNK = 64
-"""Bytes that leave together: on the line they would come one by one, here each would wake two processes."""
-
 RESTART = 1.0
 """s that `reset` takes."""
 
@@ -82,8 +79,11 @@ class Dwm1001:
         generator: Generator,
         measure: Callable[[], Location],
         now: float,
+        *,
+        chunk: int = 255,
     ) -> None:
-        """`identity`: the 64-bit id; `generator` decides the latencies."""
+        """`identity`: the 64-bit id; `generator` decides the latencies. `chunk` bytes leave together: on a real line
+        one by one, but each would wake two processes; so a whole answer comes when its last byte would."""
         self.identity = identity
         self.flash = flash
         self.settings = flash.settings
@@ -91,6 +91,7 @@ class Dwm1001:
         """Ranges to other anchors, once the phone app had them measured."""
         self.in_shell = False
         self._generator = generator
+        self._chunk = chunk
         self._measure = measure
         self._location = Location(NOWHERE, ())
         self._located = False
@@ -240,8 +241,8 @@ class Dwm1001:
     def _leave(self, data: bytes, at: float) -> None:
         """Put bytes on the line, behind those that are on it."""
         at = max(at, self._out[-1][0] if self._out else at)
-        for start in range(0, len(data), CHUNK):
-            chunk = data[start : start + CHUNK]
+        for start in range(0, len(data), self._chunk):
+            chunk = data[start : start + self._chunk]
             at += len(chunk) * BYTE
             self._out.append((at, chunk))
 
