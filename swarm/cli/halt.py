@@ -144,11 +144,15 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
                 seen = dict(modes)
             there = {name: bus.connected for name, bus in opened_buses.items()}
             rows = rows_of(there, views.best(), seen, stop=stop)
-            # Who is silent may only not have answered yet.
-            if all((row.confirmed and row.state == "here") or row.state in AWAY for row in rows):
+            if all(_is_final(row, opened_buses) for row in rows):
                 return rows
         if clock.now() >= end:
             return rows
+
+
+def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:
+    """Whether waiting changes nothing. Whose own bus is asked may only not have answered yet, whatever others say."""
+    return (row.confirmed and row.state == "here") or (row.state in AWAY and row.robot not in opened_buses)
 
 
 def _give(name: str, bus: Bus, *, stop: bool, reason: str) -> None:
