@@ -13,7 +13,16 @@ from swarm.keys import STOP, parse
 from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import AppProgress, AppState
 from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
-from swarm.messages.devices import ModuleAnswer, ModuleRequest, Uwb, UwbRange
+from swarm.messages.devices import (
+    Battery,
+    Buttons,
+    ImuRequest,
+    ImuSample,
+    ModuleAnswer,
+    ModuleRequest,
+    Uwb,
+    UwbRange,
+)
 from swarm.messages.dwm import Measurement, Pose, Range, Ranges
 from swarm.messages.mesh import (
     Arm,
@@ -22,11 +31,13 @@ from swarm.messages.mesh import (
     EchoRequest,
     Flooded,
     FloodRequest,
+    GraphRobot,
     Links,
     LinkState,
     Member,
     MemberChange,
     Members,
+    MeshGraph,
     SendRequest,
     Sent,
     Stop,
@@ -41,11 +52,16 @@ __all__ = [
     "AppState",
     "Arm",
     "BalancerState",
+    "Battery",
+    "Buttons",
     "Clock",
     "Echo",
     "EchoRequest",
     "FloodRequest",
     "Flooded",
+    "GraphRobot",
+    "ImuRequest",
+    "ImuSample",
     "Leds",
     "LinkState",
     "Links",
@@ -53,6 +69,7 @@ __all__ = [
     "Member",
     "MemberChange",
     "Members",
+    "MeshGraph",
     "ModuleAnswer",
     "ModuleRequest",
     "Odometry",
