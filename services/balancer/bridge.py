@@ -8,11 +8,20 @@ import socket
 import sys
 
 from services.balancer.core.controller import COMMANDS, FAULT
-from services.balancer.link import MAX_DATAGRAM, Message, pack, unpack
+from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import STOP, key
-from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop, read
+from swarm.messages import (
+    BalancerFault,
+    BalancerState,
+    Leds,
+    Notice,
+    Odometry,
+    Parameters,
+    SetMode,
+    read,
+)
 from swarm.service import Service, run
 
 SILENCE_S = 1.0
@@ -21,6 +30,19 @@ _POLL_S = 0.25
 """How soon a SIGTERM is seen."""
 _LOG_PERIOD_S = 5.0
 """Of refused commands: a flood of them is counted, not logged one by one."""
+
+_NOTICE_PERIOD_S = 0.1
+"""Of notices about refused commands."""
+
+_TOPICS: dict[type, str] = {
+    BalancerState: "state",
+    Odometry: "odometry",
+    Leds: "leds",
+    BalancerFault: "fault",
+    Notice: "notice",
+    Parameters: "parameters",
+}
+_COMMANDS = ("mode", "velocity", "parameters", "leds")
 
 
 class Relay:
@@ -32,12 +54,10 @@ class Relay:
         self._loop.settimeout(_POLL_S)
         self._logged = -_LOG_PERIOD_S
         self._heard = clock.now()
-        self._keys: dict[type, str] = {
-            kind: key(service.robot, "balancer", topic)
-            for kind, topic in ((BalancerState, "state"), (Odometry, "odometry"), (Leds, "leds"))
-        }
+        self._noticed = -_NOTICE_PERIOD_S
+        self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         service.bus.subscribe(
-            [STOP, *(key(service.robot, "balancer", "set", what) for what in ("mode", "leds"))], self._command
+            [STOP, *(key(service.robot, "balancer", "set", what) for what in _COMMANDS)], self._command
         )
 
     def run(self) -> None:
@@ -71,21 +91,26 @@ class Relay:
         try:
             message = read(name, payload)
         except PayloadError as error:
-            self._refuse("refused", str(error))
+            self._refuse(name, "refused", str(error))
             return
         if isinstance(message, SetMode) and message.mode not in COMMANDS:
-            self._refuse("refused", f"{name}: mode: expected one of {', '.join(COMMANDS)}, got {message.mode!r}")
-        elif isinstance(message, SetMode | Leds | Stop):
+            wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
+            self._refuse(name, "refused", f"{name}: mode: {wrong}")
+        elif isinstance(message, Command):
             try:
                 self._loop.send(pack(message), socket.MSG_DONTWAIT)
             except BlockingIOError:
-                self._refuse("dropped", f"{name}: the control loop does not take commands")
+                self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
             except OSError:
                 return  # the loop is gone, and so are we in a moment
 
-    def _refuse(self, counter: str, reason: str) -> None:
+    def _refuse(self, name: str, counter: str, reason: str) -> None:
         self._service.counters[counter] += 1
         now = clock.now()
+        if now - self._noticed >= _NOTICE_PERIOD_S:
+            self._noticed = now
+            notice = Notice(now, name.rpartition("/")[2], f"{counter}: {reason[:200]}")
+            self._service.bus.publish(self._keys[Notice], notice)
         if now - self._logged >= _LOG_PERIOD_S:
             self._logged = now
             self._service.log.warning("command %s: %s", counter, reason[:200])

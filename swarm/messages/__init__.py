@@ -12,7 +12,18 @@ from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
 from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import AppProgress, AppState
-from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
+from swarm.messages.balancer import (
+    BalancerFault,
+    BalancerState,
+    Leds,
+    Notice,
+    Odometry,
+    Parameters,
+    SetLeds,
+    SetMode,
+    SetParameters,
+    SetVelocity,
+)
 from swarm.messages.devices import ModuleAnswer, ModuleRequest, Uwb, UwbRange
 from swarm.messages.dwm import Measurement, Pose, Range, Ranges
 from swarm.messages.mesh import (
@@ -40,6 +51,7 @@ __all__ = [
     "AppProgress",
     "AppState",
     "Arm",
+    "BalancerFault",
     "BalancerState",
     "Clock",
     "Echo",
@@ -55,13 +67,18 @@ __all__ = [
     "Members",
     "ModuleAnswer",
     "ModuleRequest",
+    "Notice",
     "Odometry",
+    "Parameters",
     "Pose",
     "Range",
     "Ranges",
     "SendRequest",
     "Sent",
+    "SetLeds",
     "SetMode",
+    "SetParameters",
+    "SetVelocity",
     "Status",
     "Stop",
     "Stopped",
