@@ -11,7 +11,8 @@ from bench.rows import Row
 from services.mesh.core import frames
 from services.mesh.core.auth import Tagger
 from services.mesh.core.clock import MeshClock
-from services.mesh.core.session import Local, Session
+from services.mesh.core.handshake import Local
+from services.mesh.core.session import Session
 
 KEYS = {1: bytes(range(32))}
 KEY = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"

@@ -46,8 +46,9 @@ class Balancer:
         settings: Balancing | None = None,
     ) -> None:
         """`start_mode` is obeyed once the gyro's zero is known; `sleep` waits for the ATmega, 150 us at most."""
-        self._imu = Imu(bus)
-        self._balboa = Balboa(bus, clock, sleep)
+        self._bus = bus
+        self.imu = Imu(bus)
+        self.balboa = Balboa(bus, clock, sleep)
         self._body = body
         settings = Balancing() if settings is None else settings
         self._controller = make_controller(body, trim, settings)
@@ -68,13 +69,24 @@ class Balancer:
         self.duty = (0.0, 0.0)
         self.battery: float | None = None
         """V."""
-        self.bus_errors = 0
-        """Failed transfers since the start."""
+        self.motion = balboa.Motion(0, 0, 0, False)
+        """Counters and buttons of the last tick."""
+        self._bus_errors = 0
 
     @property
     def ready(self) -> bool:
         """Whether devices were found and the gyro's zero is known."""
         return self._estimator is not None
+
+    @property
+    def connected(self) -> bool:
+        """Whether the devices answer."""
+        return self._connected
+
+    @property
+    def bus_errors(self) -> int:
+        """Failed transfers of the control loop since the start, those done again included."""
+        return self._bus_errors + self.imu.retried + self.balboa.retried
 
     @property
     def mode(self) -> str:
@@ -171,31 +183,22 @@ class Balancer:
         if not self._connected and not self._connect(now):
             return
         try:
-            self._balboa.select(balboa.ENCODERS)
-            reading = self._imu.read()
-            counters = self._balboa.fetch_encoders()
+            self.balboa.select(balboa.ENCODERS)
+            reading = self.imu.read()
+            self.motion = self.balboa.fetch_motion()
             if self._zero is not None:
                 self._seek_zero(self._zero, reading, now)
             if self._estimator is None:
-                self._balboa.write_motors(0.0, 0.0)
+                self.balboa.write_motors(0.0, 0.0)
                 self._errors_in_row = 0
                 return
-            self.estimate = self._estimator.update(reading, counters, now)
+            self.estimate = self._estimator.update(reading, (self.motion.left, self.motion.right), now)
             self.duty = self._controller.step(self.estimate)
-            self._balboa.write_motors(*self.duty)
+            self.balboa.write_motors(*self.duty)
         except (OSError, RemoteError) as error:
             self._failed(error, now)
         else:
             self._errors_in_row = 0
-
-    def read_housekeeping(self) -> None:
-        """Look at the battery; for the slack."""
-        if not self._connected:
-            return
-        try:
-            self.battery = self._balboa.read_housekeeping().battery
-        except (OSError, RemoteError):
-            self.bus_errors += 1
 
     def watch_battery(self, now: float) -> None:
         """Judge the battery by its last reading: warn, or lie down; for the slack, once a second."""
@@ -223,9 +226,9 @@ class Balancer:
         if wanted == self._leds or not self._connected:
             return False
         try:
-            self._balboa.write_leds(*wanted)
+            self.balboa.write_leds(*wanted)
         except OSError:
-            self.bus_errors += 1
+            self._bus_errors += 1
             return False
         self._leds = wanted
         return True
@@ -234,7 +237,7 @@ class Balancer:
         """The last act: stop, whatever state this is in. Where the bus fails the ATmega's watchdog does it."""
         for _ in range(3):
             try:
-                self._balboa.write_motors(0.0, 0.0)
+                self.balboa.write_motors(0.0, 0.0)
             except OSError as error:
                 _log.warning("motors could not be stopped, their watchdog will: %s", error)
             else:
@@ -277,10 +280,11 @@ class Balancer:
             return False
         self._retry_at = now + RETRY_S
         try:
-            self._imu.set_up()
-            self._balboa.set_up()
+            self.imu.set_up()
+            found = self.balboa.set_up()
         except (OSError, RemoteError) as error:
-            self.bus_errors += 1
+            self._bus_errors += 1
+            self._bus.recover()
             fault = _described(error)
             if fault != self._unreachable:
                 _log.error("the robot's devices do not answer: %s", fault.reason)
@@ -288,6 +292,9 @@ class Balancer:
             return False
         if self._unreachable is not None:
             _log.info("the robot's devices answer again")
+        reset = balboa.describe_reset(found.reset_cause)
+        _log.info("ATmega firmware=%d last_reset=%s battery=%.2f V", found.revision, reset, found.battery)
+        self.battery = found.battery
         self._connected, self._unreachable, self._leds = True, None, None
         self._errors_in_row = 0
         if self._estimator is not None:
@@ -296,8 +303,10 @@ class Balancer:
 
     def _failed(self, error: OSError | RemoteError, now: float) -> None:
         """Hold the last command for some ticks, then give up until the devices answer and a new command comes."""
-        self.bus_errors += 1
+        self._bus_errors += 1
         self._errors_in_row += 1
+        if isinstance(error, OSError):
+            self._bus.recover()
         if self._errors_in_row < TOLERATED_ERRORS:
             return
         fault = _described(error)

@@ -7,7 +7,8 @@ import contextlib
 import socket
 import sys
 
-from services.balancer.core.controller import COMMANDS, FAULT
+from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
+from services.balancer.core.requests import check
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
@@ -15,11 +16,16 @@ from swarm.keys import STOP, key
 from swarm.messages import (
     BalancerFault,
     BalancerState,
+    Battery,
+    Buttons,
+    ImuSample,
     Leds,
+    ModuleAnswer,
     Notice,
     Odometry,
     Parameters,
     SetMode,
+    Uwb,
     read,
 )
 from swarm.service import Service, run
@@ -41,8 +47,13 @@ _TOPICS: dict[type, str] = {
     BalancerFault: "fault",
     Notice: "notice",
     Parameters: "parameters",
+    Battery: "battery",
+    Buttons: "buttons",
+    ImuSample: "imu",
+    Uwb: "uwb",
+    ModuleAnswer: "module",
 }
-_COMMANDS = ("mode", "velocity", "parameters", "leds")
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu")
 
 
 class Relay:
@@ -56,9 +67,8 @@ class Relay:
         self._heard = clock.now()
         self._noticed = -_NOTICE_PERIOD_S
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
-        service.bus.subscribe(
-            [STOP, *(key(service.robot, "balancer", "set", what) for what in _COMMANDS)], self._command
-        )
+        commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
+        service.bus.subscribe([STOP, *commands], self._command)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
@@ -81,7 +91,7 @@ class Relay:
         if isinstance(message, BalancerState):
             if message.mode == FAULT:
                 self._service.degraded(message.fault)
-            elif message.mode != "starting":
+            elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
         # The body's state goes ahead of whatever floods the bus.
         self._service.bus.publish(self._keys[type(message)], message, urgent=True)
@@ -97,6 +107,11 @@ class Relay:
             wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
             self._refuse(name, "refused", f"{name}: mode: {wrong}")
         elif isinstance(message, Command):
+            try:
+                check(message)
+            except LocalError as error:
+                self._refuse(name, "refused", f"{name}: {error}")
+                return
             try:
                 self._loop.send(pack(message), socket.MSG_DONTWAIT)
             except BlockingIOError:

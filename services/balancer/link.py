@@ -10,7 +10,13 @@ from swarm.errors import PayloadError
 from swarm.messages import (
     BalancerFault,
     BalancerState,
+    Battery,
+    Buttons,
+    ImuRequest,
+    ImuSample,
     Leds,
+    ModuleAnswer,
+    ModuleRequest,
     Notice,
     Odometry,
     Parameters,
@@ -19,11 +25,24 @@ from swarm.messages import (
     SetParameters,
     SetVelocity,
     Stop,
+    Uwb,
 )
 
-Told = BalancerState | Odometry | Leds | BalancerFault | Notice | Parameters
+Told = (
+    BalancerState
+    | Odometry
+    | Leds
+    | BalancerFault
+    | Notice
+    | Parameters
+    | Battery
+    | Buttons
+    | Uwb
+    | ModuleAnswer
+    | ImuSample
+)
 """By the loop."""
-Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop
+Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop | ModuleRequest | ImuRequest
 Message = Told | Command
 
 _KINDS: dict[bytes, type[Message]] = {
@@ -33,11 +52,18 @@ _KINDS: dict[bytes, type[Message]] = {
     b"f": BalancerFault,
     b"n": Notice,
     b"p": Parameters,
+    b"v": Battery,
+    b"b": Buttons,
+    b"u": Uwb,
+    b"a": ModuleAnswer,
+    b"i": ImuSample,
     b"m": SetMode,
     b"w": SetVelocity,
     b"P": SetParameters,
     b"d": SetLeds,
     b"x": Stop,
+    b"q": ModuleRequest,
+    b"I": ImuRequest,
 }
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.child import Bridge
+from services.balancer.chores import Chores
 from services.balancer.core.body import body_model
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
@@ -22,7 +23,7 @@ from services.balancer.orders import obey
 from services.balancer.telemetry import Telemetry
 from swarm import clock, log
 from swarm.config import Config, load, who_am_i
-from swarm.messages import Leds
+from swarm.messages import BalancerState, Leds
 from swarm.process import die_with_parent, notify
 
 TELEMETRY_TICKS = 4
@@ -37,9 +38,10 @@ _log = logging.getLogger("balancer")
 class Loop:
     """Ticks until told to stop."""
 
-    def __init__(self, balancer: Balancer, telemetry: Telemetry, bridge: Bridge) -> None:
+    def __init__(self, balancer: Balancer, telemetry: Telemetry, chores: Chores, bridge: Bridge) -> None:
         self._balancer = balancer
         self._telemetry = telemetry
+        self._chores = chores
         self._bridge = bridge
         self._lateness = Lateness()
         self._stopping = False
@@ -66,35 +68,36 @@ class Loop:
             self._lateness.add(started - deadline)
             step(started)
             self.ticks += 1
-            self._use_slack()
             deadline += PERIOD_S
+            self._use_slack(deadline)
             behind = now() - deadline
             if behind > 0.0:
                 skipped = int(behind / PERIOD_S) + 1
                 self.missed += skipped
                 deadline += skipped * PERIOD_S
 
-    def _use_slack(self) -> None:
-        """A little at each tick: no tick shall have to do all of it."""
+    def _use_slack(self, until: float) -> None:
+        """A little at each tick: no tick shall have to do all of it. The next one is at `until`."""
         for message in self._bridge.commands():
-            if not obey(self._balancer, message, clock.now()):
+            now = clock.now()
+            if not (obey(self._balancer, message, now) or self._chores.obey(message, now)):
                 _log.warning("the bridge sent a %s", type(message).__name__)
         if self._balancer.show_leds():
             self._tell_leds()
         part = self.ticks % TELEMETRY_TICKS
         if part == 0:
-            self._bridge.send(self._telemetry.state(self.ticks, self.missed, self._lateness.p99_and_max()))
+            self._bridge.send(self._state())
         elif part == 2 and (odometry := self._telemetry.odometry()) is not None:
             self._bridge.send(odometry)
         elif part == 3 and (news := self._telemetry.news()) is not None:
             self._bridge.send(news)
         elif part == 1:
             self._each_second(self.ticks % SECOND_TICKS)
+        for message in self._chores.run(until):
+            self._bridge.send(message)
 
     def _each_second(self, tick: int) -> None:
-        if tick == 1:
-            self._balancer.read_housekeeping()
-        elif tick == 25:
+        if tick == 25:
             self._bridge.keep_up(clock.now())
         elif tick == 49:
             self._tell_again()
@@ -104,6 +107,10 @@ class Loop:
             ready = self._balancer.ready and not self._announced
             self._announced |= ready
             notify("READY=1\nWATCHDOG=1" if ready else "WATCHDOG=1", timeout_s=0.0)
+
+    def _state(self) -> BalancerState:
+        errors = self._balancer.bus_errors + self._chores.errors
+        return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max())
 
     def _tell_again(self) -> None:
         """For whoever came to the bus meanwhile."""
@@ -137,7 +144,7 @@ def main(
         try:
             bridge = Bridge(clock.now())
             try:
-                loop = Loop(balancer, Telemetry(balancer, settings.controller), bridge)
+                loop = Loop(balancer, Telemetry(balancer, settings.controller), Chores(balancer, clock.now), bridge)
                 for number in (signal.SIGTERM, signal.SIGINT):
                     signal.signal(number, lambda *_: loop.stop())
                 realtime.enter(_log)

@@ -16,7 +16,7 @@ class Telemetry:
         self._fault_told = balancer.fault
         self._parameters_told: dict[str, float] = {}
 
-    def state(self, ticks: int, missed: int, lateness: tuple[float, float]) -> BalancerState:
+    def state(self, ticks: int, missed: int, bus_errors: int, lateness: tuple[float, float]) -> BalancerState:
         """The body; the counters are the loop's."""
         balancer, estimate = self._balancer, self._balancer.estimate
         fault = balancer.fault
@@ -35,7 +35,7 @@ class Telemetry:
             late_max=lateness[1],
             fault="" if fault is None else fault.reason,
             missed=missed,
-            bus_errors=balancer.bus_errors,
+            bus_errors=bus_errors,
             posture=balancer.posture,
             demanded_speed=demanded_speed,
             demanded_turn_rate=demanded_turn_rate,

@@ -10,10 +10,10 @@ from functools import partial
 
 from services.mesh.core.dialler import dials
 from services.mesh.core.frames import NONCE_SIZE
+from services.mesh.core.handshake import Local
 from services.mesh.core.node import Node
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
-from services.mesh.core.session import Local
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
@@ -132,6 +132,10 @@ def main() -> None:
         this.bus.serve(members, lambda *_: encode(mesh.look(lambda each, now: each.members(now))))
         stopped = key(this.robot, "mesh", "stopped")
         this.bus.serve(stopped, lambda *_: encode(mesh.look(lambda each, now: each.stopped(now))))
+        graph = key(this.robot, "mesh", "graph")
+        this.bus.serve(
+            graph, lambda _, asked: encode(mesh.look(lambda each, now: each.graph(now, asked.get("after", ""))))
+        )
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):

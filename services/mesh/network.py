@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 
 from services.mesh import monikers
-from services.mesh.core.session import Local
+from services.mesh.core.handshake import Local
 from services.mesh.links import pybluez, rfcomm, sim, tcp
 from services.mesh.links.pipe import Pipe
 from services.mesh.runner import Listener

@@ -18,7 +18,8 @@ from typing import Protocol, TypeVar
 from services.mesh.core.clock import ClockState
 from services.mesh.core.events import Received
 from services.mesh.core.frames import BULK
-from services.mesh.core.node import Action, Close, Dial, LinksChanged, Node, Note
+from services.mesh.core.node import Node
+from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe

@@ -14,11 +14,10 @@ from collections import deque
 from pathlib import Path
 
 from services.dwm.core.tlv import LOC_GET, Location, Position, encode_location, encode_refusal
+from services.sim.core.module_line import TTY
 from services.sim.core.uwb import PERIOD, Module, Tag
 from swarm import clock
 from swarm.config import Config
-
-TTY = "dwm.tty"
 
 LATENCY = (0.010, 0.030)
 """s from request to answer, uniform between these."""

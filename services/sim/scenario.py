@@ -11,6 +11,7 @@ from pathlib import Path
 
 from services.apps import loader
 from services.apps.localization.guard import check_step_size, limit_step_size
+from services.sim.core.module_line import SOURCE
 from services.sim.options import Options
 from swarm import config as configuration
 from swarm.codec import Value
@@ -176,6 +177,8 @@ def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
 def _dwm(dwm: Dwm, replay: Path | None, run_dir: Path) -> Dwm:
     if replay is not None:
         return replace(dwm, source=f"replay:{replay.resolve()}")
+    if dwm.source == SOURCE:
+        return replace(dwm, target=dwm.target or TARGET)
     return replace(dwm, source=f"serial:{run_dir}/{{robot}}/dwm.tty", target=dwm.target or TARGET)
 
 

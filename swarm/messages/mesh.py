@@ -168,12 +168,43 @@ class Arm:
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is."""
+    """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is. Changes
+    are flooded, so that every robot's bus has every robot's word."""
 
     t: float
     stopped: bool
     by: dict[str, str]
-    """The robots whose stop holds, with its reason."""
+    """The robots whose stop holds, with its reason; 16 of them where there are more."""
+
+
+@dataclass(frozen=True, slots=True)
+class GraphRobot:
+    """A robot as `mesh/graph` shows it."""
+
+    robot: str
+    state: str
+    """self (the one that was asked), here, left, gone or never, as in `Member`."""
+    since: float
+    """Time of the last change of state; 0 for self."""
+    hops: int | None
+    """Links on the way to it; None where there is no way."""
+    via: str | None
+    """The neighbour that the way begins with."""
+    links: dict[str, float]
+    """The links it says it has, with their one-way times, s. One counts where both ends tell of it."""
+    stopped: bool | None
+    """Whether it says that it is stopped; None where it has not said anything since it was started."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeshGraph:
+    """The whole swarm as one robot knows it, the answer to queries of `swarm/<robot>/mesh/graph`."""
+
+    t: float
+    robots: tuple[GraphRobot, ...]
+    """By name, 100 at most; `?after=NAME` asks for those behind NAME."""
+    more: bool
+    """Whether there are robots behind the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +266,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "flooded"): Flooded,
     ("mesh", "sent"): Sent,
     ("mesh", "stopped"): Stopped,
+    ("mesh", "graph"): MeshGraph,
     ("mesh", "set/flood"): FloodRequest,
     ("mesh", "set/send"): SendRequest,
     ("mesh", "set/arm"): Arm,

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer import loop as loop_module
+from services.balancer.chores import Chores
 from services.balancer.link import pack, unpack
 from services.balancer.loop import Loop
 from services.balancer.orders import MAX_REASON
@@ -45,7 +46,8 @@ class VirtualLoop:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, rig: Rig | None = None) -> None:
         self.rig = rig or Rig()
         self.bridge = Lists()
-        self.loop = Loop(self.rig.balancer, Telemetry(self.rig.balancer, "lqr"), self.bridge)
+        balancer = self.rig.balancer
+        self.loop = Loop(balancer, Telemetry(balancer, "lqr"), Chores(balancer, self.rig.clock), self.bridge)
         self.started: list[float] = []
         self.oversleep: dict[int, float] = {}
         self.notified: list[str] = []

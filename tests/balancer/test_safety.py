@@ -7,7 +7,7 @@ from balancer_rig import CONFIGURED, Rig, upright
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core import balboa, faults
+from services.balancer.core import faults
 from services.balancer.core.battery import EMPTY, LOW, OK, WINDOW_S, BatteryGuard
 from services.balancer.core.controller import STUCK_TICKS
 from services.balancer.core.leds import CLAIM_S, shown
@@ -19,13 +19,12 @@ TIRED, FULL = 5.9, 7.4
 
 
 def set_battery(rig: Rig, volts: float) -> None:
-    rig.robot.atmega._buffer[balboa.BATTERY : balboa.BATTERY + 2] = round(volts * 1e3).to_bytes(2, "little")
+    rig.balancer.battery = volts
 
 
 def run_watched(rig: Rig, seconds: int) -> Rig:
-    """As the loop does it: the battery is read and judged once a second."""
+    """As the loop does it: the battery, which was read meanwhile, is judged once a second."""
     for _ in range(seconds):
-        rig.balancer.read_housekeeping()
         rig.balancer.watch_battery(rig.now)
         rig.run(1.0)
     return rig

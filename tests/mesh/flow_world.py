@@ -9,7 +9,8 @@ from collections.abc import Callable
 from services.mesh.core.clock import MeshClock
 from services.mesh.core.delay import AirModel, DelayLine
 from services.mesh.core.events import Received
-from services.mesh.core.session import Local, Session
+from services.mesh.core.handshake import Local
+from services.mesh.core.session import Session
 
 
 class Side:

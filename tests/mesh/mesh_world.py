@@ -10,10 +10,12 @@ from dataclasses import dataclass, field
 from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
-from services.mesh.core.node import Close, Dial, Node, Note
+from services.mesh.core.handshake import Local
+from services.mesh.core.node import Node
+from services.mesh.core.orders import Close, Dial, Note
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
-from services.mesh.core.session import Local, Session
+from services.mesh.core.session import Session
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
 from swarm.messages import LinkState
 

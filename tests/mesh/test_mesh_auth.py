@@ -16,7 +16,8 @@ from services.mesh.core.auth import Keys, Tagger, hkdf, newest_common
 from services.mesh.core.clock import Claim, MeshClock, encode_claim
 from services.mesh.core.events import LinkUp, Received
 from services.mesh.core.frames import Bind, Decoder, Heartbeat, Hello
-from services.mesh.core.session import Local, Session
+from services.mesh.core.handshake import Local
+from services.mesh.core.session import Session
 from swarm.errors import FrameError
 
 KEY_ID, SECRET = 0x68A1F0C2, bytes(range(32))

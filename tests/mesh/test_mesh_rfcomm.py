@@ -20,10 +20,10 @@ from services.mesh.core import frames
 from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
 from services.mesh.core.frames import Hello
+from services.mesh.core.handshake import Local
 from services.mesh.core.node import Node
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
-from services.mesh.core.session import Local
 from services.mesh.links import pybluez, rfcomm
 from services.mesh.links.pipe import Pipe
 from services.mesh.links.rfcomm import Radio

@@ -7,19 +7,22 @@ The shell moves bytes between sessions and transports, carries out `actions()`, 
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
-from services.mesh.core import frames, overlays, packets, probe
+from services.mesh.core import frames, packets, probe
 from services.mesh.core.actions import Transmit
 from services.mesh.core.callers import MAX_HALF_OPEN, UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
 from services.mesh.core.clock import ClockState, MeshClock
+from services.mesh.core.counters import COUNTERS
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.fragments import MAX_MESSAGE
+from services.mesh.core.handshake import Local
+from services.mesh.core.link import Link
+from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay, Send
-from services.mesh.core.session import CONNECTING, DOWN, REFUSED, SENT, Local, Session
+from services.mesh.core.session import DOWN, Session
 from swarm.codec import encode
 from swarm.errors import FrameError
 from swarm.keys import key
@@ -33,118 +36,6 @@ _LIMITS = {
 
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
-
-COUNTERS = (
-    *REFUSED.values(),
-    *SENT,
-    *overlays.COUNTERS,
-    "byes",
-    "half_open",
-    "inbound_refused",
-    "incomplete",
-    "no_link",
-    "overflowed",
-    "pushed_back",
-    "replaced",
-    "too_large",
-    "transport_lost",
-)
-"""Every counter a node keeps; docs/frames.md and docs/overlays.md say what they count."""
-
-
-@dataclass(frozen=True, slots=True)
-class Dial:
-    """Make a connection to this neighbour, then call `dialled` or `dial_failed`."""
-
-    peer: str
-
-
-@dataclass(frozen=True, slots=True)
-class Close:
-    """Send what the session still has, as far as that needs no waiting, then close its transport."""
-
-    session: Session
-
-
-@dataclass(frozen=True, slots=True)
-class LinksChanged:
-    """`links()` has something new to publish."""
-
-
-@dataclass(frozen=True, slots=True)
-class Note:
-    """A line for the log."""
-
-    text: str
-    problem: bool
-    """Whether it is worth a warning."""
-
-
-Action = Dial | Close | LinksChanged | Note | Received
-
-
-class Link:
-    """One configured neighbour."""
-
-    def __init__(self, peer: str, dialler: Dialler | None) -> None:
-        self.peer = peer
-        self.dialler = dialler
-        """None where the neighbour dials us."""
-        self.session: Session | None = None
-        """The connection in use, once it is up."""
-        self.attempt = False
-        """Whether our dialling, or the handshake after it, is under way."""
-        self.connection = 0
-        self.reason = "not connected yet"
-        self.sent = 0
-        """Frames of earlier connections."""
-        self.received = 0
-        self.sent_bytes = 0
-        self.received_bytes = 0
-        self.dropped = 0
-        """Messages lost while the link was down, or in the queues of earlier connections."""
-        self.refused = 0
-
-    def state(self) -> LinkState:
-        """For the key `mesh/links`."""
-        session = self.session
-        if session is None:
-            state, rtt, sent, received = CONNECTING if self.attempt else DOWN, None, self.sent, self.received
-        else:
-            state, rtt = session.state, session.rtt
-            sent, received = self.sent + session.sent, self.received + session.received
-        reason = self.reason if session is None else ""
-        known = LinkState(
-            self.peer,
-            state,
-            self.connection,
-            rtt,
-            sent,
-            received,
-            reason,
-            sent_bytes=self.sent_bytes,
-            received_bytes=self.received_bytes,
-            dropped=self.dropped,
-            refused=self.refused,
-        )
-        return known if session is None else self._with_session(known, session)
-
-    def _with_session(self, known: LinkState, session: Session) -> LinkState:
-        rtts = sorted(session.rtts)
-        return replace(
-            known,
-            rtt_min=rtts[0] if rtts else None,
-            rtt_median=rtts[len(rtts) // 2] if rtts else None,
-            rtt_p99=rtts[len(rtts) * 99 // 100] if rtts else None,
-            sent_rate=session.sent_rate,
-            received_rate=session.received_rate,
-            sent_bytes=self.sent_bytes + session.sent_bytes,
-            received_bytes=self.received_bytes + session.received_bytes,
-            queue=session.queue.waiting_bytes,
-            in_flight=session.window.in_flight,
-            window=int(session.window.limit),
-            dropped=self.dropped + session.queue.dropped,
-        )
 
 
 class Node:
@@ -170,9 +61,7 @@ class Node:
         self._links = {
             peer: Link(peer, Dialler(random) if dials else None) for peer, dials in sorted(local.dials.items())
         }
-        self._prober = probe.Prober()
-        self._pings = {probe.ping_key(peer): peer for peer in local.dials}
-        self._pongs = {probe.pong_key(peer): peer for peer in local.dials}
+        self._prober = probe.Prober(local.dials)
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._sessions: list[Session] = []
         self._callers = Callers()
@@ -262,8 +151,8 @@ class Node:
         for send in self._relay.handle_timer(now):
             self._send(send, now)
         for peer, link in self._links.items():
-            if link.session is not None and link.session.rtt is not None:
-                self.overlays.measured(peer, link.session.rtt, now)
+            if link.session is not None and link.session.pulse.rtt is not None:
+                self.overlays.measured(peer, link.session.pulse.rtt, now)
         self.overlays.handle_timer(now)
         self._serve_overlays()
 
@@ -368,7 +257,7 @@ class Node:
 
     def _admit(self, peer: str, overlay: int, key: str) -> bool:
         if overlay == frames.NEIGHBOURS:
-            admitted = self._relay.admits(peer, key) or peer in (self._pings.get(key), self._pongs.get(key))
+            admitted = self._relay.admits(peer, key) or self._prober.sender(key) == peer
         else:
             admitted = self.overlays.admits(peer, overlay, key)
         if admitted:
@@ -382,7 +271,7 @@ class Node:
             if type(event) is Received:
                 if event.overlay != frames.NEIGHBOURS:
                     self._on_packet(session, event, now)
-                elif event.key in self._pings or event.key in self._pongs:
+                elif self._prober.sender(event.key) is not None:
                     self._on_probe(session, event, now)
                 else:
                     self._actions.append(event)
@@ -396,15 +285,15 @@ class Node:
     def _on_probe(self, session: Session, event: Received, now: float) -> None:
         """A ping that is to be answered, or an answer. One that is no such thing is dropped."""
         try:
-            if event.key in self._pings:
-                if session.is_up:
-                    name = probe.pong_key(self._local.robot)
-                    session.send(event.priority, name, probe.answer(event.payload), latest=False)
-            elif (echo := self._prober.answered(self._pongs[event.key], event.payload, now)) is not None:
-                self._tell_echo(echo)
+            result = self._prober.receive(event.key, event.payload, now)
         except FrameError as error:
             self._counters["inbound_refused"] += 1
             self._note(f"echo from {session.peer}", f"echo refused peer={session.peer} reason={error}")
+            return
+        if isinstance(result, Echo):
+            self._tell_echo(result)
+        elif result is not None and session.is_up:
+            session.send(event.priority, probe.pong_key(self._local.robot), result, latest=False)
 
     def _tell_echo(self, echo: Echo) -> None:
         self._actions.append(Received(key(self._local.robot, "mesh", "echo"), encode(echo), frames.SYNC))

@@ -4,6 +4,7 @@ The node feeds it links and packets, and carries out `actions()`. It knows no se
 real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
 """
 
+import itertools
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -16,12 +17,13 @@ from services.mesh.core.frames import BULK, CONTROL, FLOOD, PRIORITIES
 from services.mesh.core.halt import Register
 from services.mesh.core.linkstate import HOPS, LinkState
 from services.mesh.core.membership import SETTLE, Membership
+from services.mesh.core.survey import Survey
 from services.mesh.core.unicast import Unicast
 from swarm.codec import encode
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import STOP, is_name, parse
 from swarm.keys import key as key_of
-from swarm.messages import Flooded, FloodRequest, Members, SendRequest, Sent, Stop, Stopped
+from swarm.messages import Flooded, FloodRequest, Members, MeshGraph, SendRequest, Sent, Stop, Stopped
 
 MAX_TICKETS = 1024
 """Requests of apps whose answers are remembered, so that a repeated request is answered again, not done again."""
@@ -32,6 +34,13 @@ MEMBERS_PERIOD = 10.0
 STOP_PERIOD = 1.0
 """s between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts, or a
 message that was lost, must not make an exception."""
+
+CONFIRM_AFTER = 0.05
+"""s from a change of the register until `mesh/stopped` is flooded: stops that are given on many robots at once make one
+flood of each robot."""
+
+MAX_NAMED = 16
+"""Robots that `mesh/stopped` names: with their reasons it stays far below what a flood carries."""
 
 LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
@@ -94,12 +103,15 @@ class Overlays:
             me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._on_register
         )
         self._membership = Membership(me, self._robots)
+        self._survey = Survey(me, self._robots, self._membership, self._map, self._flood.known)
         self._now = 0.0
         self._version = 0
         self._deadline = 0.0
         self._look_at = _NEVER
         self._members_at = 0.0
         self._stop_at = _NEVER
+        self._confirm_at = _NEVER
+        self._confirmed: dict[str, str] = {}
         self._tickets: OrderedDict[str, Flooded | Sent | None] = OrderedDict()
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
@@ -145,7 +157,7 @@ class Overlays:
             return robot == peer and (service, topic) == ("mesh", "unicast")
         if service == "mesh" and topic in ("digest", "halt"):
             return robot == peer
-        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded")):
+        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped")):
             return True
         return _is_app_flood(service, topic) or self._admits_flood(key)
 
@@ -160,7 +172,7 @@ class Overlays:
                 self._register.receive(peer, data, now)
             else:
                 self._flood.receive(peer, key, data, priority, now)
-        except FrameError:
+        except (FrameError, PayloadError):
             self._counters["bad_packets"] += 1
         if self._version != self._map.version:
             self._routes_changed(now)
@@ -243,6 +255,8 @@ class Overlays:
             self._to_bus(self._members_key, encode(self.members(now)), BULK)
         if now >= self._stop_at:
             self._tell_stop(now)
+        if now >= self._confirm_at:
+            self._confirm(now)
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
@@ -259,6 +273,7 @@ class Overlays:
             self._look_at,
             self._members_at,
             self._stop_at,
+            self._confirm_at,
         )
         actions = self._actions[:]
         self._actions.clear()  # the list itself is shared
@@ -271,7 +286,11 @@ class Overlays:
     def stopped(self, now: float) -> Stopped:
         """For the key `mesh/stopped`."""
         stops = self._register.stops
-        return Stopped(now, bool(stops), stops)
+        return Stopped(now, bool(stops), dict(itertools.islice(stops.items(), MAX_NAMED)))
+
+    def graph(self, now: float, after: str = "") -> MeshGraph:
+        """For the key `mesh/graph`: robots with names behind `after`."""
+        return self._survey.graph(now, stopped=bool(self._register.stops), after=after)
 
     # -- inside ------------------------------------------------------------------------------------------------
 
@@ -282,8 +301,10 @@ class Overlays:
         _, service, topic = parse(key)
         if (service, topic) == ("mesh", "lsa"):
             self._map.receive(origin, incarnation, payload, self._now)
-        else:
-            self._to_bus(key, payload, priority)
+            return
+        if (service, topic) == ("mesh", "stopped"):
+            self._survey.heard(origin, incarnation, key, payload)
+        self._to_bus(key, payload, priority)
 
     def _publish_links(self, payload: bytes) -> None:
         self._flood.publish(self._lsa_key, payload, CONTROL, latest=True)
@@ -360,6 +381,14 @@ class Overlays:
         self._tell_stop(self._now)
         if self._stop_at == _NEVER:
             self._to_bus(self._stopped_key, encode(self.stopped(self._now)), CONTROL)
+        self._confirm_at = min(self._confirm_at, self._now + CONFIRM_AFTER)
+
+    def _confirm(self, now: float) -> None:
+        """Tell all robots whether this one is stopped: not in the control class, where the stops themselves are."""
+        self._confirm_at = _NEVER
+        if self._confirmed != (stops := self._register.stops):
+            self._confirmed = stops
+            self._flood.publish(self._stopped_key, encode(self.stopped(now)), BULK, latest=True)
 
     def _tell_stop(self, now: float) -> None:
         stops = self._register.stops

@@ -6,7 +6,7 @@ fragments, air.
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from services.mesh.core.fragments import MAX_MESSAGE
@@ -46,10 +46,16 @@ class _Sent(NamedTuple):
 
 
 class Prober:
-    """The pings of one robot that wait for their answers."""
+    """The pings that one robot exchanges with its neighbours."""
 
-    def __init__(self) -> None:
+    def __init__(self, peers: Iterable[str]) -> None:
+        self._pings = {ping_key(peer): peer for peer in peers}
+        self._pongs = {pong_key(peer): peer for peer in self._pings.values()}
         self._sent: dict[tuple[str, int, int], _Sent] = {}
+
+    def sender(self, key: str) -> str | None:
+        """The neighbour whose pings or answers travel under a key; None where neither do."""
+        return self._pings.get(key) or self._pongs.get(key)
 
     def pings(self, request: EchoRequest, now: float) -> list[bytes]:
         """What to send for a request that `fault` finds nothing wrong with."""
@@ -61,8 +67,12 @@ class Prober:
             self._sent[request.peer, request.sequence, index] = _Sent(now, request.size)
         return [_HEAD.pack(request.sequence, index, flags) + padding for index in range(request.count)]
 
-    def answered(self, peer: str, payload: bytes, now: float) -> Echo | None:
-        """An answer came; None where nobody waits for it any more. Raises `FrameError`."""
+    def receive(self, key: str, payload: bytes, now: float) -> bytes | Echo | None:
+        """What a neighbour's ping or answer leads to: an answer to send, or the echo of a ping of ours; None where
+        nobody waits for it any more. Raises `FrameError`."""
+        if key in self._pings:
+            return _answer(payload)
+        peer = self._pongs[key]
         sequence, index, _ = _head(payload)
         sent = self._sent.pop((peer, sequence, index), None)
         return None if sent is None else Echo(now, peer, sequence, index, sent.size, now - sent.at, "")
@@ -82,8 +92,8 @@ def fault(request: EchoRequest) -> str:
     return ""
 
 
-def answer(payload: bytes) -> bytes:
-    """What goes back for a ping. Raises `FrameError`."""
+def _answer(payload: bytes) -> bytes:
+    """What goes back for a ping."""
     _, _, flags = _head(payload)
     return payload[:MIN_SIZE] if flags & _SHORT else payload
 

@@ -10,11 +10,10 @@ act until the last moment, heartbeats carry the true time, and the counter of th
 wire.
 """
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable
 
-from services.mesh.core import flow, frames
+from services.mesh.core import flow, frames, handshake
 from services.mesh.core.auth import Keys, newest_common
 from services.mesh.core.channels import Channels, overlay_of
 from services.mesh.core.clock import MeshClock, decode_claim, encode_claim
@@ -28,7 +27,9 @@ from services.mesh.core.events import (
     Received,
 )
 from services.mesh.core.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
-from services.mesh.core.frames import BULK, BYE_TEXT, SYNC, Frame, Heartbeat, Hello
+from services.mesh.core.frames import BULK, BYE_TEXT, SYNC, Frame, Hello
+from services.mesh.core.handshake import Local
+from services.mesh.core.heartbeat import Pulse
 from services.mesh.core.outbox import Message, Outbox, Part
 from swarm.errors import FrameError, LocalError
 
@@ -37,57 +38,12 @@ CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
 HANDSHAKE_TIMEOUT = 2.0
 """s for HELLO and CONFIRM of the other end to arrive."""
 
-_RTT_GAIN = 0.125
-"""Weight of a new round-trip sample (Jacobson 1988, RFC 6298 section 2)."""
-
-_MAX_RTT = 60.0
-"""s; a longer sample comes from wrong stamps."""
-
-RTT_SAMPLES = 120
-"""Round-trip times kept, a minute of heartbeats."""
-
 BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
 for each."""
 
-REFUSED = {
-    frames.BAD_FRAME: "bad_frames",
-    frames.BAD_VERSION: "refused_version",
-    frames.BAD_NETWORK: "refused_network",
-    frames.BAD_ROBOT: "refused_robot",
-    frames.NOT_NEIGHBOUR: "refused_not_neighbour",
-    frames.BAD_SECURITY: "refused_security",
-    frames.BAD_ROLE: "refused_role",
-    frames.SILENT: "silent",
-    frames.BAD_KEY: "refused_key",
-    frames.BAD_TAG: "bad_tags",
-}
-"""Which counter counts what we end a connection for."""
-
 SENT = ("sent_control", "sent_sync", "sent_bulk")
 """Which counter counts the messages of a class that left."""
-
-
-@dataclass(frozen=True, slots=True)
-class Local:
-    """What a session must know of this robot."""
-
-    robot: str
-    network: str
-    incarnation: int
-    """u64, drawn anew at each start."""
-    insecure: bool
-    """True = no link of ours is authenticated, and `keys` is empty."""
-    dials: Mapping[str, bool]
-    """The neighbours, and whether this robot dials them (the other end does otherwise)."""
-    robots: frozenset[str]
-    """All robots of the swarm."""
-    heartbeat: float = 0.5
-    """s between heartbeats, on a busy link too: they carry the clock."""
-    suspect: float = 1.5
-    dead: float = 3.0
-    keys: Mapping[int, bytes] = field(default_factory=dict, repr=False)
-    """Pre-shared keys by id; the newest one has the highest id."""
 
 
 class Session:
@@ -119,14 +75,7 @@ class Session:
         self.peer = dialled
         """Who is at the other end; None until an unknown caller's HELLO was accepted."""
         self.state = CONNECTING
-        self.rtt: float | None = None
-        """Smoothed round-trip time, s."""
-        self.rtts: deque[float] = deque(maxlen=RTT_SAMPLES)
-        """Round-trip times of the last heartbeats, s."""
-        self.sent_rate = 0.0
-        """bytes/s over the last heartbeats."""
-        self.received_rate = 0.0
-        self._rated = (now, 0, 0)
+        self.pulse = Pulse(now)
         self.sent = 0
         """Frames handed out to be sent."""
         self.received = 0
@@ -152,8 +101,6 @@ class Session:
         self._heard = now
         self._heartbeat_at = now
         self._heartbeat_due = False
-        self._peer_stamp = 0
-        self._peer_stamp_at = 0
         self._deadline = now + HANDSHAKE_TIMEOUT
 
     @property
@@ -322,14 +269,9 @@ class Session:
     def _beat(self, chunks: list[bytes], now: float) -> None:
         """A heartbeat, and what goes with it."""
         assert self.peer is not None
-        stamps = Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
+        stamps = self.pulse.beat(now, self.sent_bytes, self.received_bytes)
         chunks += (frames.encode_heartbeat(stamps), encode_claim(self._clock.claim(self.peer, now)))
         self._reassembly.expire(now)
-        since, sent, received = self._rated
-        if now > since:
-            self.sent_rate = (self.sent_bytes - sent) / (now - since)
-            self.received_rate = (self.received_bytes - received) / (now - since)
-            self._rated = (now, self.sent_bytes, self.received_bytes)
 
     # -- frames of the other end -------------------------------------------------------------------
 
@@ -377,7 +319,9 @@ class Session:
         elif frame.kind == frames.ACK:
             self._window.on_ack(flow.decode_ack(frame.body), now)
         elif frame.kind == frames.HEARTBEAT:
-            self._on_heartbeat(frames.decode_heartbeat(frame.body), now)
+            assert self.peer is not None
+            if (heard := self.pulse.heard(frames.decode_heartbeat(frame.body), now)) is not None:
+                self._clock.sample(self.peer, now, *heard)
         elif frame.kind == frames.CLOCK:
             assert self.peer is not None
             self._clock.hear(self.peer, decode_claim(frame.body), now)
@@ -387,29 +331,9 @@ class Session:
             raise FrameError(f"frame kind {frame.kind} after the handshake")
 
     def _on_hello(self, hello: Hello, frame: Frame) -> None:
-        local, refusal = self._local, None
+        local = self._local
         key_id = newest_common(local.keys, hello.key_ids)
-        if hello.network != local.network:
-            refusal = frames.BAD_NETWORK, f"network {hello.network!r}, ours is {local.network!r}"
-        elif hello.insecure != local.insecure:
-            ends = ("it is", "we are not") if hello.insecure else ("we are", "it is not")
-            refusal = frames.BAD_SECURITY, f"{ends[0]} insecure and {ends[1]}"
-        elif hello.robot == local.robot:
-            refusal = frames.BAD_ROBOT, f"it calls itself {hello.robot}, which is our own name"
-        elif hello.robot not in local.robots:
-            refusal = frames.BAD_ROBOT, f"robot {hello.robot} is not in our configuration"
-        elif self.dialled is not None and hello.robot != self.dialled:
-            refusal = frames.BAD_ROBOT, f"robot {hello.robot} answers where {self.dialled} should be"
-        elif self._expected is not None and hello.robot != self._expected:
-            refusal = frames.BAD_ROBOT, f"robot {hello.robot} calls from the address of {self._expected}"
-        elif hello.robot not in local.dials:
-            refusal = frames.NOT_NEIGHBOUR, f"robot {hello.robot} is not our neighbour in the topology"
-        elif hello.dialler == (self.dialled is not None):
-            refusal = frames.BAD_ROLE, "both ends claim the same role"
-        elif hello.dialler and local.dials[hello.robot]:
-            refusal = frames.BAD_ROLE, f"{local.robot} is to dial {hello.robot}, not the other way round"
-        elif not local.insecure and key_id is None:
-            refusal = frames.BAD_KEY, f"robot {hello.robot} has keys {_ids(hello.key_ids)}, we have {_ids(local.keys)}"
+        refusal = handshake.refusal(hello, local, dialled=self.dialled, expected=self._expected)
         if refusal is not None:
             self._end(*refusal)
             return
@@ -449,19 +373,6 @@ class Session:
         self._deadline = now
         self.handle_timer(now)
 
-    def _on_heartbeat(self, stamps: Heartbeat, now: float) -> None:
-        arrival = _microseconds(now)
-        self._peer_stamp, self._peer_stamp_at = stamps.sent, arrival
-        if stamps.echo:
-            rtt = ((arrival - stamps.echo) - (stamps.sent - stamps.received)) * 1e-6
-            if 0.0 <= rtt <= _MAX_RTT:
-                self.rtts.append(rtt)
-                self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
-                assert self.peer is not None
-                # The peer's clock minus ours: half of what the two directions' stamps differ (RFC 5905, section 8).
-                there_back = (stamps.received - stamps.echo) + (stamps.sent - arrival)
-                self._clock.sample(self.peer, now, rtt, there_back * 0.5e-6)
-
     def _on_bind(self, bind: frames.Bind) -> None:
         assert self.peer is not None
         self._reassembly.drop(bind.channel)
@@ -472,8 +383,8 @@ class Session:
 
     def _end(self, code: int, reason: str) -> None:
         """We end it: BYE is the last thing to be sent."""
-        if code in REFUSED:
-            self._counters[REFUSED[code]] += 1
+        if code in handshake.REFUSED:
+            self._counters[handshake.REFUSED[code]] += 1
         self._close(reason, code)
         self._urgent = [frames.encode_bye(code)]
 
@@ -484,12 +395,3 @@ class Session:
         self._heartbeat_due = False
         self._outbox.clear()
         self._events.append(LinkDown(reason, code) if was_up else HandshakeFailed(reason, code))
-
-
-def _ids(ids: Iterable[int]) -> str:
-    """Key ids as the key file writes them."""
-    return " ".join(f"{key_id:08x}" for key_id in sorted(ids, reverse=True)) or "none"
-
-
-def _microseconds(now: float) -> int:
-    return int(now * 1e6)

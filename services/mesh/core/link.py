@@ -1,0 +1,71 @@
+"""One neighbour as a node keeps it: the connection in use, and what is told of all connections so far."""
+
+from dataclasses import replace
+
+from services.mesh.core.dialler import Dialler
+from services.mesh.core.session import CONNECTING, DOWN, Session
+from swarm.messages import LinkState
+
+
+class Link:
+    """One configured neighbour."""
+
+    def __init__(self, peer: str, dialler: Dialler | None) -> None:
+        self.peer = peer
+        self.dialler = dialler
+        """None where the neighbour dials us."""
+        self.session: Session | None = None
+        """The connection in use, once it is up."""
+        self.attempt = False
+        """Whether our dialling, or the handshake after it, is under way."""
+        self.connection = 0
+        self.reason = "not connected yet"
+        self.sent = 0
+        """Frames of earlier connections."""
+        self.received = 0
+        self.sent_bytes = 0
+        self.received_bytes = 0
+        self.dropped = 0
+        """Messages lost while the link was down, or in the queues of earlier connections."""
+        self.refused = 0
+
+    def state(self) -> LinkState:
+        """For the key `mesh/links`."""
+        session = self.session
+        if session is None:
+            state, rtt, sent, received = CONNECTING if self.attempt else DOWN, None, self.sent, self.received
+        else:
+            state, rtt = session.state, session.pulse.rtt
+            sent, received = self.sent + session.sent, self.received + session.received
+        reason = self.reason if session is None else ""
+        known = LinkState(
+            self.peer,
+            state,
+            self.connection,
+            rtt,
+            sent,
+            received,
+            reason,
+            sent_bytes=self.sent_bytes,
+            received_bytes=self.received_bytes,
+            dropped=self.dropped,
+            refused=self.refused,
+        )
+        return known if session is None else self._with_session(known, session)
+
+    def _with_session(self, known: LinkState, session: Session) -> LinkState:
+        rtts = sorted(session.pulse.rtts)
+        return replace(
+            known,
+            rtt_min=rtts[0] if rtts else None,
+            rtt_median=rtts[len(rtts) // 2] if rtts else None,
+            rtt_p99=rtts[len(rtts) * 99 // 100] if rtts else None,
+            sent_rate=session.pulse.sent_rate,
+            received_rate=session.pulse.received_rate,
+            sent_bytes=self.sent_bytes + session.sent_bytes,
+            received_bytes=self.received_bytes + session.received_bytes,
+            queue=session.queue.waiting_bytes,
+            in_flight=session.window.in_flight,
+            window=int(session.window.limit),
+            dropped=self.dropped + session.queue.dropped,
+        )
