@@ -12,7 +12,18 @@ from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
 from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import AppProgress, AppState
-from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
+from swarm.messages.balancer import (
+    BalancerFault,
+    BalancerState,
+    Leds,
+    Notice,
+    Odometry,
+    Parameters,
+    SetLeds,
+    SetMode,
+    SetParameters,
+    SetVelocity,
+)
 from swarm.messages.devices import (
     Battery,
     Buttons,
@@ -51,6 +62,7 @@ __all__ = [
     "AppProgress",
     "AppState",
     "Arm",
+    "BalancerFault",
     "BalancerState",
     "Battery",
     "Buttons",
@@ -72,13 +84,18 @@ __all__ = [
     "MeshGraph",
     "ModuleAnswer",
     "ModuleRequest",
+    "Notice",
     "Odometry",
+    "Parameters",
     "Pose",
     "Range",
     "Ranges",
     "SendRequest",
     "Sent",
+    "SetLeds",
     "SetMode",
+    "SetParameters",
+    "SetVelocity",
     "Status",
     "Stop",
     "Stopped",
