@@ -158,6 +158,7 @@ def main() -> None:
         this.bus.serve(stopped, lambda *_: encode(mesh.look(lambda each, now: each.stopped(now))))
         topology = key(this.robot, "mesh", "topology")
         this.bus.serve(topology, lambda *_: encode(mesh.look(lambda each, now: each.topology(now))))
+        this.bus.serve(key(this.robot, "mesh", "clock"), lambda *_: encode(Clock(*mesh.clock())))
         graph = key(this.robot, "mesh", "graph")
         this.bus.serve(
             graph, lambda _, asked: encode(mesh.look(lambda each, now: each.graph(now, asked.get("after", ""))))
