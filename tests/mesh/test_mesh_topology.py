@@ -1,6 +1,6 @@
 """Topology at run time: versions, make before break, who was away; and what is kept of it."""
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import networkx as nx
 import pytest
@@ -14,7 +14,7 @@ from services.mesh.core.topology import MAX_LINKS, Ground, Topology
 from swarm.codec import decode
 from swarm.core.graph import Graph
 from swarm.errors import FrameError, LocalError
-from swarm.messages import TopologySet
+from swarm.messages import TopologyRequest, TopologySet
 
 FIVE = names_of(5)
 SIX = names_of(6)
@@ -31,7 +31,7 @@ def graph_of(n: int, pairs: list[tuple[int, int]]) -> "nx.Graph[int]":
 def topologies(draw: st.DrawFn, n: int) -> list[tuple[str, str]]:
     """Connected, at most seven links a robot."""
     order = draw(st.permutations(range(n)))
-    pairs = {(min(a, b), max(a, b)) for a, b in zip(order, order[1:], strict=False)}
+    pairs = {(min(a, b), max(a, b)) for a, b in pairwise(order)}
     pairs |= set(draw(st.lists(st.sampled_from(sorted(combinations(range(n), 2))), max_size=n)))
     return [(f"r{a}", f"r{b}") for a, b in sorted(pairs)]
 
@@ -148,12 +148,10 @@ def test_a_wrong_wish_changes_nothing_and_says_why() -> None:
 
 
 def test_a_repeated_request_is_answered_again_and_done_once() -> None:
-    from swarm.messages import TopologyRequest
-
     world = TopologyWorld(3, line(3))
     world.run(3.0)
+    request = TopologyRequest("once", "loop", (), None)
     for _ in range(3):
-        request = TopologyRequest("once", "loop", (), None)
         world.step("r0", lambda overlays: overlays.request_topology(request, world.now))
     assert [answer.version for answer in answers(world, "r0")] == [1, 1, 1]
 

@@ -57,7 +57,9 @@ class TopologyWorld(World):
 
     # -- what a test does --
 
-    def change(self, name: str, shape: str = "", edges: Sequence[tuple[str, str]] = (), after: int | None = None) -> None:
+    def change(
+        self, name: str, shape: str = "", edges: Sequence[tuple[str, str]] = (), after: int | None = None
+    ) -> None:
         request = TopologyRequest(f"s{next(self._order)}", shape, tuple(edges), after)
         self.step(name, lambda overlays: overlays.request_topology(request, self.now))
 
