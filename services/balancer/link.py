@@ -5,12 +5,14 @@ the other). The loop's end never blocks: what does not fit is dropped, so a brid
 nothing else.
 """
 
+from services.balancer.core.screen import ScreenText
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
 from swarm.messages import (
     BalancerState,
     Battery,
     Buttons,
+    Display,
     ImuRequest,
     ImuSample,
     Leds,
@@ -18,12 +20,13 @@ from swarm.messages import (
     ModuleRequest,
     Odometry,
     SetMode,
+    SetNotes,
     Stop,
     Uwb,
 )
 
-Told = BalancerState | Odometry | Leds | Battery | Buttons | Uwb | ModuleAnswer | ImuSample
-Command = SetMode | Leds | Stop | ModuleRequest | ImuRequest
+Told = BalancerState | Odometry | Leds | Battery | Buttons | Uwb | ModuleAnswer | ImuSample | Display
+Command = SetMode | Leds | Stop | ModuleRequest | ImuRequest | SetNotes | ScreenText
 Message = Told | Command
 
 _KINDS: dict[bytes, type[Message]] = {
@@ -35,10 +38,13 @@ _KINDS: dict[bytes, type[Message]] = {
     b"u": Uwb,
     b"a": ModuleAnswer,
     b"i": ImuSample,
+    b"d": Display,
     b"m": SetMode,
     b"x": Stop,
     b"q": ModuleRequest,
     b"I": ImuRequest,
+    b"n": SetNotes,
+    b"D": ScreenText,
 }
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 
