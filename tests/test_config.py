@@ -17,6 +17,7 @@ from swarm.config import (
     Affine,
     Anchor,
     App,
+    Balancing,
     Body,
     Config,
     Dwm,
@@ -108,11 +109,15 @@ def test_the_example_says_the_defaults():
     assert config.mesh == Mesh()
     assert str(config.mesh.key_file) in EXAMPLE
     assert config.body == Body()
+    assert config.balancing == Balancing()
+    assert config.body_of("r4") == Body(trim=0.03)
+    assert config.balancing_of("r5") == Balancing(controller="pololu")
+    assert (config.body_of("r0"), config.balancing_of("r0")) == (Body(), Balancing())
     assert dataclasses.replace(config.dwm, target=None, distance=Linear(), position=Affine()) == Dwm()
 
 
 # `path` is no entry; `parameters` are an app's own entries; edges are written as [topology].
-NOT_ENTRIES = {(Config, "path"), (App, "parameters")}
+NOT_ENTRIES = {(Config, "path"), (App, "parameters"), (Config, "bodies"), (Config, "balancings")}
 
 
 @pytest.mark.parametrize(
@@ -328,6 +333,21 @@ def test_what_the_example_leaves_out_is_right_too():
         # Body, apps, simulation.
         (ONE + "[body]\nwheel_radius = -1", "[body] wheel_radius: expected a number above 0, in m, got -1"),
         (ONE + "[body]\ntrim = 5", "[body] trim: expected an angle within 0.5 of 0, in rad, got 5"),
+        (ONE + "[body.robots.r0]\ntrack = 0", "[body.robots.r0] track: expected a number above 0, in m, got 0"),
+        (ONE + "[body.robots.r9]\ntrack = 0.1", "[body.robots.r9]: unknown table; "),
+        (ONE + "[body]\npayload = 2", "[body] payload: expected a number above 0 up to 1, in kg, got 2"),
+        (
+            ONE + "[balancing]\ncontroller = 'pid'",
+            "[balancing] controller: expected lqr or pololu or thesis, got 'pid'",
+        ),
+        (
+            ONE + "[balancing]\nmax_speed = 3",
+            "[balancing] max_speed: expected a number above 0 up to 0.6, in m/s, got 3",
+        ),
+        (
+            ONE + "[balancing.robots.r0]\nbattery_limit = 7",
+            "[balancing.robots.r0] battery_limit: expected less than battery_warning, got 7 and 6.6 V",
+        ),
         (ONE + "[apps]\nx = 3", "[apps] x: expected a table, written [apps.x], got 3"),
         (ONE + "[apps.Max]", "[apps] Max: expected the name of an app"),
         (ONE + "[apps.max]\n_x = 1", "[apps.max] _x: expected a parameter's name"),
@@ -391,6 +411,24 @@ parameter_names = st.from_regex(r"[a-z][A-Za-z0-9_]{0,10}", fullmatch=True).filt
 parameters = st.dictionaries(parameter_names, values, max_size=4)
 
 
+def bodies(payload: float | None = None):
+    """`payload` of the common body: a robot can have another one, but cannot do without."""
+    payloads = st.floats(0.01, 1) if payload is not None else st.none() | st.floats(0.01, 1)
+    return st.builds(Body, positive, positive, positive, st.floats(-0.5, 0.5), payloads, positive)
+
+
+balancings = st.builds(
+    Balancing,
+    st.sampled_from(["lqr", "pololu", "thesis"]),
+    st.floats(0.01, 0.6),
+    st.floats(0.1, 6),
+    st.floats(0.1, 1),
+    st.floats(0.1, 20),
+    st.floats(6.6, 20),
+    st.floats(0.1, 6.5),
+)
+
+
 @st.composite
 def swarms(draw):
     robot_names = draw(st.lists(names, min_size=1, max_size=8, unique=True))
@@ -429,6 +467,7 @@ def swarms(draw):
     addresses = draw(st.lists(st.from_regex(r"[0-9A-F]{4}", fullmatch=True), max_size=4, unique=True))
     of_robots = st.sampled_from(robot_names)
     pair = st.tuples(finite, finite)
+    body = draw(bodies())
     security = draw(st.sampled_from([(True, None), (False, None), (False, "/some/key")]))
     return Config(
         path=FILE,
@@ -438,7 +477,10 @@ def swarms(draw):
         relay=DEFAULT_RELAY + tuple(relay),
         anchors=tuple(Anchor(address, draw(finite), draw(finite), draw(finite)) for address in addresses),
         mesh=Mesh(*security, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead),
-        body=Body(draw(positive), draw(positive), draw(st.floats(-0.5, 0.5))),
+        body=body,
+        bodies=draw(st.dictionaries(of_robots, bodies(body.payload))),
+        balancing=draw(balancings),
+        balancings=draw(st.dictionaries(of_robots, balancings)),
         dwm=Dwm(
             source=draw(st.sampled_from(["serial:/dev/ttyS0", "replay:/tmp/a b/{robot}", 'replay:"\\'])),
             target=draw(st.none() | st.just("C933")),

@@ -7,7 +7,7 @@ import contextlib
 import socket
 import sys
 
-from services.balancer.core.controller import COMMANDS, FAULT
+from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.requests import check
 from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
@@ -15,7 +15,11 @@ from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import STOP, key, parse
 from swarm.messages import (
+<<<<<<< HEAD
     AppState,
+=======
+    BalancerFault,
+>>>>>>> main
     BalancerState,
     Battery,
     Buttons,
@@ -23,8 +27,13 @@ from swarm.messages import (
     ImuSample,
     Leds,
     ModuleAnswer,
+    Notice,
     Odometry,
+<<<<<<< HEAD
     SetDisplay,
+=======
+    Parameters,
+>>>>>>> main
     SetMode,
     Uwb,
     read,
@@ -38,10 +47,16 @@ _POLL_S = 0.25
 _LOG_PERIOD_S = 5.0
 """Of refused commands: a flood of them is counted, not logged one by one."""
 
-_TOPICS = {
+_NOTICE_PERIOD_S = 0.1
+"""Of notices about refused commands."""
+
+_TOPICS: dict[type, str] = {
     BalancerState: "state",
     Odometry: "odometry",
     Leds: "leds",
+    BalancerFault: "fault",
+    Notice: "notice",
+    Parameters: "parameters",
     Battery: "battery",
     Buttons: "buttons",
     ImuSample: "imu",
@@ -49,7 +64,11 @@ _TOPICS = {
     ModuleAnswer: "module",
     Display: "display",
 }
+<<<<<<< HEAD
 _COMMANDS = ("mode", "leds", "module", "imu", "notes", "display")
+=======
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu")
+>>>>>>> main
 
 
 class Relay:
@@ -61,7 +80,8 @@ class Relay:
         self._loop.settimeout(_POLL_S)
         self._logged = -_LOG_PERIOD_S
         self._heard = clock.now()
-        self._keys: dict[type, str] = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
+        self._noticed = -_NOTICE_PERIOD_S
+        self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe([STOP, *commands], self._command)
         self._composer = Composer(service.robot)
@@ -91,7 +111,7 @@ class Relay:
                 self._hand_over(text, "display")
             if message.mode == FAULT:
                 self._service.degraded(message.fault)
-            elif message.mode != "starting":
+            elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
         # The body's state goes ahead of whatever floods the bus.
         self._service.bus.publish(self._keys[type(message)], message, urgent=True)
@@ -101,9 +121,10 @@ class Relay:
         try:
             message = read(name, payload)
         except PayloadError as error:
-            self._refuse("refused", str(error))
+            self._refuse(name, "refused", str(error))
             return
         if isinstance(message, SetMode) and message.mode not in COMMANDS:
+<<<<<<< HEAD
             self._refuse("refused", f"{name}: mode: expected one of {', '.join(COMMANDS)}, got {message.mode!r}")
             return
         try:
@@ -130,10 +151,30 @@ class Relay:
             self._refuse("dropped", f"{name}: the control loop does not take commands")
         except OSError:
             return  # the loop is gone, and so are we in a moment
+=======
+            wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
+            self._refuse(name, "refused", f"{name}: mode: {wrong}")
+        elif isinstance(message, Command):
+            try:
+                check(message)
+            except LocalError as error:
+                self._refuse(name, "refused", f"{name}: {error}")
+                return
+            try:
+                self._loop.send(pack(message), socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
+            except OSError:
+                return  # the loop is gone, and so are we in a moment
+>>>>>>> main
 
-    def _refuse(self, counter: str, reason: str) -> None:
+    def _refuse(self, name: str, counter: str, reason: str) -> None:
         self._service.counters[counter] += 1
         now = clock.now()
+        if now - self._noticed >= _NOTICE_PERIOD_S:
+            self._noticed = now
+            notice = Notice(now, name.rpartition("/")[2], f"{counter}: {reason[:200]}")
+            self._service.bus.publish(self._keys[Notice], notice)
         if now - self._logged >= _LOG_PERIOD_S:
             self._logged = now
             self._service.log.warning("command %s: %s", counter, reason[:200])

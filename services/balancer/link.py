@@ -9,6 +9,7 @@ from services.balancer.core.screen import ScreenText
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
 from swarm.messages import (
+    BalancerFault,
     BalancerState,
     Battery,
     Buttons,
@@ -18,21 +19,50 @@ from swarm.messages import (
     Leds,
     ModuleAnswer,
     ModuleRequest,
+    Notice,
     Odometry,
+    Parameters,
+    SetLeds,
     SetMode,
+<<<<<<< HEAD
     SetNotes,
+=======
+    SetParameters,
+    SetVelocity,
+>>>>>>> main
     Stop,
     Uwb,
 )
 
+<<<<<<< HEAD
 Told = BalancerState | Odometry | Leds | Battery | Buttons | Uwb | ModuleAnswer | ImuSample | Display
 Command = SetMode | Leds | Stop | ModuleRequest | ImuRequest | SetNotes | ScreenText
+=======
+Told = (
+    BalancerState
+    | Odometry
+    | Leds
+    | BalancerFault
+    | Notice
+    | Parameters
+    | Battery
+    | Buttons
+    | Uwb
+    | ModuleAnswer
+    | ImuSample
+)
+"""By the loop."""
+Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop | ModuleRequest | ImuRequest
+>>>>>>> main
 Message = Told | Command
 
 _KINDS: dict[bytes, type[Message]] = {
     b"s": BalancerState,
     b"o": Odometry,
     b"l": Leds,
+    b"f": BalancerFault,
+    b"n": Notice,
+    b"p": Parameters,
     b"v": Battery,
     b"b": Buttons,
     b"u": Uwb,
@@ -40,6 +70,9 @@ _KINDS: dict[bytes, type[Message]] = {
     b"i": ImuSample,
     b"d": Display,
     b"m": SetMode,
+    b"w": SetVelocity,
+    b"P": SetParameters,
+    b"d": SetLeds,
     b"x": Stop,
     b"q": ModuleRequest,
     b"I": ImuRequest,

@@ -12,7 +12,18 @@ from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
 from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import AppProgress, AppState
-from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
+from swarm.messages.balancer import (
+    BalancerFault,
+    BalancerState,
+    Leds,
+    Notice,
+    Odometry,
+    Parameters,
+    SetLeds,
+    SetMode,
+    SetParameters,
+    SetVelocity,
+)
 from swarm.messages.devices import (
     Battery,
     Buttons,
@@ -55,6 +66,7 @@ __all__ = [
     "AppProgress",
     "AppState",
     "Arm",
+    "BalancerFault",
     "BalancerState",
     "Battery",
     "Buttons",
@@ -78,15 +90,20 @@ __all__ = [
     "ModuleAnswer",
     "ModuleRequest",
     "Note",
+    "Notice",
     "Odometry",
+    "Parameters",
     "Pose",
     "Range",
     "Ranges",
     "SendRequest",
     "Sent",
     "SetDisplay",
+    "SetLeds",
     "SetMode",
     "SetNotes",
+    "SetParameters",
+    "SetVelocity",
     "Status",
     "Stop",
     "Stopped",
