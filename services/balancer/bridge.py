@@ -15,11 +15,8 @@ from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import STOP, key, parse
 from swarm.messages import (
-<<<<<<< HEAD
     AppState,
-=======
     BalancerFault,
->>>>>>> main
     BalancerState,
     Battery,
     Buttons,
@@ -29,11 +26,8 @@ from swarm.messages import (
     ModuleAnswer,
     Notice,
     Odometry,
-<<<<<<< HEAD
-    SetDisplay,
-=======
     Parameters,
->>>>>>> main
+    SetDisplay,
     SetMode,
     Uwb,
     read,
@@ -64,11 +58,7 @@ _TOPICS: dict[type, str] = {
     ModuleAnswer: "module",
     Display: "display",
 }
-<<<<<<< HEAD
-_COMMANDS = ("mode", "leds", "module", "imu", "notes", "display")
-=======
-_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu")
->>>>>>> main
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display")
 
 
 class Relay:
@@ -124,13 +114,13 @@ class Relay:
             self._refuse(name, "refused", str(error))
             return
         if isinstance(message, SetMode) and message.mode not in COMMANDS:
-<<<<<<< HEAD
-            self._refuse("refused", f"{name}: mode: expected one of {', '.join(COMMANDS)}, got {message.mode!r}")
+            wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
+            self._refuse(name, "refused", f"{name}: mode: {wrong}")
             return
         try:
             check(message)
         except LocalError as error:
-            self._refuse("refused", f"{name}: {error}")
+            self._refuse(name, "refused", f"{name}: {error}")
             return
         if isinstance(message, SetDisplay):
             self._composer.take_text(message.text)
@@ -148,25 +138,9 @@ class Relay:
         try:
             self._loop.send(pack(message), socket.MSG_DONTWAIT)
         except BlockingIOError:
-            self._refuse("dropped", f"{name}: the control loop does not take commands")
+            self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
         except OSError:
             return  # the loop is gone, and so are we in a moment
-=======
-            wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
-            self._refuse(name, "refused", f"{name}: mode: {wrong}")
-        elif isinstance(message, Command):
-            try:
-                check(message)
-            except LocalError as error:
-                self._refuse(name, "refused", f"{name}: {error}")
-                return
-            try:
-                self._loop.send(pack(message), socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
-            except OSError:
-                return  # the loop is gone, and so are we in a moment
->>>>>>> main
 
     def _refuse(self, name: str, counter: str, reason: str) -> None:
         self._service.counters[counter] += 1

@@ -5,6 +5,8 @@ the other). The loop's end never blocks: what does not fit is dropped, so a brid
 nothing else.
 """
 
+from typing import get_args
+
 from services.balancer.core.screen import ScreenText
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
@@ -24,20 +26,13 @@ from swarm.messages import (
     Parameters,
     SetLeds,
     SetMode,
-<<<<<<< HEAD
     SetNotes,
-=======
     SetParameters,
     SetVelocity,
->>>>>>> main
     Stop,
     Uwb,
 )
 
-<<<<<<< HEAD
-Told = BalancerState | Odometry | Leds | Battery | Buttons | Uwb | ModuleAnswer | ImuSample | Display
-Command = SetMode | Leds | Stop | ModuleRequest | ImuRequest | SetNotes | ScreenText
-=======
 Told = (
     BalancerState
     | Odometry
@@ -50,35 +45,15 @@ Told = (
     | Uwb
     | ModuleAnswer
     | ImuSample
+    | Display
 )
 """By the loop."""
-Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop | ModuleRequest | ImuRequest
->>>>>>> main
+Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop | ModuleRequest | ImuRequest | SetNotes | ScreenText
+"""By the bridge."""
 Message = Told | Command
 
-_KINDS: dict[bytes, type[Message]] = {
-    b"s": BalancerState,
-    b"o": Odometry,
-    b"l": Leds,
-    b"f": BalancerFault,
-    b"n": Notice,
-    b"p": Parameters,
-    b"v": Battery,
-    b"b": Buttons,
-    b"u": Uwb,
-    b"a": ModuleAnswer,
-    b"i": ImuSample,
-    b"d": Display,
-    b"m": SetMode,
-    b"w": SetVelocity,
-    b"P": SetParameters,
-    b"d": SetLeds,
-    b"x": Stop,
-    b"q": ModuleRequest,
-    b"I": ImuRequest,
-    b"n": SetNotes,
-    b"D": ScreenText,
-}
+_KINDS: dict[bytes, type[Message]] = {bytes((n,)): kind for n, kind in enumerate(get_args(Message))}
+"""Numbered as they stand above: loop and bridge are always of one version, since one starts the other."""
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 
 MAX_DATAGRAM = MAX_PAYLOAD + 1

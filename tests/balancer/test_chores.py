@@ -162,7 +162,7 @@ def test_a_robot_without_a_display_is_a_whole_robot(caplog: pytest.LogCaptureFix
         ticking.run(25.0)
     assert [(each.present, each.lines) for each in ticking.of(Display)] == [(False, ())]
     assert caplog.text.count("display not there (0x3C)") == 1
-    assert (ticking.chores.errors, ticking.rig.balancer.mode, ticking.rig.balancer.fault) == (0, "balancing", "")
+    assert (ticking.chores.errors, ticking.rig.balancer.mode, ticking.rig.balancer.fault) == (0, "balancing", None)
 
 
 def test_failures_of_chores_are_counted_and_logged_now_and_then(caplog: pytest.LogCaptureFixture) -> None:
