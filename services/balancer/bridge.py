@@ -7,12 +7,27 @@ import contextlib
 import socket
 import sys
 
-from services.balancer.core.controller import COMMANDS, FAULT
-from services.balancer.link import MAX_DATAGRAM, Message, pack, unpack
+from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
+from services.balancer.core.requests import check
+from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import STOP, key
-from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop, read
+from swarm.messages import (
+    BalancerFault,
+    BalancerState,
+    Battery,
+    Buttons,
+    ImuSample,
+    Leds,
+    ModuleAnswer,
+    Notice,
+    Odometry,
+    Parameters,
+    SetMode,
+    Uwb,
+    read,
+)
 from swarm.service import Service, run
 
 SILENCE_S = 1.0
@@ -21,6 +36,24 @@ _POLL_S = 0.25
 """How soon a SIGTERM is seen."""
 _LOG_PERIOD_S = 5.0
 """Of refused commands: a flood of them is counted, not logged one by one."""
+
+_NOTICE_PERIOD_S = 0.1
+"""Of notices about refused commands."""
+
+_TOPICS: dict[type, str] = {
+    BalancerState: "state",
+    Odometry: "odometry",
+    Leds: "leds",
+    BalancerFault: "fault",
+    Notice: "notice",
+    Parameters: "parameters",
+    Battery: "battery",
+    Buttons: "buttons",
+    ImuSample: "imu",
+    Uwb: "uwb",
+    ModuleAnswer: "module",
+}
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu")
 
 
 class Relay:
@@ -32,13 +65,10 @@ class Relay:
         self._loop.settimeout(_POLL_S)
         self._logged = -_LOG_PERIOD_S
         self._heard = clock.now()
-        self._keys: dict[type, str] = {
-            kind: key(service.robot, "balancer", topic)
-            for kind, topic in ((BalancerState, "state"), (Odometry, "odometry"), (Leds, "leds"))
-        }
-        service.bus.subscribe(
-            [STOP, *(key(service.robot, "balancer", "set", what) for what in ("mode", "leds"))], self._command
-        )
+        self._noticed = -_NOTICE_PERIOD_S
+        self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
+        commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
+        service.bus.subscribe([STOP, *commands], self._command)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
@@ -61,7 +91,7 @@ class Relay:
         if isinstance(message, BalancerState):
             if message.mode == FAULT:
                 self._service.degraded(message.fault)
-            elif message.mode != "starting":
+            elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
         # The body's state goes ahead of whatever floods the bus.
         self._service.bus.publish(self._keys[type(message)], message, urgent=True)
@@ -71,21 +101,31 @@ class Relay:
         try:
             message = read(name, payload)
         except PayloadError as error:
-            self._refuse("refused", str(error))
+            self._refuse(name, "refused", str(error))
             return
         if isinstance(message, SetMode) and message.mode not in COMMANDS:
-            self._refuse("refused", f"{name}: mode: expected one of {', '.join(COMMANDS)}, got {message.mode!r}")
-        elif isinstance(message, SetMode | Leds | Stop):
+            wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
+            self._refuse(name, "refused", f"{name}: mode: {wrong}")
+        elif isinstance(message, Command):
+            try:
+                check(message)
+            except LocalError as error:
+                self._refuse(name, "refused", f"{name}: {error}")
+                return
             try:
                 self._loop.send(pack(message), socket.MSG_DONTWAIT)
             except BlockingIOError:
-                self._refuse("dropped", f"{name}: the control loop does not take commands")
+                self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
             except OSError:
                 return  # the loop is gone, and so are we in a moment
 
-    def _refuse(self, counter: str, reason: str) -> None:
+    def _refuse(self, name: str, counter: str, reason: str) -> None:
         self._service.counters[counter] += 1
         now = clock.now()
+        if now - self._noticed >= _NOTICE_PERIOD_S:
+            self._noticed = now
+            notice = Notice(now, name.rpartition("/")[2], f"{counter}: {reason[:200]}")
+            self._service.bus.publish(self._keys[Notice], notice)
         if now - self._logged >= _LOG_PERIOD_S:
             self._logged = now
             self._service.log.warning("command %s: %s", counter, reason[:200])

@@ -7,11 +7,64 @@ nothing else.
 
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
-from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop
+from swarm.messages import (
+    BalancerFault,
+    BalancerState,
+    Battery,
+    Buttons,
+    ImuRequest,
+    ImuSample,
+    Leds,
+    ModuleAnswer,
+    ModuleRequest,
+    Notice,
+    Odometry,
+    Parameters,
+    SetLeds,
+    SetMode,
+    SetParameters,
+    SetVelocity,
+    Stop,
+    Uwb,
+)
 
-Message = BalancerState | Odometry | Leds | SetMode | Stop
+Told = (
+    BalancerState
+    | Odometry
+    | Leds
+    | BalancerFault
+    | Notice
+    | Parameters
+    | Battery
+    | Buttons
+    | Uwb
+    | ModuleAnswer
+    | ImuSample
+)
+"""By the loop."""
+Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop | ModuleRequest | ImuRequest
+Message = Told | Command
 
-_KINDS: dict[bytes, type[Message]] = {b"s": BalancerState, b"o": Odometry, b"l": Leds, b"m": SetMode, b"x": Stop}
+_KINDS: dict[bytes, type[Message]] = {
+    b"s": BalancerState,
+    b"o": Odometry,
+    b"l": Leds,
+    b"f": BalancerFault,
+    b"n": Notice,
+    b"p": Parameters,
+    b"v": Battery,
+    b"b": Buttons,
+    b"u": Uwb,
+    b"a": ModuleAnswer,
+    b"i": ImuSample,
+    b"m": SetMode,
+    b"w": SetVelocity,
+    b"P": SetParameters,
+    b"d": SetLeds,
+    b"x": Stop,
+    b"q": ModuleRequest,
+    b"I": ImuRequest,
+}
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 
 MAX_DATAGRAM = MAX_PAYLOAD + 1

@@ -22,7 +22,8 @@ from swarm.paths import MAX_SOCKET_PATH
 DEFAULT_PATH = Path("/etc/swarm/swarm.toml")
 
 _TABLES = (
-    "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "apps", "simulation",
+    "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "balancing", "apps",
+    "simulation",
 )  # fmt: skip
 
 _NAME = "a name: a lower-case letter, then up to 15 lower-case letters, digits, _ or -"
@@ -63,6 +64,8 @@ def parse(text: str, path: Path) -> Config:
     robots = _robots(top)
     names = tuple(robot.name for robot in robots)
     graph = _topology(top, robots)
+    body, bodies = sections.bodies(top, names)
+    balancing, balancings = sections.balancings(top, names)
     return Config(
         path=path,
         network=network,
@@ -71,8 +74,11 @@ def parse(text: str, path: Path) -> Config:
         relay=_relay(top),
         anchors=sections.anchors(top),
         mesh=sections.mesh(top),
-        body=sections.body(top),
-        dwm=sections.dwm(top),
+        body=body,
+        bodies=bodies,
+        balancing=balancing,
+        balancings=balancings,
+        dwm=sections.dwm(top, names),
         apps=sections.apps(top, names),
         simulation=sections.simulation(top, names),
     )
@@ -95,12 +101,14 @@ def who_am_i(config: Config) -> str:
 def _robots(top: Table) -> tuple[Robot, ...]:
     robots: list[Robot] = []
     taken: dict[str, str] = {}
-    tables = top.tables("robots", ("name", "board", "bluetooth", "link"))
+    tables = top.tables("robots", ("name", "board", "bluetooth", "link", "uwb", "uwb_role"))
     if not tables:
         raise top.error("robots", 'missing; expected at least one robot, written [[robots]] with name = "r0"')
     for table in tables:
         robot = _robot(table)
-        for key, value in (("name", robot.name), ("bluetooth", robot.bluetooth), ("link", robot.link)):
+        for key, value in (
+            ("name", robot.name), ("bluetooth", robot.bluetooth), ("link", robot.link), ("uwb", robot.uwb)
+        ):  # fmt: skip
             # The prefix keeps the kinds apart: a robot may be called as another's socket.
             if value is not None and taken.setdefault(f"{key} {value}", robot.name) is not robot.name:
                 raise table.error(key, f"{shown(value)} is already that of robot {taken[f'{key} {value}']}")
@@ -126,7 +134,9 @@ def _robot(table: Table) -> Robot:
         ):
             raise table.wrong("link", _LINK)
     board = table.choice("board", "zero2w", ("zero2w", "pi4"))
-    return Robot(name, board, bluetooth.upper() if bluetooth else None, link)
+    uwb = sections.uwb_address(table, "uwb") if "uwb" in table else None
+    role = table.choice("uwb_role", "tag", ("tag", "anchor"))
+    return Robot(name, board, bluetooth.upper() if bluetooth else None, link, uwb, role)
 
 
 def _topology(top: Table, robots: Sequence[Robot]) -> Graph:

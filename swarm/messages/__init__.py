@@ -12,8 +12,28 @@ from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
 from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import AppProgress, AppState
-from swarm.messages.balancer import BalancerState, Leds, Odometry, SetMode
-from swarm.messages.devices import ModuleAnswer, ModuleRequest, Uwb, UwbRange
+from swarm.messages.balancer import (
+    BalancerFault,
+    BalancerState,
+    Leds,
+    Notice,
+    Odometry,
+    Parameters,
+    SetLeds,
+    SetMode,
+    SetParameters,
+    SetVelocity,
+)
+from swarm.messages.devices import (
+    Battery,
+    Buttons,
+    ImuRequest,
+    ImuSample,
+    ModuleAnswer,
+    ModuleRequest,
+    Uwb,
+    UwbRange,
+)
 from swarm.messages.dwm import Measurement, Pose, Range, Ranges
 from swarm.messages.mesh import (
     Arm,
@@ -42,13 +62,18 @@ __all__ = [
     "AppProgress",
     "AppState",
     "Arm",
+    "BalancerFault",
     "BalancerState",
+    "Battery",
+    "Buttons",
     "Clock",
     "Echo",
     "EchoRequest",
     "FloodRequest",
     "Flooded",
     "GraphRobot",
+    "ImuRequest",
+    "ImuSample",
     "Leds",
     "LinkState",
     "Links",
@@ -59,13 +84,18 @@ __all__ = [
     "MeshGraph",
     "ModuleAnswer",
     "ModuleRequest",
+    "Notice",
     "Odometry",
+    "Parameters",
     "Pose",
     "Range",
     "Ranges",
     "SendRequest",
     "Sent",
+    "SetLeds",
     "SetMode",
+    "SetParameters",
+    "SetVelocity",
     "Status",
     "Stop",
     "Stopped",

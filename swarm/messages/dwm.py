@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from swarm.messages.devices import ModuleAnswer, ModuleRequest
+
 
 @dataclass(frozen=True, slots=True)
 class Range:
@@ -19,11 +21,15 @@ class Range:
     """s since it was measured, at `t` of the message."""
     sequence: int
     """Counts new measurements of this anchor; a repeat keeps its number."""
+    stale: bool = False
+    """Not measured for longer than the module needs: the numbers are of then."""
+    robot: str | None = None
+    """The robot that carries this module; None for one that stands by itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """All ranges of one module report, on `swarm/<robot>/dwm/ranges` at 10 Hz."""
+    """The ranges to all modules seen in the last seconds, on `swarm/<robot>/dwm/ranges` with each report, at 10 Hz."""
 
     t: float
     sequence: int
@@ -35,7 +41,7 @@ class Pose:
     """Where the robot is, on `swarm/<robot>/dwm/pose` at 10 Hz."""
 
     t: float
-    """When it was measured: a repeat of the module keeps time and sequence."""
+    """What time it is for. Of an average, when it was measured: a repeat of the module keeps time and sequence."""
     sequence: int
     """The number of the module report it comes from, as in `Ranges`."""
     x: float
@@ -46,7 +52,17 @@ class Pose:
     quality: int
     """0-100; 0 = no fix, the numbers are not to be used."""
     source: str
-    """Which filter made it."""
+    """Which filter made it: ekf, multilateration, average, module or recording."""
+    deviation_x: float | None = None
+    """Standard deviation, m; None where the filter does not estimate it."""
+    deviation_y: float | None = None
+    correlation: float | None = None
+    """Of the errors in x and y, -1 to 1."""
+    deviation_heading: float | None = None
+    """Standard deviation, rad; None where the heading is."""
+    raw_x: float | None = None
+    """The place as the module reported it, m; None without a fix."""
+    raw_y: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,5 +83,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("dwm", "ranges"): Ranges,
     ("dwm", "pose"): Pose,
     ("dwm", "measurement"): Measurement,
+    ("dwm", "module"): ModuleAnswer,
+    ("dwm", "set/module"): ModuleRequest,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -27,6 +27,9 @@ SETUP: tuple[tuple[int, int], ...] = (
 )
 """Register values, in the order they are written."""
 
+CONTROL = bytes(value for _, value in sorted(SETUP))
+"""What CTRL1_XL to CTRL3_C hold once it is set up."""
+
 BLOCK = 12
 """Bytes from OUTX_L_G on: gyro X Y Z, then accelerometer X Y Z, int16, low byte first."""
 
@@ -37,6 +40,15 @@ ACCELERATION_SCALE = 0.061e-3 * STANDARD_GRAVITY
 """m/s^2 a count at 2 g (0.061 mg)."""
 
 _WORDS = struct.Struct("<6h")
+
+
+class Rates(NamedTuple):
+    """One sample of all axes of the sensor: X up, Y to the left along the axle, Z backward."""
+
+    gyro: tuple[float, float, float]
+    """rad/s, with the sensor's zero offset."""
+    acceleration: tuple[float, float, float]
+    """Specific force, m/s^2."""
 
 
 class Reading(NamedTuple):
@@ -61,6 +73,14 @@ def check_identity(value: int) -> None:
         raise RemoteError(f"IMU at 0x{ADDRESS:02X}: WHO_AM_I is 0x{value:02X}{hint}, expected 0x{IDENTITY:02X}")
 
 
+def check_setup(registers: bytes) -> None:
+    """Raises `RemoteError` where CTRL1_XL to CTRL3_C do not hold what was written: ranges and rates would be others."""
+    if registers != CONTROL:
+        raise RemoteError(
+            f"IMU at 0x{ADDRESS:02X}: CTRL1_XL to CTRL3_C hold {registers.hex(' ')}, {CONTROL.hex(' ')} was written"
+        )
+
+
 def decode(block: bytes) -> Reading:
     """Turn a block read into SI units.
 
@@ -78,6 +98,15 @@ def decode(block: bytes) -> Reading:
         back * ACCELERATION_SCALE,
         up_rate * GYRO_SCALE,
         back_rate * GYRO_SCALE,
+    )
+
+
+def decode_all(block: bytes) -> Rates:
+    """All axes of a block that `decode` has accepted."""
+    gx, gy, gz, ax, ay, az = _WORDS.unpack(block)
+    return Rates(
+        (gx * GYRO_SCALE, gy * GYRO_SCALE, gz * GYRO_SCALE),
+        (ax * ACCELERATION_SCALE, ay * ACCELERATION_SCALE, az * ACCELERATION_SCALE),
     )
 
 
