@@ -6,6 +6,9 @@ import sys
 
 AREAS = {
     "lockstep": "time of a lockstep iteration and of a start, beside the links' latency",
+    "outage": "lockstep over links that are cut again and again: time, and the trajectory bit for bit",
+    "cpu": "CPU time of one robot's bus, mesh and app for 100 lockstep iterations",
+    "start": "all robots at once until all links are up, beside the time a radio takes to connect",
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "footprint": "proportional memory of one robot's processes",

@@ -132,6 +132,7 @@ def main() -> None:
         this.bus.serve(members, lambda *_: encode(mesh.look(lambda each, now: each.members(now))))
         stopped = key(this.robot, "mesh", "stopped")
         this.bus.serve(stopped, lambda *_: encode(mesh.look(lambda each, now: each.stopped(now))))
+        this.bus.serve(key(this.robot, "mesh", "clock"), lambda *_: encode(Clock(*mesh.clock())))
         graph = key(this.robot, "mesh", "graph")
         this.bus.serve(
             graph, lambda _, asked: encode(mesh.look(lambda each, now: each.graph(now, asked.get("after", ""))))
@@ -140,6 +141,8 @@ def main() -> None:
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):
             mesh.report()
+            if mesh.turned():
+                this.watchdog()
         mesh.stop()
         network.close()
 

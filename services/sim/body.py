@@ -93,9 +93,10 @@ def simulated_bus(config: Config, robot: str) -> I2CBus:
     if not text.lstrip("-").isdecimal():
         raise LocalError(f"SWARM_SEED={text!r}: expected an integer")
     noise = random.Random(f"{text} {robot}")
+    shape = config.body_of(robot)
     place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
-    body = BalboaBody(body_model(config.robot(robot).board, config.body), clock.now(), place=place)
-    devices = SimulatedRobot(body, noise, errors=draw_errors(noise), trim=config.body.trim)
+    body = BalboaBody(body_model(config.robot(robot).board, shape), clock.now(), place=place)
+    devices = SimulatedRobot(body, noise, errors=draw_errors(noise), trim=shape.trim)
     reporter = Reporter(robot, body, socket_path(runtime_dir().parent, WORLD_SOCKET))
     wires: list[Callable[[float], None]] = [reporter.report]
     if config.dwm.source == SOURCE:

@@ -22,6 +22,9 @@ from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
 ROUND = 0.2
 """s between two looks; the command is repeated where it is not confirmed by then."""
 
+ANSWER = 2.0
+"""s that a mesh has for its answer; questions overlap."""
+
 MOVING = ("standing_up", "balancing")
 """Modes of a balancer whose motors are on."""
 
@@ -133,7 +136,7 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
         for name, bus in opened_buses.items():
             if name not in confirmed:
                 _give(name, bus, stop=stop, reason=reason)
-            views.ask(name, bus, ROUND)
+            views.ask(name, bus, ANSWER)
         round_end = min(end, clock.now() + ROUND)
         while clock.now() < round_end:
             with views.changed:
@@ -141,11 +144,15 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
                 seen = dict(modes)
             there = {name: bus.connected for name, bus in opened_buses.items()}
             rows = rows_of(there, views.best(), seen, stop=stop)
-            # Who is silent may only not have answered yet.
-            if all((row.confirmed and row.state == "here") or row.state in AWAY for row in rows):
+            if all(_is_final(row, opened_buses) for row in rows):
                 return rows
         if clock.now() >= end:
             return rows
+
+
+def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:
+    """Whether waiting changes nothing. Whose own bus is asked may only not have answered yet, whatever others say."""
+    return (row.confirmed and row.state == "here") or (row.state in AWAY and row.robot not in opened_buses)
 
 
 def _give(name: str, bus: Bus, *, stop: bool, reason: str) -> None:

@@ -10,8 +10,10 @@ from overlay_world import SILENCE, World, full, line, ring, thesis_d
 from services.mesh.core import membership, packets
 from services.mesh.core.frames import CONTROL, FLOOD
 from services.mesh.core.halt import REPEAT_PERIOD, SPACING
+from services.mesh.core.membership import Membership
 from services.mesh.core.overlays import CONFIRM_AFTER, MAX_NAMED, STOP_PERIOD
 from services.mesh.core.packets import Halt, Mark, decode_halt, encode_halts
+from services.mesh.core.survey import PAGE, Survey
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.keys import STOP
 from swarm.messages import Stop, Stopped
@@ -434,14 +436,24 @@ def test_each_robot_knows_the_whole_graph() -> None:
     assert (gone.state, gone.hops, gone.via) == ("gone", None, None)
 
 
+class ManyLinks:
+    """A map in which every robot has sixteen links, more than any radio has."""
+
+    def __init__(self, names: list[str]) -> None:
+        self._names = names
+
+    def links(self, name: str) -> dict[str, int]:
+        at = self._names.index(name)
+        return {self._names[(at + step) % len(self._names)]: 300 for step in range(1, 17)}
+
+
 def test_a_large_graph_comes_in_pages_that_fit_the_bus() -> None:
-    names = [f"a-long-name-{n:04}" for n in range(250)]
-    world = World([(names[i], names[(i + k) % 250]) for i in range(250) for k in range(1, 5)])
-    world.run(3.0)
+    names = [f"a-long-name-{n:04}" for n in range(2 * PAGE + 50)]
+    survey = Survey(names[7], names, Membership(names[7], names), ManyLinks(names), lambda name: 0)  # type: ignore[arg-type]
     found: list[str] = []
     more, after = True, ""
     while more:
-        page = world.bots[names[7]].overlays.graph(world.now, after)
+        page = survey.graph(1e6, stopped=True, after=after)
         assert len(encode(page)) < MAX_PAYLOAD
         found += [each.robot for each in page.robots]
         more, after = page.more, page.robots[-1].robot
