@@ -1,7 +1,7 @@
 """The simulated body's link with what is around it: its pose to the world, and whoever acts on it.
 
-The pose goes to RUN/world.sock 25 times a second; acts (`swarm.core.hands`) come to the door, RUN/<robot>/body.sock. A body
-that starts asks the world, which may know from an earlier process where it had been.
+The pose goes to RUN/world.sock 25 times a second; acts (`swarm.core.hands`) come to the door, RUN/<robot>/body.sock.
+A body that starts asks the world, which may know from an earlier process where it had been.
 """
 
 import contextlib
