@@ -132,7 +132,8 @@ def path(known: Mapping[str, GraphRobot], robot: str, peer: str) -> list[str]:
     if end is None:
         raise LocalError(f"there is no robot {peer}, there are {' '.join(name for name in known if name != robot)}")
     if not end.hops:
-        raise LocalError(f"there is no way from {robot} to {peer}: it is {end.state}")
+        what = {"never": "it was never seen", "left": "it has left"}.get(end.state, f"it is {end.state}")
+        raise LocalError(f"there is no way from {robot} to {peer}: {what}")
     graph = Mesh({}, known).graph
     if end.via is None or robot not in (distances := graph.distances(peer)):
         raise LocalError(f"the way from {robot} to {peer} has just changed, try again")

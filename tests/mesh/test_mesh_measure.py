@@ -33,6 +33,8 @@ def test_figures_of_bursts_leave_the_latency_out() -> None:
     found = of_bursts(100, [[5.0, 5.1, 5.2], [9.2, 9.0, 9.1], [7.0]], 3)
     assert (found.samples, found.lost, found.goodput) == (2, 2, pytest.approx(1000.0))
     assert of_bursts(100, [[1.0, 1.0]], 2).goodput is None, "no time has passed between them"
+    in_two_goes = [1.0, 1.0001, 1.0002, 2.0002, 2.0003]
+    assert of_bursts(100, [in_two_goes], 5).goodput == pytest.approx(200.0, rel=0.001)
 
 
 @given(st.lists(st.floats(1e-6, 1e3), min_size=1), st.integers(1, 1 << 20), st.integers(0, 5))

@@ -68,12 +68,16 @@ def of_times(size: int, times: Sequence[float], sent: int, *, both_ways: bool) -
 
 def of_bursts(size: int, bursts: Sequence[Sequence[float]], count: int) -> Figures:
     """Of bursts of `count` messages that followed each other; each is the times of its answers, s. The rate is taken
-    from the first answer to the last, so that the latency is not in it."""
-    rates = []
-    for burst in bursts:
-        times = sorted(burst)
-        if len(times) == count and times[-1] > times[0]:
-            rates.append((count - 1) * size / (times[-1] - times[0]))
+    from the first answers to the last, so that the latency is not in it."""
+    rates = [rate for burst in bursts if len(burst) == count and (rate := _rate(size, sorted(burst))) is not None]
     lost = sum(count - len(burst) for burst in bursts)
-    rate = statistics.median(rates) if rates else None
-    return Figures(size, len(rates), lost, None, None, None, None, None, rate)
+    return Figures(size, len(rates), lost, None, None, None, None, None, statistics.median(rates) if rates else None)
+
+
+def _rate(size: int, times: Sequence[float]) -> float | None:
+    """bytes/s. Several messages may arrive in one go: what came with the first one does not count, or a short burst
+    would seem faster than it was."""
+    together = times[0] + (times[-1] - times[0]) / 20
+    first = sum(time <= together for time in times)
+    passed = times[-1] - times[first - 1]
+    return (len(times) - first) * size / passed if passed > 0.0 else None
