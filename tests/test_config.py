@@ -33,6 +33,7 @@ from swarm.config import (
     who_am_i,
 )
 from swarm.config.example import EXAMPLE
+from swarm.config.sections import FILTERS
 from swarm.core.graph import Graph
 from swarm.errors import ConfigError, LocalError
 
@@ -113,7 +114,9 @@ def test_the_example_says_the_defaults():
     assert config.body_of("r4") == Body(trim=0.03)
     assert config.balancing_of("r5") == Balancing(controller="pololu")
     assert (config.body_of("r0"), config.balancing_of("r0")) == (Body(), Balancing())
-    assert dataclasses.replace(config.dwm, target=None, distance=Linear(), position=Affine()) == Dwm()
+    own = {"target": None, "distance": Linear(), "position": Affine(), "filters": {}, "position_window": None}
+    assert config.dwm.position_window == config.dwm.window
+    assert dataclasses.replace(config.dwm, **own) == Dwm()
 
 
 # `path` is no entry; `parameters` are an app's own entries; edges are written as [topology].
@@ -299,6 +302,10 @@ def test_what_the_example_leaves_out_is_right_too():
         *(
             (ONE + f"[dwm]\n{entry}", f"[dwm{message}")
             for entry, message in [
+                ('filter = "kalman"', "] filter: expected auto or ekf or multilateration or average, got 'kalman'"),
+                ('calibration = "{r}.toml"', "] calibration: expected the path of a file, {robot} standing for"),
+                ("latency = 1.0", "] latency: expected 0 to 0.4, in s, got 1.0"),
+                ('filters = { r9 = "ekf" }', ".filters] r9: unknown entry"),
                 ("windw = 3", "] windw: unknown entry; did you mean window?"),
                 ("window = 0", "] window: expected a whole number, at least 1, got 0"),
                 ("window = true", "] window: expected a whole number, at least 1, got true"),
@@ -485,7 +492,14 @@ def swarms(draw):
             source=draw(st.sampled_from(["serial:/dev/ttyS0", "replay:/tmp/a b/{robot}", 'replay:"\\'])),
             target=draw(st.none() | st.just("C933")),
             rate=draw(st.floats(0.1, 10)),
+            filter=draw(st.sampled_from(FILTERS)),
+            filters=draw(st.dictionaries(of_robots, st.sampled_from(FILTERS))),
             window=draw(st.integers(1, 100)),
+            position_window=draw(st.none() | st.integers(1, 100)),
+            latency=draw(st.floats(0, 0.4)),
+            height=draw(finite),
+            lever=draw(finite),
+            calibration=draw(st.none() | st.just("of/{robot}.toml")),
             distance=Linear(draw(positive), draw(finite)),
             position=Affine((draw(pair), draw(pair)), draw(pair)),
         ),

@@ -102,7 +102,16 @@ y = 1.94
 source = "serial:/dev/serial0"  # serial:PATH, balancer (wired to the ATmega), replay:DIR; {robot}: its name
 target = "C933"            # address of the module that is the target
 rate = 10.0                # Hz, at most 10
-window = 5                 # moving average over so many measurements; 1 = off
+filter = "auto"            # pose by ekf (needs odometry), multilateration or average; auto: ekf or average
+window = 5                 # moving average of ranges over so many measurements; 1 = off
+position_window = 5        # the same for places
+latency = 0.06             # s from a measurement until its report is read
+height = 0.0               # of the robots' antennas in the frame of the anchors, m
+lever = 0.0                # from the axle up to the antenna, m
+# calibration = "calibration/{robot}.toml"   # made by `swarm calibrate`; goes before the two tables below
+
+[dwm.filters]              # of single robots
+r5 = "average"
 
 [dwm.distance]             # calibrated distance = gain * measured + offset
 gain = 0.946976

@@ -78,7 +78,7 @@ def parse(text: str, path: Path) -> Config:
         bodies=bodies,
         balancing=balancing,
         balancings=balancings,
-        dwm=sections.dwm(top),
+        dwm=sections.dwm(top, names),
         apps=sections.apps(top, names),
         simulation=sections.simulation(top, names),
     )

@@ -14,6 +14,9 @@ from swarm.keys import is_name
 HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
 """A host name, an IPv4 address or an IPv6 address in brackets, then a port."""
 
+FILTERS = ("auto", "ekf", "multilateration", "average")
+"""What may make a robot's pose."""
+
 _PATH = re.compile(r"/.*")
 MAX_CHANNEL = 30
 """RFCOMM has 30 server channels (Bluetooth RFCOMM specification, section 5.4)."""
@@ -80,9 +83,13 @@ def anchors(top: Table) -> tuple[Anchor, ...]:
     return tuple(found)
 
 
-def dwm(top: Table) -> Dwm:
+def dwm(top: Table, robots: Sequence[str]) -> Dwm:
     """The table [dwm]."""
-    table = top.table("dwm", ("source", "target", "rate", "window", "distance", "position"))
+    table = top.table(
+        "dwm",
+        ("source", "target", "rate", "filter", "filters", "window", "position_window", "latency", "height", "lever",
+         "calibration", "distance", "position"),
+    )  # fmt: skip
     normal = Dwm()
     expected = "serial:PATH, balancer or replay:DIR, {robot} in it standing for the robot's name"
     source = table.text("source", normal.source, expected=expected)
@@ -90,6 +97,11 @@ def dwm(top: Table) -> Dwm:
     named = kind in ("serial", "replay") and place and not set("{}") & set(place.replace("{robot}", ""))
     if source != "balancer" and not named:
         raise table.wrong("source", expected)
+    calibration = table.text("calibration", None, expected="the path of a file, {robot} standing for the robot's name")
+    if calibration is not None and set("{}") & set(calibration.replace("{robot}", "")):
+        raise table.wrong("calibration", "the path of a file, {robot} standing for the robot's name")
+    filters = table.table("filters", robots)
+    metres = "a finite number, in m"
     distance = table.table("distance", ("gain", "offset"))
     gain = distance.number("gain", normal.distance.gain, above=0, expected="a number above 0")
     offset = distance.number("offset", normal.distance.offset, expected="a finite number, in m")
@@ -98,7 +110,14 @@ def dwm(top: Table) -> Dwm:
         source=source,
         target=uwb_address(table, "target") if "target" in table else None,
         rate=table.number("rate", normal.rate, above=0, up_to=10, expected="a number above 0 up to 10, in Hz"),
+        filter=table.choice("filter", normal.filter, FILTERS),
+        filters={robot: filters.choice(robot, "", FILTERS) for robot in filters.data},
         window=table.count("window", normal.window, low=1),
+        position_window=table.count("position_window", 1, low=1) if "position_window" in table else None,
+        latency=table.number("latency", normal.latency, above=-1e-9, up_to=0.4, expected="0 to 0.4, in s"),
+        height=table.number("height", normal.height, expected=metres),
+        lever=table.number("lever", normal.lever, expected=metres),
+        calibration=calibration,
         distance=Linear(gain, offset),
         position=Affine(
             _matrix(position, normal.position.matrix),

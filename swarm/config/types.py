@@ -161,10 +161,28 @@ class Dwm:
     """Address of the module that is the target."""
     rate: float = 10.0
     """Hz; the module's maximum is 10."""
+    filter: str = "auto"
+    """What makes the pose: ekf, multilateration or average; auto = ekf while there is odometry, else average."""
+    filters: Mapping[str, str] = field(default_factory=dict)
+    """The same for single robots, by name."""
     window: int = 5
-    """Length of the moving average; 1 = off."""
+    """Length of the moving average of ranges; 1 = off."""
+    position_window: int | None = None
+    """The same for places; None = as `window`."""
+    latency: float = 0.06
+    """s from a measurement until its report is read."""
+    height: float = 0.0
+    """Of the robots' antennas in the frame of the anchors, m."""
+    lever: float = 0.0
+    """From a robot's axle up to its antenna, m: so far it swings as the body leans."""
+    calibration: str | None = None
+    """File made by `swarm calibrate`, `{robot}` = the own name; its models go before `distance` and `position`."""
     distance: Linear = field(default_factory=Linear)
     position: Affine = field(default_factory=Affine)
+
+    def filter_of(self, robot: str) -> str:
+        """What makes the pose of `robot`."""
+        return self.filters.get(robot, self.filter)
 
 
 @dataclass(frozen=True)
