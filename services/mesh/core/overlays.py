@@ -334,6 +334,8 @@ class Overlays:
             self._members_at = now
 
     def _admits_message(self, sender: str, key: str) -> bool:
+        if sender == self.me:
+            return False  # what we send ourselves crosses no link: somebody pretends to be us
         robot, service, topic = parse(key)
         if robot == sender and service == "app":
             chunks = topic.split("/")
