@@ -9,21 +9,25 @@ import sys
 
 from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.requests import check
+from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
-from swarm.keys import STOP, key
+from swarm.keys import STOP, key, parse
 from swarm.messages import (
+    AppState,
     BalancerFault,
     BalancerState,
     Battery,
     Buttons,
+    Display,
     ImuSample,
     Leds,
     ModuleAnswer,
     Notice,
     Odometry,
     Parameters,
+    SetDisplay,
     SetMode,
     Uwb,
     read,
@@ -52,8 +56,9 @@ _TOPICS: dict[type, str] = {
     ImuSample: "imu",
     Uwb: "uwb",
     ModuleAnswer: "module",
+    Display: "display",
 }
-_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu")
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display")
 
 
 class Relay:
@@ -69,6 +74,8 @@ class Relay:
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe([STOP, *commands], self._command)
+        self._composer = Composer(service.robot)
+        service.bus.subscribe([key(service.robot, "app", "*", "state")], self._app_state)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
@@ -89,6 +96,9 @@ class Relay:
 
     def _publish(self, message: Message) -> None:
         if isinstance(message, BalancerState):
+            self._composer.take_state(message)
+            if (text := self._composer.lines(self._heard)) is not None:
+                self._hand_over(text, "display")
             if message.mode == FAULT:
                 self._service.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
@@ -106,18 +116,31 @@ class Relay:
         if isinstance(message, SetMode) and message.mode not in COMMANDS:
             wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
             self._refuse(name, "refused", f"{name}: mode: {wrong}")
+            return
+        try:
+            check(message)
+        except LocalError as error:
+            self._refuse(name, "refused", f"{name}: {error}")
+            return
+        if isinstance(message, SetDisplay):
+            self._composer.take_text(message.text)
         elif isinstance(message, Command):
-            try:
-                check(message)
-            except LocalError as error:
-                self._refuse(name, "refused", f"{name}: {error}")
-                return
-            try:
-                self._loop.send(pack(message), socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
-            except OSError:
-                return  # the loop is gone, and so are we in a moment
+            self._hand_over(message, name)
+
+    def _app_state(self, name: str, payload: bytes) -> None:
+        """For the display; runs on Zenoh's thread. What is none is its sender's business."""
+        with contextlib.suppress(PayloadError):
+            if isinstance(message := read(name, payload), AppState):
+                self._composer.take_app(parse(name).topic.partition("/")[0], message)
+
+    def _hand_over(self, message: Command, name: str) -> None:
+        """To the loop, or away with it where that does not take it."""
+        try:
+            self._loop.send(pack(message), socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
+        except OSError:
+            return  # the loop is gone, and so are we in a moment
 
     def _refuse(self, name: str, counter: str, reason: str) -> None:
         self._service.counters[counter] += 1
