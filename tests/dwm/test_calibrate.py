@@ -75,11 +75,36 @@ def calibrate(processes, *arguments):
     return processes.start("-m", "services.dwm.calibrate", *arguments, "--robot", "r0")
 
 
-def lead(process, board, answer, off=(0.0, 0.0)):
+class Person:
+    """Presses button A twice a second while something is asked of them: a press before the session hears is lost."""
+
+    def __init__(self, runtime):
+        self.want, self._over = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._press, args=(runtime,))
+        self._thread.start()
+
+    def _press(self, runtime):
+        pressed = 0
+        with Bus.of(runtime) as bus:
+            while not self._over.wait(0.5):
+                pressed += self.want.is_set()
+                bus.publish("swarm/r0/balancer/buttons", Buttons(1.0, False, False, False, pressed, 0, 0))
+
+    def told(self, line):
+        if "measuring" in line:
+            self.want.clear()
+
+    def go(self):
+        self._over.set()
+        self._thread.join()
+
+
+def lead(process, board, answer, off=(0.0, 0.0), told=lambda _: None):
     """Put the module where it is asked for (and a bit off), then answer. Gives all that was said."""
     said = []
     for line in process.stdout:
         said.append(line)
+        told(line)
         found = PROMPT.match(line)
         if found:
             x, y, degrees = map(float, found.groups())
@@ -139,20 +164,11 @@ def test_buttons_of_the_robot_lead_as_well(processes, router, swarm, board, runt
         processes, "distance", "--places", "0.6,0.9 1.0,0.5 1.5,1.5", "--orientations", "1", "--count", "2",
         "--samples", str(runtime / "s.csv"), "--no-plot", "--output", str(runtime / "out.toml"),
     )  # fmt: skip
-    pressed = 0
-    with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
-
-        def buttons():
-            bus.publish("swarm/r0/balancer/buttons", Buttons(1.0, False, False, False, pressed, 0, 0))
-
-        def press():
-            nonlocal pressed
-            buttons()  # as the balancer says it once a second
-            pressed += 1
-            buttons()
-
-        said = lead(session, board, press)
+    person = Person(runtime)
+    try:
+        said = lead(session, board, person.want.set, told=person.told)
+    finally:
+        person.go()
     assert session.wait(20) == 0, session.stderr.read()
     assert "ranges: " in said
     assert 'put  calibration = "calibration/{robot}.toml"  into [dwm]' in said
