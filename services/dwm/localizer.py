@@ -71,7 +71,9 @@ class Localizer:
             calibration=load_calibration(config, robot),
             anchors=config.anchors,
         )
-        self._watch = Watch(config.anchors, known_modules(config), clock.now())
+        # An anchor ranges to nobody, so its answers say nothing.
+        is_tag = config.robot(robot).uwb_role == "tag"
+        self._watch = Watch(config.anchors, known_modules(config), clock.now()) if is_tag else None
         self._odometry: queue.SimpleQueue[Odometry] = queue.SimpleQueue()
         self._last: Odometry | None = None
         if kind in ("auto", "ekf"):
@@ -83,7 +85,7 @@ class Localizer:
         ranges, pose = self._pipeline.report(location, when)
         service = self._service
         service.counters["reports"] += 1
-        for finding in self._watch.report(location, when):
+        for finding in self._watch.report(location, when) if self._watch else ():
             level = WARNING if finding.fatal else INFO
             service.log.log(level, "%s: %s; %s", finding.code, finding.text, finding.remedy)
         service.counters.update(self._pipeline.dropped())

@@ -38,6 +38,9 @@ CONTRADICTION = 0.5
 TWO_PLACES = 0.6
 """m between the two halves of the ranges to one address, beyond which there are two modules of that address."""
 
+EACH = 5
+"""Ranges at least from each of them, and a fifth of all: ranges around an obstacle are not so many."""
+
 FEW = 0.5
 """Part of the answers in which a thing must be so to be told."""
 
@@ -319,8 +322,9 @@ def _halves(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
 
 
 def _two_places(values: Sequence[float]) -> bool:
-    """Whether they come from two distances in turn: each in a fifth of them or more."""
-    if len(values) < 5:
+    """Whether they come from two distances in turn."""
+    if len(values) < 2 * EACH:
         return False
     low, high = _halves(values)
-    return min(len(low), len(high)) >= 0.2 * len(values) and median(high) - median(low) > TWO_PLACES
+    each = min(len(low), len(high))
+    return each >= max(EACH, 0.2 * len(values)) and median(high) - median(low) > TWO_PLACES
