@@ -36,6 +36,9 @@ WARM_UP = 2500
 """Updates until the filter knows its heading and the interpreter's free lists (2000 tuples of a length) are full."""
 PREDICTIONS = 3
 """Odometry messages between two reports: they come at 25 Hz."""
+LEG = 50
+STEP = 0.02
+"""m between two updates."""
 SETTLE_S = 5.0
 
 ANCHORS = (
@@ -67,7 +70,9 @@ def _updates(kind: str) -> Callable[[], None]:
     pipeline = Pipeline(replace(Dwm(), filter=kind), {}, kind=kind, anchors=ANCHORS)
     watch = Watch(ANCHORS, {}, 0.0)
     poller = Poller(10.0, 0.0)
-    answers = [encode_location(tag.measure(modules, 0.5 + 0.02 * step, 1.2, 0.0)) for step in range(50)]
+    # Forward by a metre at 0.2 m/s and back again.
+    way = [*range(LEG), *range(LEG, 0, -1)]
+    answers = [encode_location(tag.measure(modules, 0.5 + STEP * step, 1.2, 0.0)) for step in way]
     now, count = 0.0, 0
 
     def update() -> None:
@@ -75,7 +80,8 @@ def _updates(kind: str) -> Callable[[], None]:
         count += 1
         now += 0.1
         for part in range(PREDICTIONS):
-            pipeline.tracker.odometry(now - 0.1 + 0.033 * part, 0.0066, 0.0, 0.01)
+            way_on = STEP if count % (2 * LEG) < LEG else -STEP
+            pipeline.tracker.odometry(now - 0.1 + 0.033 * part, way_on / PREDICTIONS, 0.0, 0.01)
         poller.handle_timer(now)
         poller.to_send()
         poller.receive(answers[count % len(answers)], now + 0.02)
