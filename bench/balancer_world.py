@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgpack
 
-from services.sim.body import WORLD_SOCKET
+from services.sim.door import WORLD_SOCKET
 
 FALLEN = math.radians(45.0)
 """rad of tilt."""
