@@ -21,6 +21,7 @@ from swarm.messages import (
     Battery,
     Buttons,
     Display,
+    I2CRates,
     ImuSample,
     Leds,
     ModuleAnswer,
@@ -57,8 +58,9 @@ _TOPICS: dict[type, str] = {
     Uwb: "uwb",
     ModuleAnswer: "module",
     Display: "display",
+    I2CRates: "i2c",
 }
-_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display")
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display", "i2c")
 
 
 class Relay:

@@ -1,5 +1,6 @@
 """The real processes: body, bridge, router. How they start, what they say, how they end."""
 
+import json
 import os
 import signal
 import socket
@@ -15,7 +16,23 @@ import pytest
 from conftest import Processes, stop, wait_until
 
 from swarm.bus import Bus
-from swarm.messages import BalancerState, Leds, SetLeds, SetMode, SetParameters, SetVelocity, Stop, read
+from swarm.messages import (
+    AppState,
+    BalancerState,
+    ImuRequest,
+    Leds,
+    MeasureI2C,
+    ModuleRequest,
+    Note,
+    SetDisplay,
+    SetLeds,
+    SetMode,
+    SetNotes,
+    SetParameters,
+    SetVelocity,
+    Stop,
+    read,
+)
 
 RECORDING = str(Path(__file__).with_name("recording_body.py"))
 
@@ -269,3 +286,58 @@ def test_a_wrong_seed_is_named(processes: Processes) -> None:
     process = processes.start("-m", "services.sim.body", SWARM_SEED="lucky")
     assert process.communicate(timeout=20)[1] == "body.py: SWARM_SEED='lucky': expected an integer\n"
     assert process.returncode == 2
+
+
+def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> None:
+    processes.start_ready("-m", "services.sim.body")
+    watcher.wait_mode("balancing")
+    wait_until(lambda: watcher.last("battery") is not None and watcher.last("battery").voltage == 7.4)
+    wait_until(lambda: watcher.last("buttons") is not None and watcher.last("buttons").presses_a == 0)
+    wait_until(lambda: watcher.last("uwb") is not None)
+    assert watcher.last("uwb").state == "silent", "no module is wired to this one"
+
+    wait_until(lambda: watcher.last("display") is not None and watcher.last("display").present, 20)
+    wait_until(lambda: watcher.last("display").lines[:2] == ("r0", "balancing       7.4 V"), 20)
+    watcher.bus.publish("swarm/r0/app/consensus/state", AppState(1.0, 3, {"value": 2.5}, {}))
+    wait_until(lambda: watcher.last("display").lines[3:] == ("consensus k=3", "value 2.5"), 20)
+    watcher.command("display", SetDisplay("hello"))
+    wait_until(lambda: watcher.last("display").lines[3:] == ("hello",), 20)
+
+    watcher.command("imu", ImuRequest(100.0, 0.5))
+    wait_until(lambda: len(watcher.heard["imu"]) > 40)
+    watcher.command("module", ModuleRequest("mine", b"\x08\x00"))
+    wait_until(lambda: watcher.last("module") is not None)
+    assert watcher.last("module").problem == "the module does not answer"
+    watcher.command("notes", SetNotes((Note(440.0, 0.1, 1.0),)))
+
+    refused = [
+        ("notes", SetNotes((Note(440.0, 9.0, 1.0),))),
+        ("imu", ImuRequest(1000.0, 1.0)),
+        ("module", ModuleRequest("x", b"\x08\x01")),
+        ("i2c", MeasureI2C("x", 99, 1)),
+        ("display", SetDisplay("x" * 1000)),
+    ]
+    for what, message in refused:
+        watcher.command(what, message)
+    replies: list[bytes] = []
+
+    def all_refused() -> bool:
+        watcher.bus.ask("swarm/r0/balancer/status", lambda _, payload: replies.append(payload))
+        found = [read("swarm/r0/balancer/status", reply).counters.get("refused") for reply in replies]
+        return len(refused) in found
+
+    wait_until(all_refused)
+    assert watcher.last().mode == "balancing"
+
+
+def test_swarm_measure_i2c_asks_the_balancer(processes: Processes, watcher: Watcher) -> None:
+    processes.start_ready("-m", "services.sim.body")
+    watcher.wait_mode("balancing")
+    command = [sys.executable, "-m", "swarm.cli", "measure", "i2c", "--sizes", "8", "--count", "20", "--json"]
+    done = subprocess.run(command, env=processes.environment(), capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    (found,) = json.loads(done.stdout)["sizes"]
+    assert (found["size"], found["count"], found["failed"]) == (8, 20, 0)
+    # 1.30 and 1.17 ms on the wire and in holds, two pauses and one; Python and its sleeps come on top, for real.
+    assert 5e3 < found["read"] < 8 * 8 / 1.60e-3
+    assert 20e3 < found["write"] < 8 * 8 / 1.32e-3
