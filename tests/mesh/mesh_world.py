@@ -6,6 +6,9 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+from hypothesis import strategies as st
 
 from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
@@ -20,6 +23,18 @@ from services.mesh.core.session import Session
 from services.mesh.core.topology import Ground, Topology
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
 from swarm.messages import LinkState
+
+ACCIDENTS = st.one_of(
+    st.tuples(st.just("publish"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("cut"), st.floats(0.1, 12.0)),
+    st.tuples(st.just("break"), st.integers(1, 200)),
+    st.tuples(st.just("drop"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("restart"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("absent"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("stop"), st.tuples(st.sampled_from(("r0", "r1")), st.floats(0.1, 9.0))),
+    st.tuples(st.just("wait"), st.floats(0.001, 6.0)),
+)
+"""What may happen to the link of r0 and r1, for `World.suffer`; `publish` is the test's own matter."""
 
 
 @dataclass
@@ -150,6 +165,32 @@ class World:
             if peer is not None:
                 self._close(peer)
             self._down(end)
+
+    def suffer(self, kind: str, value: Any) -> None:
+        """One of `ACCIDENTS`."""
+        match kind:
+            case "cut":
+                self.cut("r0", "r1", value)
+            case "break":
+                self.break_after = value
+            case "drop" if value in self.bots:
+                self.break_connections(value)
+            case "restart" | "absent":
+                if value in self.bots:
+                    self.kill(value)
+                if kind == "restart":
+                    self.start(value)
+            case "stop" if value[0] in self.bots:
+                self.stop(*value)
+            case "wait":
+                self.run(value)
+
+    def recover(self) -> None:
+        """No more accidents: r0 and r1 run, and nothing breaks."""
+        for name in ("r0", "r1"):
+            if name not in self.bots:
+                self.start(name)
+        self.break_after = None
 
     def publish(self, name: str, key: str, payload: bytes, source: int = 0) -> None:
         """A sample on a robot's own bus."""

@@ -403,10 +403,12 @@ class Overlays:
         self._look_at = _NEVER
         incarnations = {name: self._flood.known(name) for name in self._robots}
         left = [name for name in self._robots if self._map.has_left(name)]
-        if self._membership.look(self._map.routes(), self._map.graph(), incarnations, left, now):
+        if self._membership.look(self._map.routes(), self._map.told(), incarnations, left, now):
             self._members_at = now
 
     def _admits_message(self, sender: str, key: str) -> bool:
+        if sender == self.me:
+            return False  # what we send ourselves crosses no link: somebody pretends to be us
         robot, service, topic = parse(key)
         if robot == sender and service == "app":
             chunks = topic.split("/")
