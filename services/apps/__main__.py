@@ -10,8 +10,9 @@ import hashlib
 import os
 from pathlib import Path
 
-from services.apps import loader
+from services.apps import loader, topology
 from services.apps.host import Host
+from services.apps.measurements import source_of
 from services.apps.runner import Runner
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
@@ -38,14 +39,21 @@ def main() -> int:
     with Service(f"app/{app.name}", on_bus=on_bus) as service:
         number = options.run if options.run is not None else _default_run(app, service.config)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
-        instance = app.make(service.config, service.robot, seed)
+        instance = app.make(service.config, service.robot, seed)  # what is wrong with it is said at once
+        measurements = source_of(service, options.iterations) if instance.measured else None
+        links = topology.of_run(service, app.name, number)
+        if links is None:
+            return 0
+        if links.config.edges != service.config.edges:
+            instance = app.make(links.config, service.robot, seed)
         instance.robot.overlays = Overlays(service.bus, service.robot, app.name)
         instance.robot.overlays.collect()
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
         runner = Runner(instance, app.source)
         record = os.environ.get("SWARM_RECORD")
-        host = Host(service, app.name, runner, number, options.iterations, Path(record) if record else None)
+        folder = Path(record) if record else None
+        host = Host(service, app.name, runner, number, links, measurements, options.iterations, folder)
         service.stopping.wait()
         host.close()
         return FAULT if host.failed else 0

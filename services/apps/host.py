@@ -12,8 +12,9 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+from services.apps import topology
 from services.apps.claim import Claim
-from services.apps.measurements import source_of
+from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.snapshot import SnapshotFile
@@ -34,7 +35,7 @@ from swarm.core.lockstep import (
 from swarm.core.lockstep_frames import Snapshot
 from swarm.errors import AppError, FrameError, PayloadError, SwarmError
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState, Links, Measurement
+from swarm.messages import AppProgress, AppState, Links, Measurement, Topology
 from swarm.service import Service
 
 TICK = 0.1
@@ -50,9 +51,6 @@ CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
 STUCK = 10.0
 """s after which a step that still runs no longer feeds systemd's watchdog."""
-EPOCH = 0
-"""The only membership there is with the policy `wait` (rule R9)."""
-
 _STAMP = struct.Struct("<d")  # before the private fields in a snapshot: when its state was computed
 
 
@@ -61,7 +59,15 @@ class Host:
     iteration."""
 
     def __init__(
-        self, service: Service, name: str, runner: Runner, run: int, last: int | None, record: Path | None
+        self,
+        service: Service,
+        name: str,
+        runner: Runner,
+        run: int,
+        links: topology.Links,
+        measurements: Measurements | None,
+        last: int | None,
+        record: Path | None,
     ) -> None:
         """Raises `LocalError` where lock or snapshot cannot be had."""
         self._service = service
@@ -70,11 +76,13 @@ class Host:
         self._record = record
         self._claim = Claim(service.runtime, name)
         self._snapshots = SnapshotFile(service.runtime / f"app.{name}.snapshot")
-        self._channel = Channel(run, EPOCH, self._claim.incarnation, runner.schema.hash)
+        if not links.kept:
+            topology.save(service.runtime, name, run, links)
+        self._channel = Channel(run, links.epoch, self._claim.incarnation, runner.schema.hash)
         self._sync = key(service.robot, f"app/{name}", "sync", self._channel.text)
-        neighbours = service.config.neighbours(service.robot)
+        neighbours = links.neighbours(service.robot)
         self._core = Lockstep(service.robot, neighbours, self._channel, runner.schema.size, last=last)
-        self._measurements = source_of(service, last) if runner.app.measured else None
+        self._measurements = measurements
         self._recorder: Recorder | None = None
         self._lock = threading.Lock()
         self._app_lock = threading.Lock()
@@ -88,9 +96,11 @@ class Host:
         self._muted = False
         self._state: AppState | None = None
         self._connections: dict[str, int] = {}
+        self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
         for peer in (service.robot, *neighbours):
             service.bus.subscribe(key(peer, f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
+        service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
         service.bus.serve(key(service.robot, f"app/{name}", "state"), self._answer)
         service.bus.serve(key(service.robot, f"app/{name}", "progress"), lambda *_: encode(self._progress()))
         # Daemons: a step that never returns must not keep the process from ending.
@@ -145,6 +155,8 @@ class Host:
             self._service.log.debug("%s: %s", name, error)
             return
         with self._lock:
+            if parsed.run == self._channel.run and sender != self._service.robot:
+                self._watch.heard(sender, same=parsed.epoch == self._channel.epoch)
             if self._core.k >= 0:  # before the own start there is no slot: the sender is asked again
                 self._core.receive(sender, parsed, payload, clock.now())
                 self._perform()
@@ -164,6 +176,16 @@ class Host:
         self._connections.update(up)
         if renewed:
             self.nudge()
+
+    def _on_topology(self, name: str, payload: bytes) -> None:
+        try:
+            in_force = decode(Topology, payload, name)
+        except PayloadError as error:
+            self._service.counters["refused_payloads"] += 1
+            self._service.log.debug("%s", error)
+            return
+        with self._lock:
+            self._watch.take(in_force)
 
     # On the worker's thread
 
@@ -285,7 +307,7 @@ class Host:
         if self._phase in ("starting", "running") and measuring is not None and now - measuring >= EVERY:
             return "waiting", (), "the dwm service gives no measurement"
         if self._phase == "running" and self._waiting:
-            return "waiting", self._waiting, ""
+            return "waiting", self._waiting, self._watch.reason(self._waiting)
         return self._phase, (), self._reason
 
     def _progress(self) -> AppProgress:

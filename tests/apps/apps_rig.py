@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from swarm.bus import Bus
-from swarm.codec import decode
-from swarm.messages import AppProgress, AppState
+from swarm.codec import decode, encode
+from swarm.messages import AppProgress, AppState, Topology
 
 NAMES = ("r0", "r1", "r2")
 PATIENCE = 40.0
@@ -35,6 +35,7 @@ class Rig:
         self.directory = directory
         self.names = tuple(names)
         self.gate = 2**32
+        self.version, self.edges = 0, list(itertools.pairwise(names))
         self.records = directory / "records"
         self.records.mkdir()
         (directory / "swarm.toml").write_text(config_text(names, more))
@@ -49,6 +50,7 @@ class Rig:
             bus = self.buses[name] = Bus.of(directory / name)
             bus.subscribe(f"swarm/{name}/app/*/progress", self._take(self.progress, name, AppProgress))
             bus.subscribe(f"swarm/{name}/app/*/state", self._take(self.state, name, AppState))
+            bus.serve(f"swarm/{name}/mesh/topology", lambda *_, name=name: encode(self.topology(name)))  # type: ignore[misc]
         for here, there in itertools.pairwise(names):
             self._relay(here, there)
             self._relay(there, here)
@@ -82,6 +84,17 @@ class Rig:
             )
         self.processes[robot, service] = process
         return process
+
+    def topology(self, name: str) -> Topology:
+        """What a robot's mesh would tell."""
+        near = tuple(sorted(b if a == name else a for a, b in self.edges if name in (a, b)))
+        return Topology(0.0, self.version, 0, "", False, 0.0, tuple(self.edges), near, near, (), {})
+
+    def set_topology(self, *edges: tuple[str, str]) -> None:
+        """Another topology is in force; this rig's relay goes on as it was."""
+        self.version, self.edges = self.version + 1, list(edges)
+        for name, bus in self.buses.items():
+            bus.publish(f"swarm/{name}/mesh/topology", self.topology(name))
 
     def start_all(self, *arguments: str, **environment: str) -> None:
         for name in self.names:

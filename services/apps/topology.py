@@ -1,0 +1,169 @@
+"""The links of a run: the topology in force when it began, kept for as long as the run lasts.
+
+Weights and neighbours follow from the links, so all robots of a run must have the same ones. A checksum of them is the
+run's epoch, and with it part of the channel: hosts that began on different links never take each other's values. A host
+that is started anew in mid-run goes on with the links that its run began with, whatever holds then.
+"""
+
+import threading
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from swarm import clock
+from swarm.codec import decode, encode
+from swarm.config import Config
+from swarm.core.graph import Graph
+from swarm.errors import LocalError, PayloadError
+from swarm.keys import key
+from swarm.messages import AppProgress, Topology
+from swarm.service import Service
+
+CONFIGURED = 0
+"""The epoch of the configuration's links."""
+
+ASK_EVERY = 0.2
+"""s between two questions to the mesh."""
+
+TELL_EVERY = 1.0
+"""s between two messages that there is no answer that could be used."""
+
+SETTLED = 5.0
+"""s for which an automatic topology must have stayed the same: hosts that start together then have the same one."""
+
+
+class Links(NamedTuple):
+    """Who is linked with whom in a run."""
+
+    config: Config
+    """The configuration with these links in the place of its own."""
+    epoch: int
+    kept: bool
+    """Whether they are those of an earlier process of the run."""
+
+    def neighbours(self, robot: str) -> tuple[str, ...]:
+        """Of one robot, sorted."""
+        return self.config.neighbours(robot)
+
+
+@dataclass(frozen=True)
+class _Kept:
+    run: int
+    edges: tuple[tuple[str, ...], ...]
+
+
+def of_run(service: Service, app: str, run: int) -> Links | None:
+    """The links of a run; waits for the mesh where they are not known yet. None = told to stop."""
+    config = service.config
+    if (kept := _load(_path(service.runtime, app), run)) is not None:
+        return _links(config, kept, kept=True)
+    if len(config.robots) == 1:
+        return _links(config, (), kept=False)
+    answers: list[Topology] = []
+    answered = threading.Event()
+
+    def take(text: str, payload: bytes) -> None:
+        try:
+            answers.append(decode(Topology, payload, text))
+            answered.set()
+        except PayloadError as error:
+            service.counters["refused_payloads"] += 1
+            service.log.debug("%s", error)
+
+    told_at = clock.now()
+    while True:
+        answered.clear()
+        service.bus.ask(key(service.robot, "mesh", "topology"), take, timeout_s=TELL_EVERY)
+        answered.wait(ASK_EVERY)
+        reason = lacking(config, answers[-1], clock.now()) if answers else "the mesh does not tell its topology"
+        if not reason:
+            return _links(config, answers[-1].edges, kept=False)
+        if clock.now() >= told_at + TELL_EVERY:
+            told_at = clock.now()
+            progress = AppProgress(told_at, "starting", 0, (), reason)
+            service.bus.publish(key(service.robot, f"app/{app}", "progress"), progress)
+        if service.stopping.wait(ASK_EVERY):
+            return None
+
+
+def lacking(config: Config, topology: Topology, now: float) -> str:
+    """Why a run cannot begin on a topology; empty where it can."""
+    reached = Graph(config.names, _pairs(topology.edges)).distances(config.names[0])
+    if len(reached) < len(config.names):
+        missing = " ".join(name for name in config.names if name not in reached)
+        return f"the automatic topology does not link all robots yet, not {missing}"
+    if topology.auto and now < topology.since + SETTLED:
+        return "the automatic topology has just changed"
+    return ""
+
+
+def save(runtime: Path, app: str, run: int, links: Links) -> None:
+    """Keep the links for the later processes of the run; `LocalError` where that cannot be."""
+    path = _path(runtime, app)
+    new = path.with_suffix(".new")
+    try:
+        new.write_bytes(encode(_Kept(run, links.config.edges)))
+        new.replace(path)
+    except OSError as error:
+        raise LocalError(f"{path}: {error.strerror}") from None
+
+
+class Watch:
+    """What the mesh's topology and other hosts' epochs mean for a run that goes on."""
+
+    def __init__(self, links: Links, robot: str, on_lost: Callable[[str], None]) -> None:
+        """`on_lost(text)` is called when the topology in force takes a link away that the run needs."""
+        self._needed = frozenset(links.neighbours(robot))
+        self._on_lost = on_lost
+        self._lost: frozenset[str] = frozenset()
+        self._version = ""
+        self._strangers: set[str] = set()
+
+    def take(self, topology: Topology) -> None:
+        """The topology in force."""
+        lost = self._needed - set(topology.wanted)
+        self._version = f"{topology.version}.{topology.step}" if topology.auto else str(topology.version)
+        if lost - self._lost:
+            self._on_lost(self._text(lost))
+        self._lost = lost
+
+    def heard(self, sender: str, *, same: bool) -> None:
+        """A host of this run, on the same links or on others."""
+        (self._strangers.discard if same else self._strangers.add)(sender)
+
+    def reason(self, waiting: tuple[str, ...]) -> str:
+        """Why robots are waited for, where that is a matter of links; else empty."""
+        if strangers := self._strangers.intersection(waiting):
+            return f"{' '.join(sorted(strangers))} began on other links: start a new run, with another number"
+        lost = self._lost.intersection(waiting)
+        return self._text(lost) if lost else ""
+
+    def _text(self, lost: frozenset[str]) -> str:
+        return (
+            f"topology {self._version} has no link with {' '.join(sorted(lost))}, which this run needs: "
+            "set one that has it, or start a new run"
+        )
+
+
+def _path(runtime: Path, app: str) -> Path:
+    return runtime / f"app.{app}.topology"
+
+
+def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
+    try:
+        kept = decode(_Kept, path.read_bytes(), str(path))
+    except (OSError, PayloadError):
+        return None
+    return kept.edges if kept.run == run else None
+
+
+def _links(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool) -> Links:
+    pairs = Graph(config.names, _pairs(edges)).edges
+    epoch = CONFIGURED if pairs == config.edges else zlib.crc32(repr(pairs).encode()) or 1
+    return Links(replace(config, edges=pairs), epoch, kept)
+
+
+def _pairs(edges: tuple[tuple[str, ...], ...]) -> list[tuple[str, str]]:
+    return [(a, b) for a, b in edges]
