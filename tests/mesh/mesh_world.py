@@ -3,11 +3,12 @@
 import heapq
 import itertools
 import random
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from services.mesh.core.callers import UNKNOWN, Caller
+from services.mesh.core.delay import AirModel, DelayLine
 from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
 from services.mesh.core.handshake import Local
@@ -18,6 +19,9 @@ from services.mesh.core.relay import Relay
 from services.mesh.core.session import Session
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
 from swarm.messages import LinkState
+
+SOCKET = 50_000
+"""Bytes that an RFCOMM socket takes."""
 
 
 @dataclass
@@ -32,6 +36,10 @@ class End:
     """The rest of what it sends is lost, as on a stream: never bytes from the middle."""
     heard: bytearray = field(default_factory=bytearray)
     """What arrived here, where it is a stranger's end."""
+    line: DelayLine | None = None
+    """The air from here to the other end, where it has a bandwidth."""
+    socket: deque[bytes] = field(default_factory=deque)
+    """Writes that wait for the air."""
 
 
 @dataclass
@@ -58,8 +66,14 @@ class World:
         latency: float = 0.03,
         seed: int = 0,
         keys: Mapping[int, bytes] | None = None,
+        bandwidth: float | None = None,
+        jitter: float = 0.0,
     ) -> None:
-        """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`."""
+        """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`. With a `bandwidth`,
+        bytes/s, each end has a socket of 50 kB before the air."""
+        self.air = AirModel(latency, jitter, bandwidth)
+        self.written: Counter[tuple[str, str]] = Counter()
+        """Bytes on the air from one robot to another."""
         self.keys = keys
         self.now = 0.0
         self.random = random.Random(seed)
@@ -246,6 +260,9 @@ class World:
 
     def _flush(self, end: End) -> None:
         assert end.session is not None
+        if self.air.bandwidth is not None:
+            self._write(end)
+            return
         while data := end.session.data_to_send(self.now, 4096):
             if self.tap is not None:
                 data = self.tap(end, data)
@@ -253,6 +270,23 @@ class World:
                 cut = self.random.randint(1, len(data))
                 self.send(end, data[:cut])
                 data = data[cut:]
+
+    def _write(self, end: End) -> None:
+        """From the session into the socket, from there onto the air at its own pace."""
+        if end.line is None:
+            end.line = DelayLine(self.air, self.random.gauss)
+        session, line, other = end.session, end.line, end.peer
+        assert session is not None
+        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(self.now, 4096)):
+            end.socket.append(data)
+        waited = bool(end.socket)
+        while end.socket and line.free_at <= self.now:
+            data = end.socket.popleft()
+            self.written[end.robot, other.robot if other is not None else ""] += len(data)
+            line.push(data, self.now)
+            self._at(line._last_arrival, lambda data=data: self._arrive(end, data))  # type: ignore[misc]
+        if waited:
+            self._at(line.free_at, lambda: self._write(end) if end.alive else None)
 
     def send(self, end: End, data: bytes) -> None:
         """Put bytes on the way to the other end."""

@@ -7,6 +7,7 @@ from mesh_world import World
 from test_mesh_session import disturbances, hello
 
 from services.mesh.core import frames, packets
+from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.frames import BULK, FLOOD, NEIGHBOURS, SYNC, UNICAST
 from services.mesh.core.packets import Spread
 from services.mesh.core.relay import Relay, matches, pattern
@@ -117,7 +118,7 @@ def test_rules_carry_across_the_swarm() -> None:
 
 
 def test_a_value_too_long_for_its_overlay_is_counted() -> None:
-    world = World(LINE, rules=RULES)
+    world = World(LINE, rules=[RelayRule(rule.keys, overlay=rule.overlay, priority="sync") for rule in RULES])
     world.run(1.0)
     for key, limit in (("swarm/r0/dwm/pose", packets.MAX_SPREAD), ("swarm/r0/app/x/report/r3", packets.MAX_MESSAGE)):
         world.publish("r0", key, bytes(limit + 1), source_of(key))
@@ -125,6 +126,19 @@ def test_a_value_too_long_for_its_overlay_is_counted() -> None:
     world.run(1.0)
     assert world.bots["r0"].counters["too_large"] == 2
     assert sorted(len(payload) for _, payload in world.bots["r3"].inbox) == [packets.MAX_MESSAGE, packets.MAX_SPREAD]
+
+
+def test_in_the_bulk_class_rules_carry_a_mebibyte() -> None:
+    world = World(LINE, rules=RULES)
+    world.run(1.0)
+    largest = bytes(MAX_MESSAGE)
+    for key in ("swarm/r0/dwm/pose", "swarm/r0/app/x/report/r3"):
+        world.publish("r0", key, largest, source_of(key))
+        world.publish("r0", key, largest + b"!", source_of(key))
+    world.run(20.0)
+    assert world.bots["r0"].counters["too_large"] == 2
+    assert sorted(world.bots["r3"].inbox) == [("swarm/r0/app/x/report/r3", largest), ("swarm/r0/dwm/pose", largest)]
+    assert world.bots["r1"].inbox == [("swarm/r0/dwm/pose", largest)]
 
 
 def test_a_maximum_rate_holds_for_floods() -> None:

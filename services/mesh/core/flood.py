@@ -9,10 +9,12 @@ neighbours compare checksums when their link comes up and every 30 s, and hand e
 from collections import Counter
 from collections.abc import Callable, Collection
 
-from services.mesh.core import packets
+from services.mesh.core import largefloods, packets, pieces
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.echo import Id, Waves
+from services.mesh.core.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.frames import BULK, FLOOD
+from services.mesh.core.largefloods import LargeFloods
 from services.mesh.core.packets import Spread
 from services.mesh.core.store import NEW, OLD, Store
 from swarm.errors import FrameError
@@ -43,14 +45,17 @@ _NEVER = float("inf")
 class Attempt:
     """An own flood whose echo is awaited."""
 
-    __slots__ = ("deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "token", "tries")
+    __slots__ = ("deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "settle",
+                 "token", "tries")  # fmt: skip
 
-    def __init__(self, token: object, key: str, payload: bytes, priority: int, patience: float) -> None:
+    def __init__(self, token: object, key: str, payload: bytes, priority: int, patience: float, settle: float) -> None:
         self.token = token
         self.key = key
         self.payload = payload
         self.priority = priority
         self.patience = patience
+        self.settle = settle
+        """s that echoes may still come after all edges have spoken."""
         self.first = 0
         self.tries = 0
         self.deadline = 0.0
@@ -108,19 +113,32 @@ class Flood:
         self._attempts: dict[int, Attempt] = {}
         self._waves = Waves(me, self._emit_wave, towards=towards, heard=self._heard)
         self._digest_key = key_of(me, "mesh", "digest")
+        self.large = LargeFloods(
+            me, self._store, self._waves, pass_on=self._pass_on, deliver=deliver, counters=counters
+        )
 
     # -- own floods --------------------------------------------------------------------------------------------
 
-    def publish(self, key: str, payload: bytes, priority: int, *, latest: bool) -> None:
-        """Flood a value of an own key; with `latest` it is kept for those who come later."""
-        self._spread(key, Spread(self.incarnation, self._next(), payload, latest=latest), priority)
+    def publish(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> bool:
+        """Flood a value of an own key; with `latest` it is kept for those who come later. False where too many large
+        ones are under way."""
+        if len(payload) > packets.MAX_SPREAD and not self.large.has_room(len(payload)):
+            self._counters["flood_large_refused"] += 1
+            return False
+        self._spread(key, Spread(self.incarnation, self._next(now), payload, latest=latest), priority, now)
+        return True
 
     def confirm(self, token: object, key: str, payload: bytes, priority: int, patience: float, now: float) -> bool:
-        """Flood, and learn by `reached` whom; False where too many are under way. `patience` is how long a try may
-        take, s."""
+        """Flood, and learn by `reached` whom; False where too many are under way. `patience` is how long a try of a
+        small one may take, s."""
+        settle = patience
+        if len(payload) > packets.MAX_SPREAD:
+            if not self.large.has_room(len(payload)):
+                return False
+            patience += largefloods.patience(len(payload))
         if len(self._attempts) >= MAX_ATTEMPTS:
             return False
-        attempt = Attempt(token, key, payload, priority, patience)
+        attempt = Attempt(token, key, payload, priority, patience, settle)
         attempt.goal.update(self._expected())
         self._try(attempt, now)
         return True
@@ -171,6 +189,7 @@ class Flood:
     def handle_timer(self, now: float) -> None:
         """Whatever is due."""
         self._waves.handle_timer(now)
+        self.large.handle_timer(now)
         for sequence, attempt in list(self._attempts.items()):
             if now >= attempt.deadline and self._attempts.get(sequence) is attempt:
                 self._expire(sequence, attempt, now)
@@ -185,35 +204,44 @@ class Flood:
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called."""
         deadline = min((attempt.deadline for attempt in self._attempts.values()), default=_NEVER)
+        deadline = min(deadline, self.large.next_deadline())
         for link in self._links.values():
             deadline = min(deadline, link.repair_at, link.compare_at)
         return deadline
 
     # -- spreading ---------------------------------------------------------------------------------------------
 
-    def _next(self) -> int:
+    def _next(self, now: float) -> int:
         if self._sequence == packets.MAX_SEQUENCE:
-            self._begin(self.incarnation + 1)
+            self._begin(self.incarnation + 1, now)
         self._sequence += 1
         return self._sequence
 
-    def _spread(self, key: str, packet: Spread, priority: int) -> None:
+    def _spread(self, key: str, packet: Spread, priority: int, now: float) -> None:
         """An own flood: noted as seen, and off."""
         self._store.take(self._me, key, packet, priority)
+        if len(packet.payload) > packets.MAX_SPREAD:
+            id = pieces.Id(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
+            self.large.hold(id, packet.payload, now, key if packet.latest else "")
+            packet = packet._replace(payload=b"", size=len(packet.payload))
         self._pass_on(key, packet, priority, None)
 
-    def _pass_on(self, key: str, packet: Spread, priority: int, source: str | None) -> None:
+    def _pass_on(self, key: str, packet: Spread, priority: int, source: str | None) -> list[str]:
         data = packets.encode_spread(packet)
-        for peer in self._links:
-            if peer != source:
-                self._counters["flood_sent"] += 1
-                self._counters["wave_sent"] += packet.echo
-                self._emit(Transmit(peer, FLOOD, key, data, priority, packet.latest))
+        others = [peer for peer in self._links if peer != source]
+        for peer in others:
+            self._counters["flood_sent"] += 1
+            self._counters["wave_sent"] += packet.echo
+            self._emit(Transmit(peer, FLOOD, key, data, priority, packet.latest))
+        return others
 
     def _on_spread(self, peer: str, key: str, packet: Spread, priority: int, now: float) -> None:
         origin = parse(key).robot
         if origin == self._me:
             self._on_own(peer, key, packet, priority, now)
+            return
+        if packet.size:
+            self.large.announced(peer, origin, key, packet, now)
             return
         verdict = self._store.take(origin, key, packet, priority)
         if verdict == OLD:
@@ -225,12 +253,9 @@ class Flood:
             if packet.echo:
                 self._waves.again(id, key, priority, peer, now)
             return
+        others = self._pass_on(key, packet, priority, peer)
         if packet.echo:
-            others = [each for each in self._links if each != peer]
-            self._pass_on(key, packet, priority, peer)
             self._waves.join(id, key, priority, peer, others, now)
-        else:
-            self._pass_on(key, packet, priority, peer)
         if not packet.first or not self._store.has_seen(origin, packet.first):
             self._deliver(origin, key, packet.payload, priority, packet.incarnation)
 
@@ -245,14 +270,15 @@ class Flood:
         """Others know us by a higher incarnation: without this they would take all we say for old."""
         if now >= self._began_at + BEGIN_ANEW and incarnation < packets.MAX_INCARNATION:
             self._began_at = now
-            self._begin(incarnation + 1)
+            self._begin(incarnation + 1, now)
 
-    def _begin(self, incarnation: int) -> None:
+    def _begin(self, incarnation: int, now: float) -> None:
         kept = self._store.kept(self._me)
         self.incarnation, self._sequence = incarnation, 0
         self._store.begin(self._me, incarnation)
         for key, value in kept:
-            self.publish(key, value.payload, value.priority, latest=True)
+            packet = Spread(incarnation, self._next(now), value.payload, latest=True)
+            self._spread(key, packet, value.priority, now)
         # Tried again at the next timer; until then under numbers that no sequence can have.
         attempts = set(self._attempts.values())
         self._attempts = {-1 - place: attempt for place, attempt in enumerate(attempts)}
@@ -262,17 +288,18 @@ class Flood:
     # -- the echo at the origin --------------------------------------------------------------------------------
 
     def _try(self, attempt: Attempt, now: float) -> None:
-        sequence = self._next()
+        sequence = self._next(now)
         attempt.tries += 1
         attempt.deadline = now + attempt.patience
         self._attempts[sequence] = attempt
         packet = Spread(self.incarnation, sequence, attempt.payload, echo=True, first=attempt.first)
         attempt.first = attempt.first or sequence
-        self._spread(attempt.key, packet, attempt.priority)
+        self._spread(attempt.key, packet, attempt.priority, now)
         id = Id(self._me, self.incarnation, sequence)
-        self._waves.begin(id, attempt.key, attempt.priority, self._links, now)
+        life = largefloods.patience(len(attempt.payload))
+        self._waves.begin(id, attempt.key, attempt.priority, self._links, now, life)
 
-    def _heard(self, id: Id, robots: Collection[str], lost: bool, over: bool) -> None:
+    def _heard(self, id: Id, robots: Collection[str], lost: bool, over: bool, now: float) -> None:
         attempt = self._attempts.get(id.sequence)
         if attempt is None or id.incarnation != self.incarnation:
             return
@@ -280,6 +307,8 @@ class Flood:
         # Where a link broke, those behind it may be back in a moment: that is what the second try is for.
         if over and (not lost or attempt.robots.issuperset(attempt.goal.union(self._expected()))):
             self._end(attempt, complete=True)
+        elif over:
+            attempt.deadline = min(attempt.deadline, now + attempt.settle)
 
     def _expire(self, sequence: int, attempt: Attempt, now: float) -> None:
         if attempt.robots.issuperset(self._expected()):
@@ -337,6 +366,8 @@ class Flood:
             kept = self._store.one(origin, key)
             if kept is not None:
                 packet = Spread(self._store.incarnation(origin), kept.sequence, kept.payload, latest=True)
+                if len(kept.payload) > packets.MAX_SPREAD:
+                    packet = packet._replace(payload=b"", size=len(kept.payload))
                 data = packets.encode_spread(packet)
                 size += len(data)
                 self._counters["repaired"] += 1
@@ -349,3 +380,8 @@ class Flood:
     def _emit_wave(self, packet: Transmit) -> None:
         self._counters["wave_sent"] += 1
         self._emit(packet)
+
+
+def limit_of(priority: int) -> int:
+    """Bytes that a flood of a class may have."""
+    return MAX_LARGE if priority == BULK else packets.MAX_SPREAD

@@ -7,7 +7,7 @@ if both ends report it; of our own links we know better. An LSA that was not rep
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from services.mesh.core.packets import Advertisement, decode_advertisement, encode_advertisement
 from services.mesh.core.routing import Edge, Route, routes
@@ -198,6 +198,10 @@ class LinkState:
         return min(self._due, self._refresh_at, self._trust_ends, self._oldest_at)
 
     # -- outputs -----------------------------------------------------------------------------------------------
+
+    def neighbours(self) -> Collection[str]:
+        """Robots that we have a link to."""
+        return self._links.keys()
 
     def route(self, to: str) -> Route | None:
         """The way to a robot; None where there is none."""

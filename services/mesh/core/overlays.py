@@ -8,14 +8,16 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from services.mesh.core import flood, packets, unicast
+from services.mesh.core import exchange, flood, largefloods, packets, transfers, unicast
 from services.mesh.core.actions import Transmit
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
 from services.mesh.core.frames import BULK, CONTROL, FLOOD, PRIORITIES
 from services.mesh.core.halt import Register
+from services.mesh.core.large import Large
 from services.mesh.core.linkstate import HOPS, LinkState
 from services.mesh.core.membership import SETTLE, Membership
+from services.mesh.core.pieces import Packet
 from services.mesh.core.unicast import Unicast
 from swarm.codec import encode
 from swarm.errors import FrameError, PayloadError
@@ -37,7 +39,8 @@ LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
-COUNTERS = (*flood.COUNTERS, *unicast.COUNTERS, "bad_packets")
+COUNTERS = (*flood.COUNTERS, *unicast.COUNTERS, *exchange.COUNTERS, *transfers.COUNTERS, *largefloods.COUNTERS,
+            "bad_packets")  # fmt: skip
 
 _NEVER = float("inf")
 
@@ -88,7 +91,11 @@ class Overlays:
         self._unicast = Unicast(
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
-            ended=self._on_sent, counters=counters,
+            ended=self._on_sent, on_large=self._on_large, counters=counters,
+        )  # fmt: skip
+        self._large = Large(
+            me, self._unicast.transfers, self._flood.large,
+            emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
         )  # fmt: skip
         self._register = Register(
             me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._on_register
@@ -142,7 +149,7 @@ class Overlays:
         if robot not in self._robots:
             return False
         if overlay != FLOOD:
-            return robot == peer and (service, topic) == ("mesh", "unicast")
+            return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
         if service == "mesh" and topic in ("digest", "halt"):
             return robot == peer
         if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded")):
@@ -172,7 +179,7 @@ class Overlays:
         self._now = now
         if key == self._lsa_key:
             return  # nobody's business but the map's, whatever a rule with ** says
-        self._flood.publish(key, payload, priority, latest=latest)
+        self._flood.publish(key, payload, priority, now, latest=latest)
 
     def send(self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
         """Carry a value to one robot, as a relay rule says."""
@@ -186,14 +193,14 @@ class Overlays:
             return
         token = _Ticket(request.ticket, request.app, request.announce)
         problem = _problem(request.app, request.priority)
-        if len(request.payload) > packets.MAX_SPREAD:
-            problem = f"{len(request.payload)} bytes, a flood has at most {packets.MAX_SPREAD}"
+        priority = PRIORITIES.get(request.priority, BULK)
+        if len(request.payload) > (limit := flood.limit_of(priority)):
+            problem = f"{len(request.payload)} bytes, a flood has at most {limit} in its class"
         if not problem:
             key = key_of(self.me, "app", request.app, "flood")
-            priority = PRIORITIES[request.priority]
             if self._flood.confirm(token, key, request.payload, priority, self._patience(priority), now):
                 return
-            problem = "too many floods are under way"
+            problem = "too many floods, or bytes of large ones, are under way"
         self._answer_flood(token, (), complete=False, problem=problem)
 
     def request_send(self, request: SendRequest, now: float) -> None:
@@ -233,6 +240,7 @@ class Overlays:
         self._map.handle_timer(now)
         self._flood.handle_timer(now)
         self._unicast.handle_timer(now)
+        self._large.handle_timer(now)
         self._register.handle_timer(now)
         if self._version != self._map.version:
             self._routes_changed(now)
@@ -255,6 +263,7 @@ class Overlays:
             self._map.next_deadline(),
             self._flood.next_deadline(),
             self._unicast.next_deadline(),
+            self._large.next_deadline(),
             self._register.next_deadline(),
             self._look_at,
             self._members_at,
@@ -285,8 +294,11 @@ class Overlays:
         else:
             self._to_bus(key, payload, priority)
 
+    def _on_large(self, packet: Packet, now: float) -> None:
+        self._large.receive(packet, now)
+
     def _publish_links(self, payload: bytes) -> None:
-        self._flood.publish(self._lsa_key, payload, CONTROL, latest=True)
+        self._flood.publish(self._lsa_key, payload, CONTROL, self._now, latest=True)
 
     def _towards(self, robot: str) -> str | None:
         route = self._map.route(robot)
@@ -304,6 +316,7 @@ class Overlays:
         self._version = self._map.version
         self._look_at = min(self._look_at, now + SETTLE)
         self._unicast.routes_changed(now)
+        self._large.ways_changed(now)
 
     def _look(self, now: float) -> None:
         self._look_at = _NEVER
@@ -346,7 +359,7 @@ class Overlays:
         payload = encode(answer)
         self._to_bus(self._flooded_key, payload, CONTROL)
         if token.announce and complete and len(payload) <= packets.MAX_SPREAD:
-            self._flood.publish(self._flooded_key, payload, CONTROL, latest=False)
+            self._flood.publish(self._flooded_key, payload, CONTROL, self._now, latest=False)
 
     def _on_sent(self, token: object, to: str, problem: str) -> None:
         if isinstance(token, _Ticket):

@@ -97,6 +97,26 @@ class Store:
                 unseen = True
         return NEW if unseen else DUPLICATE
 
+    def sight(self, name: str, key: str, packet: Spread) -> str:
+        """What an announcement is, as `take` of what it announces will say unless that has come meanwhile. Of latest
+        values nothing is noted."""
+        if not packet.latest:
+            return self.take(name, key, packet, 0)
+        origin = self._origins.get(name)
+        if origin is None or packet.incarnation > origin.incarnation:
+            origin = self.begin(name, packet.incarnation)
+        elif packet.incarnation < origin.incarnation:
+            return OLD
+        old = origin.latest.get(key)
+        return NEW if packet.sequence > (old.sequence if old is not None else origin.floor) else DUPLICATE
+
+    def payload(self, name: str, incarnation: int, sequence: int) -> bytes | None:
+        """The latest value of that number."""
+        origin = self._origins.get(name)
+        if origin is None or origin.incarnation != incarnation:
+            return None
+        return next((kept.payload for kept in origin.latest.values() if kept.sequence == sequence), None)
+
     def has_seen(self, name: str, sequence: int) -> bool:
         """Note a sequence; whether it was seen before."""
         return not self._origins[name].window.add(sequence)
