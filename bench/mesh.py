@@ -43,7 +43,11 @@ T = TypeVar("T")
 class Swarm:
     """Buses and meshes of real robots in a directory of their own. A context."""
 
-    def __init__(self, edges: Sequence[tuple[int, int]], latency: float = LATENCY_S) -> None:
+    def __init__(
+        self, edges: Sequence[tuple[int, int]], air: str = f"latency={LATENCY_S}", *, wait: bool = True
+    ) -> None:
+        """`air` as of SWARM_SIM_LINK; with `wait` the context begins when every robot sees all others."""
+        self._wait = wait
         self._stack = contextlib.ExitStack()
         self._home = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="swarm-")))
         count = 1 + max(max(edge) for edge in edges)
@@ -56,7 +60,7 @@ class Swarm:
         config.write_text(
             f'network = "bench"\n[topology]\nedges = {json.dumps(pairs)}\n[mesh]\ninsecure = true\n{robots}'
         )
-        self._processes = Processes({"SWARM_CONFIG": str(config), "SWARM_SIM_LINK": f"latency={latency}"})
+        self._processes = Processes({"SWARM_CONFIG": str(config), "SWARM_SIM_LINK": air})
         self._stack.callback(self._processes.stop)
         for name in self.names:
             (self._home / name).mkdir()
@@ -68,11 +72,16 @@ class Swarm:
         self.overlays = {name: Overlays(bus, name, "bench") for name, bus in self.buses.items()}
 
     def __enter__(self) -> "Swarm":
-        self.wait_for(lambda: all(self._sees_all(name) for name in self.names), "every robot sees all others")
+        if self._wait:
+            self.wait_for(lambda: all(self._sees_all(name) for name in self.names), "every robot sees all others")
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+    def runs(self) -> bool:
+        """Whether every mesh has opened its end of the simulated radio."""
+        return all((self._home / name / air.SOCKET).exists() for name in self.names)
 
     def mesh(self, name: str) -> Child:
         """The mesh process of a robot."""

@@ -2,7 +2,14 @@
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+
+def number(run: Mapping[str, object], name: str) -> float:
+    """A figure of a simulation's report; nan where the run did not give it."""
+    value = run[name]
+    return float(value) if isinstance(value, int | float) else math.nan
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,8 @@ from swarm.errors import AppError
 from swarm.messages import Flooded, Measurement, Sent
 
 if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does without
-    from swarm.overlays import Handle, Overlays
+    from swarm.mesh_clock import MeshClock
+    from swarm.overlays import Handle, Message, Overlays
 
 WEIGHTS = ("metropolis", "row")
 """Consensus weights: Metropolis (symmetric, the mean) or row-normalised adjacency (thesis rule 4.1)."""
@@ -113,6 +114,8 @@ class Robot:
     """w_ii; all weights together are 1."""
     overlays: "Overlays | None" = None
     """Where the app runs on a robot's bus: messages to the whole swarm, or to one robot (docs/overlays.md)."""
+    mesh_clock: "MeshClock | None" = None
+    """Likewise: the swarm's common time."""
 
     def __post_init__(self) -> None:
         self._measurement: Measurement | None = None
@@ -143,18 +146,38 @@ class Robot:
             self._random = random.Random(f"{self.seed}/{self.name}/{self._label}")
         return self._random
 
-    def flood(self, payload: bytes, *, announce: bool = False) -> "Handle[Flooded]":
-        """Carry a payload to the same app on all robots. A step must not wait for the answer, nor depend on it; one
-        that is repeated after a restart floods again."""
-        return self._reach().flood(payload, announce=announce)
+    @property
+    def clock(self) -> "MeshClock":
+        """The swarm's common time: `now()`, `error` and `root`, all None until the mesh has told it. For what an app
+        does, not for its state: a step that computes with it has another trajectory each time."""
+        if self.mesh_clock is None:
+            raise AppError("robot.clock needs a bus: it is there when the app runs on a robot")
+        return self.mesh_clock
 
-    def send(self, to: str, payload: bytes) -> "Handle[Sent]":
-        """Carry a payload to the same app on one robot; the same holds."""
-        return self._reach().send(to, payload)
+    def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> "Handle[Flooded]":
+        """Carry a payload to the same app on all robots; with `announce` all learn when all have it. A step must not
+        wait for the answer: it keeps the handle's `ticket` and looks for the `answer` later. One that is repeated
+        after a restart floods again."""
+        return self._reach().flood(payload, priority=priority, announce=announce)
+
+    def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> "Handle[Sent]":
+        """Carry a payload to the same app on one robot, within `timeout` s or not at all; the same holds."""
+        return self._reach().send(to, payload, priority=priority, timeout=timeout)
+
+    def answer(self, ticket: str) -> Flooded | Sent | None:
+        """What became of a flood or a message of this process; None as long as that is not known."""
+        return self._reach().answer(ticket)
+
+    def messages(self) -> "list[Message]":
+        """What the same app on other robots has flooded, and sent to this one, since the last call: at most the newest
+        256, each with `sender`, `payload` and `flooded`. They come when they come, and once: see `clock`."""
+        return self._reach().messages()
 
     def _reach(self) -> "Overlays":
         if self.overlays is None:
-            raise AppError("robot.flood and robot.send need a bus: they are there when the app runs on a robot")
+            raise AppError(
+                "robot.flood, send, answer and messages need a bus: they are there when the app runs on a robot"
+            )
         return self.overlays
 
     def prepare(self, label: str, measurement: Measurement | None) -> None:

@@ -32,18 +32,35 @@ class MeshClock:
     def __init__(self, bus: Bus, robot: str) -> None:
         self._key = key(robot, "mesh", "clock")
         self.state: Clock | None = None
-        """The newest message; None until the first has come, at most a second after the mesh is there."""
+        """The newest message; None until the first has come, as soon as the mesh is there."""
+        self._bus = bus
         bus.subscribe(self._key, self._receive)
+        bus.on_change(self._on_bus)
 
     def now(self) -> float | None:
         """Mesh time, s; None as long as the mesh has not told it. Where the mesh has died, its last word holds on."""
         state = self.state
         return None if state is None else mesh_time(state, clock.now())
 
+    @property
+    def error(self) -> float | None:
+        """Estimated standard deviation of `now` from the root's clock, s; None like `now`. Where links take longer one
+        way than the other, half of the difference comes on top, which nobody can see."""
+        return None if self.state is None else self.state.error
+
+    @property
+    def root(self) -> str | None:
+        """The robot whose clock it is. Robots with the same root have the same mesh time, others not."""
+        return None if self.state is None else self.state.root
+
     def monotonic(self, mesh: float) -> float | None:
         """When, on the robot's monotonic clock, it will be that mesh time."""
         state = self.state
         return None if state is None else monotonic_time(state, mesh)
+
+    def _on_bus(self, connected: bool) -> None:
+        if connected:
+            self._bus.ask(self._key, self._receive)
 
     def _receive(self, key: str, payload: bytes) -> None:
         try:

@@ -4,38 +4,63 @@
     reached = overlays.flood(b"hello").result(timeout=5.0)      # whom it reached, and whether that is all
     sent = overlays.send("r3", b"psst").result(timeout=5.0)     # whether it arrived
 
-The mesh of this robot does the work and publishes the answers. A request is repeated until it is answered (the bus
-may lose messages) and done once.
+The mesh of this robot does the work and publishes the answers. A request is repeated while somebody waits or looks for
+its answer, and when the bus comes back (which may lose messages); it is done once.
 """
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from functools import partial
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
 from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.codec import decode, encode
 from swarm.errors import PayloadError
 from swarm.keys import key, parse
-from swarm.messages import Arm, Flooded, FloodRequest, SendRequest, Sent
+from swarm.messages import Arm, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
 
 REPEAT = 0.5
 """s after which a request without an answer is published again."""
 
-MAX_OPEN = 4096
-"""Requests that wait for an answer; the oldest ones are forgotten."""
+MAX_OPEN = 1024
+"""Requests that are remembered, answered or not; the oldest ones are forgotten."""
+
+SMALL = 4096
+"""Bytes of a payload up to which the whole request is repeated; of larger ones only its ticket is."""
+
+MAX_COLLECTED = 256
+MAX_COLLECTED_BYTES = 4 * 1024 * 1024
+"""Messages of others that wait to be looked at, and their payloads; the oldest ones are lost."""
 
 A = TypeVar("A", Flooded, Sent)
+B = TypeVar("B", Flooded, Sent, Progress)
 
 OnPayload = Callable[[str, bytes], None]
 
 
-class Handle(Generic[A]):
-    """One request under way."""
+class Message(NamedTuple):
+    """What the same app on another robot has flooded, or sent to this one."""
 
-    def __init__(self, ask: Callable[[], None]) -> None:
+    sender: str
+    payload: bytes
+    flooded: bool
+
+
+class Handle(Generic[A]):
+    """One request under way: wait for its `result`, look at its `answer`, or have a callback (`on_done`)."""
+
+    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None]) -> None:
+        """`ask()` makes the request, `remind()` repeats it."""
+        self.ticket = ticket
+        """Names the request: what an app keeps of it (`Overlays.answer`)."""
+        self.moved = 0
+        """Bytes of a large payload that have arrived, as of the last reminder."""
         self._ask = ask
+        self._remind = remind
+        self._asked_at = clock.now()
         self._done = threading.Event()
         self._answer: A | None = None
         self._callback: Callable[[A], None] | None = None
@@ -46,15 +71,33 @@ class Handle(Generic[A]):
         """Whether the answer is there."""
         return self._done.is_set()
 
+    @property
+    def answer(self) -> A | None:
+        """The answer if it is there; never waits."""
+        if self._answer is None and clock.now() >= self._asked_at + REPEAT:
+            self.ask_again()
+        return self._answer
+
     def result(self, timeout: float) -> A:
-        """Wait for the answer; `TimeoutError` where none came within `timeout` s. It may come later."""
+        """Wait for the answer; `TimeoutError` where none came within `timeout` s. It may come later. Not to be called
+        on Zenoh's thread, which brings the answer."""
         end = clock.now() + timeout
         while not self._done.wait(min(REPEAT, max(0.0, end - clock.now()))):
             if clock.now() >= end:
                 raise TimeoutError(f"no answer of the mesh within {timeout:g} s")
-            self._ask()
+            self.ask_again()
         assert self._answer is not None
         return self._answer
+
+    def ask_again(self) -> None:
+        """Repeat the request: where it has arrived before, only the answer comes again."""
+        self._asked_at = clock.now()
+        self._remind()
+
+    def ask(self) -> None:
+        """Make the request, payload and all."""
+        self._asked_at = clock.now()
+        self._ask()
 
     def on_done(self, callback: Callable[[A], None]) -> None:
         """Call `callback(answer)` when it is there, on Zenoh's thread; at once where it is."""
@@ -70,6 +113,7 @@ class Handle(Generic[A]):
             first = self._answer is None
             self._answer = answer
             callback = self._callback
+            self._ask = self._remind = _nothing  # and let go of the payload
         self._done.set()
         if first and callback is not None:
             callback(answer)
@@ -86,28 +130,46 @@ class Overlays:
         self._prefix = os.urandom(6).hex()
         self._count = 0
         self._lock = threading.Lock()
-        self._floods: dict[str, Handle[Flooded]] = {}
-        self._messages: dict[str, Handle[Sent]] = {}
+        self._handles: dict[str, Handle[Any]] = {}
+        self._collected: deque[Message] = deque()
+        self._collected_bytes = 0
         self._flood_key = key(robot, "mesh", "set", "flood")
         self._send_key = key(robot, "mesh", "set", "send")
+        self._remind_key = key(robot, "mesh", "set", "remind")
         bus.subscribe(key(robot, "mesh", "flooded"), self._on_flooded)
         bus.subscribe(key(robot, "mesh", "sent"), self._on_sent)
+        bus.subscribe(key(robot, "mesh", "progress"), self._on_progress)
+        bus.on_change(self._on_bus)
 
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> Handle[Flooded]:
         """To all robots. With `announce` all of them learn when it is complete."""
         request = FloodRequest(self._ticket(), self._app, payload, priority, announce)
-        handle: Handle[Flooded] = Handle(lambda: self._bus.publish(self._flood_key, request, urgent=True))
-        self._open(self._floods, request.ticket, handle)
-        self._bus.publish(self._flood_key, request, urgent=True)
-        return handle
+        return self._open(request, self._flood_key)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
         """To one robot. After `timeout` s the mesh gives it up, if not sooner."""
         request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
-        handle: Handle[Sent] = Handle(lambda: self._bus.publish(self._send_key, request, urgent=True))
-        self._open(self._messages, request.ticket, handle)
-        self._bus.publish(self._send_key, request, urgent=True)
-        return handle
+        return self._open(request, self._send_key)
+
+    def answer(self, ticket: str) -> Flooded | Sent | None:
+        """The answer to a request of this process, by its ticket; None as long as there is none, or of another one."""
+        with self._lock:
+            handle = self._handles.get(ticket)
+        answer: Flooded | Sent | None = handle.answer if handle is not None else None
+        return answer
+
+    def collect(self) -> None:
+        """From now on keep what the same app on other robots floods and sends, for `messages`."""
+        self.on_flood(lambda origin, payload: self._take(Message(origin, payload, flooded=True)))
+        self.on_message(lambda sender, payload: self._take(Message(sender, payload, flooded=False)))
+
+    def messages(self) -> list[Message]:
+        """What has come since the last call, in the order of its coming; `collect` comes first."""
+        with self._lock:
+            found = list(self._collected)
+            self._collected.clear()
+            self._collected_bytes = 0
+        return found
 
     def on_flood(self, callback: OnPayload) -> None:
         """Call `callback(origin, payload)` on Zenoh's thread for each flood of this app on other robots."""
@@ -139,11 +201,34 @@ class Overlays:
             self._count += 1
             return f"{self._prefix}-{self._count}"
 
-    def _open(self, handles: dict[str, Handle[A]], ticket: str, handle: Handle[A]) -> None:
+    def _open(self, request: FloodRequest | SendRequest, key: str) -> Handle[Any]:
+        small = len(request.payload) <= SMALL
+        encode(request)  # what is too large is refused here and now
+        # The bus has room for large ones in its ordinary queue alone.
+        ask = partial(self._bus.publish, key, request, urgent=small)
+        remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)
+        handle: Handle[Any] = Handle(request.ticket, ask, remind)
         with self._lock:
-            if len(handles) >= MAX_OPEN:
-                del handles[next(iter(handles))]
-            handles[ticket] = handle
+            if len(self._handles) >= MAX_OPEN:
+                del self._handles[next(iter(self._handles))]
+            self._handles[handle.ticket] = handle
+        handle.ask()
+        return handle
+
+    def _take(self, message: Message) -> None:
+        with self._lock:
+            self._collected.append(message)
+            self._collected_bytes += len(message.payload)
+            while len(self._collected) > MAX_COLLECTED or self._collected_bytes > MAX_COLLECTED_BYTES:
+                self._collected_bytes -= len(self._collected.popleft().payload)
+
+    def _on_bus(self, connected: bool) -> None:
+        """What was asked while the bus was away is lost."""
+        if connected:
+            with self._lock:
+                waiting = [handle for handle in self._handles.values() if not handle.done]
+            for handle in waiting:
+                handle.ask()
 
     def _subscribe(self, keys: str, callback: OnPayload) -> None:
         def handle(name: str, payload: bytes) -> None:
@@ -154,20 +239,34 @@ class Overlays:
         self._bus.subscribe(keys, handle)
 
     def _on_flooded(self, name: str, payload: bytes) -> None:
-        self._finish(self._floods, _decoded(Flooded, name, payload))
+        self._finish(_decoded(Flooded, name, payload))
 
     def _on_sent(self, name: str, payload: bytes) -> None:
-        self._finish(self._messages, _decoded(Sent, name, payload))
+        self._finish(_decoded(Sent, name, payload))
 
-    def _finish(self, handles: dict[str, Handle[A]], answer: A | None) -> None:
+    def _on_progress(self, name: str, payload: bytes) -> None:
+        progress = _decoded(Progress, name, payload)
+        if progress is not None:
+            with self._lock:
+                handle = self._handles.get(progress.ticket)
+            if handle is not None and progress.known:
+                handle.moved = progress.moved
+            elif handle is not None and not handle.done:
+                handle.ask()
+
+    def _finish(self, answer: Flooded | Sent | None) -> None:
         if answer is not None:
             with self._lock:
-                handle = handles.pop(answer.ticket, None)
+                handle = self._handles.get(answer.ticket)
             if handle is not None:
                 handle.finish(answer)
 
 
-def _decoded(kind: type[A], name: str, payload: bytes) -> A | None:
+def _nothing() -> None:
+    """What is done to repeat a request that was answered."""
+
+
+def _decoded(kind: type[B], name: str, payload: bytes) -> B | None:
     """The answer; None where it is none, which only a broken process could have published."""
     try:
         return decode(kind, payload, name)

@@ -16,6 +16,7 @@ from services.apps.runner import Runner
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import LocalError
+from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.service import Service, run
 
@@ -38,6 +39,8 @@ def main() -> int:
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
         instance = app.make(service.config, service.robot, seed)
         instance.robot.overlays = Overlays(service.bus, service.robot, app.name)
+        instance.robot.overlays.collect()
+        instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         runner = Runner(instance, app.source)
         record = os.environ.get("SWARM_RECORD")
         host = Host(service, app.name, runner, number, options.iterations, Path(record) if record else None)

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from services.balancer.core import balboa, lqr
 from services.balancer.core.body import BodyModel
 from services.balancer.core.controller import FAULT, IDLE, STARTING, Controller, Regulator
-from services.balancer.core.estimator import Estimate, Estimator, GyroZero
+from services.balancer.core.estimator import Estimate, Estimator
+from services.balancer.core.gyro import GyroZero, Zero
 from services.balancer.core.leds import Shown, shown
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
@@ -38,8 +39,9 @@ class Balancer:
         start_mode: str = "rest",
     ) -> None:
         """`start_mode` is obeyed once the gyro's zero is known; `sleep` waits for the ATmega, 150 us at most."""
-        self._imu = Imu(bus)
-        self._balboa = Balboa(bus, clock, sleep)
+        self._bus = bus
+        self.imu = Imu(bus)
+        self.balboa = Balboa(bus, clock, sleep)
         self._body = body
         self._controller = Controller(Regulator(lqr.gains(body)), trim)
         self._zero = GyroZero()
@@ -55,13 +57,24 @@ class Balancer:
         self.duty = (0.0, 0.0)
         self.battery: float | None = None
         """V."""
-        self.bus_errors = 0
-        """Failed transfers since the start."""
+        self.motion = balboa.Motion(0, 0, 0, False)
+        """Counters and buttons of the last tick."""
+        self._bus_errors = 0
 
     @property
     def ready(self) -> bool:
         """Whether devices were found and the gyro's zero is known."""
         return self._estimator is not None
+
+    @property
+    def connected(self) -> bool:
+        """Whether the devices answer."""
+        return self._connected
+
+    @property
+    def bus_errors(self) -> int:
+        """Failed transfers of the control loop since the start, those done again included."""
+        return self._bus_errors + self.imu.retried + self.balboa.retried
 
     @property
     def mode(self) -> str:
@@ -100,32 +113,23 @@ class Balancer:
         if not self._connected and not self._connect(now):
             return
         try:
-            self._balboa.select(balboa.ENCODERS)
-            reading = self._imu.read()
-            counters = self._balboa.fetch_encoders()
+            self.balboa.select(balboa.ENCODERS)
+            reading = self.imu.read()
+            self.motion = self.balboa.fetch_motion()
             if self._estimator is None:
-                zero = self._zero.add(reading.pitch_rate, now)
-                self._balboa.write_motors(0.0, 0.0)
+                zero = self._zero.add(reading, now)
+                self.balboa.write_motors(0.0, 0.0)
                 if zero is not None:
                     self._start(zero, now)
                 self._errors_in_row = 0
                 return
-            self.estimate = self._estimator.update(reading, counters, now)
+            self.estimate = self._estimator.update(reading, (self.motion.left, self.motion.right), now)
             self.duty = self._controller.step(self.estimate)
-            self._balboa.write_motors(*self.duty)
+            self.balboa.write_motors(*self.duty)
         except (OSError, RemoteError) as error:
             self._failed(error, now)
         else:
             self._errors_in_row = 0
-
-    def read_housekeeping(self) -> None:
-        """Look at the battery; for the slack."""
-        if not self._connected:
-            return
-        try:
-            self.battery = self._balboa.read_housekeeping().battery
-        except (OSError, RemoteError):
-            self.bus_errors += 1
 
     def show_leds(self) -> bool:
         """Write the LEDs where they changed; for the slack. True when they did."""
@@ -133,9 +137,9 @@ class Balancer:
         if wanted == self._leds or not self._connected:
             return False
         try:
-            self._balboa.write_leds(*wanted)
+            self.balboa.write_leds(*wanted)
         except OSError:
-            self.bus_errors += 1
+            self._bus_errors += 1
             return False
         self._leds = wanted
         return True
@@ -144,28 +148,29 @@ class Balancer:
         """The last act: stop, whatever state this is in. Where the bus fails the ATmega's watchdog does it."""
         for _ in range(3):
             try:
-                self._balboa.write_motors(0.0, 0.0)
+                self.balboa.write_motors(0.0, 0.0)
             except OSError as error:
                 _log.warning("motors could not be stopped, their watchdog will: %s", error)
             else:
                 self.duty = (0.0, 0.0)
                 return
 
-    def _start(self, zero: float, now: float) -> None:
+    def _start(self, zero: Zero, now: float) -> None:
         self._estimator = Estimator(self._body, zero)
         if self._controller.mode == IDLE:
             self._controller.command(self._wish, now)
-        _log.info("gyro zero found zero=%.4f rad/s restarts=%d", zero, self._zero.restarts)
+        _log.info("gyro zero found zero=%.4f rad/s restarts=%d", zero.pitch, self._zero.restarts)
 
     def _connect(self, now: float) -> bool:
         if now < self._retry_at:
             return False
         self._retry_at = now + RETRY_S
         try:
-            self._imu.set_up()
-            self._balboa.set_up()
+            self.imu.set_up()
+            found = self.balboa.set_up()
         except (OSError, RemoteError) as error:
-            self.bus_errors += 1
+            self._bus_errors += 1
+            self._bus.recover()
             reason = _described(error)
             if reason != self._unreachable:
                 _log.error("the robot's devices do not answer: %s", reason)
@@ -173,6 +178,9 @@ class Balancer:
             return False
         if self._unreachable:
             _log.info("the robot's devices answer again")
+        reset = balboa.describe_reset(found.reset_cause)
+        _log.info("ATmega firmware=%d last_reset=%s battery=%.2f V", found.revision, reset, found.battery)
+        self.battery = found.battery
         self._connected, self._unreachable, self._leds = True, "", None
         self._errors_in_row = 0
         if self._estimator is not None:
@@ -181,8 +189,10 @@ class Balancer:
 
     def _failed(self, error: OSError | RemoteError, now: float) -> None:
         """Hold the last command for some ticks, then give up until the devices answer and a new command comes."""
-        self.bus_errors += 1
+        self._bus_errors += 1
         self._errors_in_row += 1
+        if isinstance(error, OSError):
+            self._bus.recover()
         if self._errors_in_row < TOLERATED_ERRORS:
             return
         reason = _described(error)

@@ -8,11 +8,23 @@ import socket
 import sys
 
 from services.balancer.core.controller import COMMANDS, FAULT
-from services.balancer.link import MAX_DATAGRAM, Message, pack, unpack
+from services.balancer.core.requests import check
+from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import STOP, key
-from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop, read
+from swarm.messages import (
+    BalancerState,
+    Battery,
+    Buttons,
+    ImuSample,
+    Leds,
+    ModuleAnswer,
+    Odometry,
+    SetMode,
+    Uwb,
+    read,
+)
 from swarm.service import Service, run
 
 SILENCE_S = 1.0
@@ -21,6 +33,18 @@ _POLL_S = 0.25
 """How soon a SIGTERM is seen."""
 _LOG_PERIOD_S = 5.0
 """Of refused commands: a flood of them is counted, not logged one by one."""
+
+_TOPICS = {
+    BalancerState: "state",
+    Odometry: "odometry",
+    Leds: "leds",
+    Battery: "battery",
+    Buttons: "buttons",
+    ImuSample: "imu",
+    Uwb: "uwb",
+    ModuleAnswer: "module",
+}
+_COMMANDS = ("mode", "leds", "module", "imu")
 
 
 class Relay:
@@ -32,13 +56,9 @@ class Relay:
         self._loop.settimeout(_POLL_S)
         self._logged = -_LOG_PERIOD_S
         self._heard = clock.now()
-        self._keys: dict[type, str] = {
-            kind: key(service.robot, "balancer", topic)
-            for kind, topic in ((BalancerState, "state"), (Odometry, "odometry"), (Leds, "leds"))
-        }
-        service.bus.subscribe(
-            [STOP, *(key(service.robot, "balancer", "set", what) for what in ("mode", "leds"))], self._command
-        )
+        self._keys: dict[type, str] = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
+        commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
+        service.bus.subscribe([STOP, *commands], self._command)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
@@ -75,7 +95,12 @@ class Relay:
             return
         if isinstance(message, SetMode) and message.mode not in COMMANDS:
             self._refuse("refused", f"{name}: mode: expected one of {', '.join(COMMANDS)}, got {message.mode!r}")
-        elif isinstance(message, SetMode | Leds | Stop):
+        elif isinstance(message, Command):
+            try:
+                check(message)
+            except LocalError as error:
+                self._refuse("refused", f"{name}: {error}")
+                return
             try:
                 self._loop.send(pack(message), socket.MSG_DONTWAIT)
             except BlockingIOError:

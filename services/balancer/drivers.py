@@ -2,11 +2,16 @@
 
 The ATmega must be left alone for 150 us after each transfer to it. The pause is waited for at the start of the next
 one, so that what happens in between (the IMU's transfer, the computation) counts.
+
+What the control step needs is tried a second time where that costs little: after a missing acknowledge or a garbled
+transfer, not after a time-out, which has taken the tick's time already.
 """
 
+import errno
 from collections.abc import Callable
 
 from services.balancer.core import balboa, imu
+from services.balancer.core.transfers import Transfer
 from services.balancer.i2c import I2CBus
 
 
@@ -15,16 +20,30 @@ class Imu:
 
     def __init__(self, bus: I2CBus) -> None:
         self._bus = bus
+        self.retried = 0
+        """Failed transfers that were done again."""
+        self.block = bytes(imu.BLOCK)
+        """The last sample as it came, for who wants all axes."""
 
     def set_up(self) -> None:
-        """Check who it is and set ranges and rates. Raises OSError or `RemoteError`."""
+        """Check who it is, set ranges and rates, and check that they are set. Raises OSError or `RemoteError`."""
         imu.check_identity(self._bus.write_read(imu.ADDRESS, bytes((imu.WHO_AM_I,)), 1)[0])
         for register, value in imu.SETUP:
             self._bus.write(imu.ADDRESS, bytes((register, value)))
+        imu.check_setup(self._bus.write_read(imu.ADDRESS, bytes((imu.CTRL1_XL,)), len(imu.SETUP)))
 
     def read(self) -> imu.Reading:
         """One sample of both sensors, in one burst."""
-        return imu.decode(self._bus.write_read(imu.ADDRESS, bytes((imu.OUTX_L_G,)), imu.BLOCK))
+        try:
+            self.block = self._read()
+        except OSError as error:
+            _again(self._bus, error)
+            self.retried += 1
+            self.block = self._read()
+        return imu.decode(self.block)
+
+    def _read(self) -> bytes:
+        return self._bus.write_read(imu.ADDRESS, bytes((imu.OUTX_L_G,)), imu.BLOCK)
 
 
 class Balboa:
@@ -33,33 +52,59 @@ class Balboa:
     def __init__(self, bus: I2CBus, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:
         self._bus, self._clock, self._sleep = bus, clock, sleep
         self._deaf_until = 0.0
+        self.retried = 0
+        """Failed transfers that were done again."""
 
-    def set_up(self) -> None:
-        """Check its layout and stop the motors. Raises OSError or `RemoteError`."""
+    def set_up(self) -> balboa.Housekeeping:
+        """Check its layout and stop the motors; returns how it is. Raises OSError or `RemoteError`."""
         self.select(balboa.VERSION)
         balboa.check_version(self._fetch(1)[0])
         self.write_motors(0.0, 0.0)
+        return self.read_housekeeping()
 
     def select(self, offset: int) -> None:
         """Point at `offset`: from now on reads are of the values at this moment."""
-        self._write(bytes((offset,)))
+        self._write_surely(bytes((offset,)))
 
-    def fetch_encoders(self) -> tuple[int, int]:
-        """The counters, after `select(ENCODERS)`."""
-        return balboa.decode_encoders(self._fetch(4))
+    def fetch_motion(self) -> balboa.Motion:
+        """Encoders, buttons and the watchdog's state, after `select(ENCODERS)`."""
+        try:
+            data = self._fetch(balboa.MOTION_SIZE)
+        except OSError as error:
+            _again(self._bus, error)
+            self.retried += 1
+            self._write(bytes((balboa.ENCODERS,)))  # the index may stand anywhere now
+            data = self._fetch(balboa.MOTION_SIZE)
+        return balboa.decode_motion(data)
 
     def read_housekeeping(self) -> balboa.Housekeeping:
-        """Buttons, status and battery."""
+        """Buttons, status, battery and how it fares."""
         self.select(balboa.BUTTONS)
         return balboa.decode_housekeeping(self._fetch(balboa.HOUSEKEEPING_SIZE))
 
     def write_motors(self, left: float, right: float) -> None:
         """Duties, -1..1."""
-        self._write(bytes((balboa.MOTORS,)) + balboa.encode_motors(left, right))
+        self._write_surely(bytes((balboa.MOTORS,)) + balboa.encode_motors(left, right))
 
     def write_leds(self, red: bool, yellow: bool, green: bool) -> None:
         """Switch the LEDs."""
         self._write(bytes((balboa.LEDS,)) + balboa.encode_leds(red, yellow, green))
+
+    def transfer(self, transfer: Transfer) -> bytes:
+        """One transfer of a chore, to whichever device; returns what was read."""
+        if transfer.address != balboa.ADDRESS:
+            self._bus.write(transfer.address, transfer.data)
+            return self._bus.read(transfer.address, transfer.reads) if transfer.reads else b""
+        self._write(transfer.data)
+        return self._fetch(transfer.reads) if transfer.reads else b""
+
+    def _write_surely(self, data: bytes) -> None:
+        try:
+            self._write(data)
+        except OSError as error:
+            _again(self._bus, error)
+            self.retried += 1
+            self._write(data)
 
     def _write(self, data: bytes) -> None:
         self._pause()
@@ -79,3 +124,10 @@ class Balboa:
         left = self._deaf_until - self._clock()
         if left > 0:
             self._sleep(min(left, balboa.PAUSE_S))
+
+
+def _again(bus: I2CBus, error: OSError) -> None:
+    """Free the bus for a second try, or raise `error` where there is no time for one."""
+    if error.errno == errno.ETIMEDOUT:
+        raise error
+    bus.recover()

@@ -2,13 +2,25 @@
 
 The same driver code meets the real bus, the simulated robot (services/sim) and the firmware in a simulator: each is an
 `I2CBus`. A transfer that the other side did not acknowledge raises OSError, as the kernel does (121 EREMOTEIO, 110
-ETIMEDOUT), on every kind of bus.
+ETIMEDOUT, 5 EIO for one that ended too early), on every kind of bus.
 """
 
+import contextlib
+import fcntl
 from pathlib import Path
 from typing import Any, Protocol
 
 from swarm.errors import LocalError
+
+NOBODY = 0x7F
+"""An address that no device has (reserved by the I2C specification, UM10204 table 4). Read, it is a byte of ones: nine
+clock pulses during which the master leaves SDA alone."""
+
+TIMEOUT_10MS = 2
+"""After 20 ms the kernel gives a transfer up. Its own default is a second, five times as long as the ATmega's watchdog
+waits; the longest transfer that we make takes 4 ms."""
+
+_I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, in units of 10 ms
 
 
 class I2CBus(Protocol):
@@ -23,12 +35,26 @@ class I2CBus(Protocol):
     def write_read(self, address: int, data: bytes, count: int) -> bytes:
         """START, address+W, data, repeated START, address+R, `count` bytes, STOP."""
 
+    def recover(self) -> None:
+        """After a failed transfer: have a device that holds SDA, because it missed a clock pulse, let it go. Quick
+        (0.2 ms), harmless on a bus that is well, and silent where it does not help."""
+
+    def untimed(self) -> float:
+        """Seconds that transfers have counted instead of taking them: a simulated bus; 0 on a real one."""
+
     def close(self) -> None:
         """Give the bus back."""
 
 
 class KernelBus:
-    """An adapter of the kernel, /dev/i2c-N, through smbus2."""
+    """An adapter of the kernel, /dev/i2c-N, through smbus2.
+
+    What can be done about a stuck bus from here (kernel: drivers/i2c/busses/i2c-bcm2835.c): the driver has no bus
+    recovery of its own. It gives a transfer up after the adapter's time-out, which may be set, and begins the next one
+    without a look at the lines. So a byte read from nobody clocks out whatever a slave still wants to say, and its
+    NACK and STOP end it. The ATmega lets go by itself (30 ms, firmware/twi.cpp). Opening the device again does nothing
+    to the lines; binding the driver anew needs root and a closed device, and moves no line either.
+    """
 
     def __init__(self, number: int = 1) -> None:
         """Raises `LocalError` where smbus2 or the device is missing."""
@@ -43,6 +69,7 @@ class KernelBus:
             self._bus: Any = smbus2.SMBus(number)
         except OSError as error:
             raise LocalError(f"{device} cannot be opened: {error.strerror}; is this user in the group i2c?") from None
+        fcntl.ioctl(self._bus.fd, _I2C_TIMEOUT, TIMEOUT_10MS)  # type: ignore[arg-type]
         self._message = smbus2.i2c_msg
 
     def write(self, address: int, data: bytes) -> None:
@@ -60,6 +87,15 @@ class KernelBus:
         incoming = self._message.read(address, count)
         self._bus.i2c_rdwr(self._message.write(address, data), incoming)
         return bytes(incoming)
+
+    def recover(self) -> None:
+        """See `I2CBus`."""
+        with contextlib.suppress(OSError):  # nobody acknowledges
+            self._bus.i2c_rdwr(self._message.read(NOBODY, 1))
+
+    def untimed(self) -> float:
+        """See `I2CBus`."""
+        return 0.0
 
     def close(self) -> None:
         """See `I2CBus`."""

@@ -7,11 +7,39 @@ nothing else.
 
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
-from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop
+from swarm.messages import (
+    BalancerState,
+    Battery,
+    Buttons,
+    ImuRequest,
+    ImuSample,
+    Leds,
+    ModuleAnswer,
+    ModuleRequest,
+    Odometry,
+    SetMode,
+    Stop,
+    Uwb,
+)
 
-Message = BalancerState | Odometry | Leds | SetMode | Stop
+Told = BalancerState | Odometry | Leds | Battery | Buttons | Uwb | ModuleAnswer | ImuSample
+Command = SetMode | Leds | Stop | ModuleRequest | ImuRequest
+Message = Told | Command
 
-_KINDS: dict[bytes, type[Message]] = {b"s": BalancerState, b"o": Odometry, b"l": Leds, b"m": SetMode, b"x": Stop}
+_KINDS: dict[bytes, type[Message]] = {
+    b"s": BalancerState,
+    b"o": Odometry,
+    b"l": Leds,
+    b"v": Battery,
+    b"b": Buttons,
+    b"u": Uwb,
+    b"a": ModuleAnswer,
+    b"i": ImuSample,
+    b"m": SetMode,
+    b"x": Stop,
+    b"q": ModuleRequest,
+    b"I": ImuRequest,
+}
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 
 MAX_DATAGRAM = MAX_PAYLOAD + 1

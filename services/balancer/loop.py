@@ -14,6 +14,7 @@ from collections.abc import Callable
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.child import Bridge
+from services.balancer.chores import Chores
 from services.balancer.core.body import body_model
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
@@ -37,8 +38,9 @@ _log = logging.getLogger("balancer")
 class Loop:
     """Ticks until told to stop."""
 
-    def __init__(self, balancer: Balancer, bridge: Bridge) -> None:
+    def __init__(self, balancer: Balancer, chores: Chores, bridge: Bridge) -> None:
         self._balancer = balancer
+        self._chores = chores
         self._bridge = bridge
         self._lateness = Lateness()
         self._stopping = False
@@ -64,16 +66,16 @@ class Loop:
             self._lateness.add(started - deadline)
             step(started)
             self.ticks += 1
-            self._use_slack()
             deadline += PERIOD_S
+            self._use_slack(deadline)
             behind = now() - deadline
             if behind > 0.0:
                 skipped = int(behind / PERIOD_S) + 1
                 self.missed += skipped
                 deadline += skipped * PERIOD_S
 
-    def _use_slack(self) -> None:
-        """A little at each tick: no tick shall have to do all of it."""
+    def _use_slack(self, until: float) -> None:
+        """A little at each tick: no tick shall have to do all of it. The next one is at `until`."""
         for message in self._bridge.commands():
             self._obey(message)
         if self._balancer.show_leds():
@@ -85,11 +87,11 @@ class Loop:
             self._bridge.send(odometry)
         elif part == 1:
             self._each_second(self.ticks % SECOND_TICKS)
+        for message in self._chores.run(until):
+            self._bridge.send(message)
 
     def _each_second(self, tick: int) -> None:
-        if tick == 1:
-            self._balancer.read_housekeeping()
-        elif tick == 25:
+        if tick == 25:
             self._bridge.keep_up(clock.now())
         elif tick == 49:
             self._tell_leds()  # again, for whoever came to the bus meanwhile
@@ -114,7 +116,7 @@ class Loop:
                 why = f"{reason[:MAX_REASON] or 'no reason given'} (by {origin[:MAX_REASON]})"
                 self._balancer.stop(why)
                 _log.warning("stopped: %s", why)
-            case _:
+            case _ if not self._chores.obey(message, clock.now()):
                 _log.warning("the bridge sent a %s", type(message).__name__)
 
     def _tell_leds(self) -> None:
@@ -138,7 +140,7 @@ class Loop:
             late_max=late_max,
             fault=balancer.fault,
             missed=self.missed,
-            bus_errors=balancer.bus_errors,
+            bus_errors=balancer.bus_errors + self._chores.errors,
         )
 
     def _odometry(self) -> Odometry | None:
@@ -146,7 +148,18 @@ class Loop:
         if estimate is None:
             return None
         self._sequence += 1
-        return Odometry(estimate.t, self._sequence, estimate.left, estimate.right, estimate.heading)
+        return Odometry(
+            t=estimate.t,
+            sequence=self._sequence,
+            left=estimate.left,
+            right=estimate.right,
+            x=estimate.x,
+            y=estimate.y,
+            heading=estimate.heading,
+            gyro_heading=estimate.gyro_heading,
+            wheel_heading=estimate.wheel_heading,
+            tilt=estimate.tilt,
+        )
 
 
 def main(
@@ -167,7 +180,7 @@ def main(
         try:
             bridge = Bridge(clock.now())
             try:
-                loop = Loop(balancer, bridge)
+                loop = Loop(balancer, Chores(balancer, clock.now), bridge)
                 for number in (signal.SIGTERM, signal.SIGINT):
                     signal.signal(number, lambda *_: loop.stop())
                 realtime.enter(_log)

@@ -1,7 +1,7 @@
 """The dwm process of one robot: `python -m services.dwm`."""
 
-from services.dwm import replay, serial_port
-from services.dwm.source import Replay, parse_source
+from services.dwm import balancer_block, replay, serial_port
+from services.dwm.source import Balancer, Replay, parse_source
 from swarm.recordings import read_recording
 from swarm.service import Service, run
 
@@ -13,6 +13,8 @@ def main() -> None:
         if isinstance(source, Replay):
             index = service.config.names.index(service.robot)
             replay.serve(service, read_recording(source.directory, index))
+        elif isinstance(source, Balancer):
+            balancer_block.serve(service)
         else:
             serial_port.serve(service, source.path)
 

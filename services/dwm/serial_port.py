@@ -1,11 +1,16 @@
-"""A DWM1001 at a serial port: opens it, polls it, publishes, and tries for ever when either goes away."""
+"""A DWM1001 at a serial port: opens it, polls it, publishes, and tries for ever when either goes away.
 
+What others want of the module (`swarm dwm`) comes over the bus, since the port has one owner.
+"""
+
+import os
 import select
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from services.dwm.core.pipeline import Pipeline
-from services.dwm.core.poller import Health, Poller
+from services.dwm.core.poller import Answered, Health, Poller
+from services.dwm.requests import Requests
 from swarm import clock
 from swarm.errors import LocalError
 from swarm.keys import key
@@ -31,7 +36,9 @@ def serve(service: Service, path: Path) -> None:
         raise LocalError(
             "[dwm] source is a serial port, which needs pyserial: pip install balboa-swarm[robot]"
         ) from None
-    pipeline = Pipeline(service.config.dwm)
+    pipeline = Pipeline(service.config.dwm, service.config.robots_by_module)
+    wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+    requests = Requests(service, lambda: os.eventfd_write(wake, 1))
     pause = _FIRST_PAUSE
     service.ready()  # to serve; how the module does is told from here on
     while not service.stopping.is_set():
@@ -39,10 +46,12 @@ def serve(service: Service, path: Path) -> None:
         try:
             # exclusive: two processes polling one module would read each other's answers
             with serial.Serial(str(path), BAUD, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True) as port:
-                _poll(service, port, pipeline)
+                _poll(service, port, pipeline, requests, wake)
         except OSError as error:  # pyserial's own errors are OSErrors too
             service.counters["port_errors"] += 1
             service.degraded(f"{path}: {error.strerror or error}")
+            for request in requests.new():
+                requests.answer(request.ticket, b"", f"{path}: {error.strerror or error}")
         if service.counters["reports"] > before:
             pause = _FIRST_PAUSE
         service.watchdog()
@@ -50,7 +59,7 @@ def serve(service: Service, path: Path) -> None:
         pause = min(pause * 2, _MAX_PAUSE)
 
 
-def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline) -> None:
+def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests: Requests, wake: int) -> None:
     """Runs the poller until the service is to stop; raises `OSError` when the port goes away."""
     poller = Poller(service.config.dwm.rate, clock.now())
     port.reset_input_buffer()
@@ -58,22 +67,30 @@ def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline) -> None:
     while not service.stopping.is_set():
         now = clock.now()
         wait = min(max(0.0, poller.next_deadline() - now), _MAX_WAIT)
-        if select.select([port.fileno()], [], [], wait)[0]:
+        readable, _, _ = select.select([port.fileno(), wake], [], [], wait)
+        if wake in readable:
+            os.eventfd_read(wake)
+            for request in requests.new():
+                poller.ask(request.ticket, request.request)
+        if port.fileno() in readable:
             poller.receive(port.read(4096), clock.now())
         now = clock.now()
         if now >= poller.next_deadline():
             poller.handle_timer(now)
-        if request := poller.to_send():
-            port.write(request)
+        if data := poller.to_send():
+            port.write(data)
         if now >= watchdog_at:
             service.watchdog()
             watchdog_at = now + _WATCHDOG_PERIOD
         for event in poller.events():
             if isinstance(event, Health):
                 _tell(service, port.name, event)
+            elif isinstance(event, Answered):
+                requests.answer(event.ticket, event.answer, event.problem)
             else:
                 ranges, pose = pipeline.report(event.location, now)
                 service.counters["reports"] += 1
+                service.counters.update(pipeline.dropped())
                 service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
                 service.bus.publish(key(service.robot, "dwm", "pose"), pose)
 

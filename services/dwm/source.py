@@ -21,13 +21,20 @@ class Replay:
     directory: Path
 
 
-def parse_source(config: Config, robot: str) -> Serial | Replay:
+@dataclass(frozen=True, slots=True)
+class Balancer:
+    """`balancer`: the DWM1001 is wired to the ATmega32U4, which polls it; its reports come from the balancer."""
+
+
+def parse_source(config: Config, robot: str) -> Serial | Replay | Balancer:
     """The source of `robot`; `{robot}` stands for its name; a relative path starts at the config's folder."""
     text = config.dwm.source
+    if text == "balancer":
+        return Balancer()
     kind, _, rest = text.partition(":")
     path = config.path.parent / rest.replace("{robot}", robot)
     if rest and kind == "serial":
         return Serial(path)
     if rest and kind == "replay":
         return Replay(path)
-    raise ConfigError(f"{config.path}: [dwm] source: expected serial:PATH or replay:DIR, got {text!r}")
+    raise ConfigError(f"{config.path}: [dwm] source: expected serial:PATH, balancer or replay:DIR, got {text!r}")

@@ -23,7 +23,7 @@ from swarm.config import Config
 from swarm.errors import PayloadError
 from swarm.keyfile import read_keys
 from swarm.keys import STOP, key
-from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Links, SendRequest, Stop, read
+from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Links, Reminder, SendRequest, Stop, read
 from swarm.service import Service
 
 _REPORT_PERIOD = 1.0
@@ -91,10 +91,8 @@ class _Commands:
             self._service.log.warning("request refused: %s", error)
             return
         match message:
-            case FloodRequest():
-                self._mesh.ask(lambda each, now: each.request_flood(message, now))
-            case SendRequest():
-                self._mesh.ask(lambda each, now: each.request_send(message, now))
+            case FloodRequest() | SendRequest() | Reminder():
+                self._mesh.ask(lambda each, now: each.request(message, now))
             case EchoRequest():
                 self._mesh.ping(message)
             case Stop(_, origin, reason):
@@ -132,6 +130,11 @@ def main() -> None:
         this.bus.serve(members, lambda *_: encode(mesh.look(lambda each, now: each.members(now))))
         stopped = key(this.robot, "mesh", "stopped")
         this.bus.serve(stopped, lambda *_: encode(mesh.look(lambda each, now: each.stopped(now))))
+        this.bus.serve(key(this.robot, "mesh", "clock"), lambda *_: encode(Clock(*mesh.clock())))
+        graph = key(this.robot, "mesh", "graph")
+        this.bus.serve(
+            graph, lambda _, asked: encode(mesh.look(lambda each, now: each.graph(now, asked.get("after", ""))))
+        )
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):

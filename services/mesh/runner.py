@@ -160,7 +160,7 @@ class Runner:
                 self._ended.append(pipe)
                 self._wake_up()
         deadline = node.next_deadline()
-        if deadline is not None and deadline < self._deadline:
+        if deadline < self._deadline:
             self._deadline = deadline
             self._wake_up()
         return actions
@@ -220,11 +220,9 @@ class Runner:
             with self._lock:
                 if self._stopping:
                     return
-                actions = self._carry_out()
                 ended, self._ended = self._ended, []
                 pipes, blocked = list(self._pipes.items()), list(self._blocked.items())
                 deadline = self._deadline
-            self._report(actions)
             for pipe in ended:
                 pipe.close()
             self._wait(pipes, blocked, deadline)
@@ -233,17 +231,22 @@ class Runner:
             if clock.now() >= self._deadline:
                 with self._lock:
                     self._node.handle_timer(clock.now())
-                    self._deadline = self._node.next_deadline() or _NEVER
+                    self._deadline = self._node.next_deadline()
+                    actions = self._carry_out()
+                self._report(actions)
 
     def _wait(self, pipes: list[tuple[Session, Pipe]], blocked: list[tuple[Session, Pipe]], deadline: float) -> None:
         """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it."""
         now = clock.now()
-        for _, pipe in pipes:
-            if (change := pipe.next_change(now)) is not None and change < deadline:
-                deadline = change
-        timeout = None if deadline == _NEVER else max(0.0, deadline - now)
         readers: list[int | Listener | Pipe] = [self._wake, *self._listeners]
-        readers += [pipe for _, pipe in pipes if pipe.wants_read(now)]
+        changing: dict[Pipe, float] = {}
+        for _, pipe in pipes:
+            if (change := pipe.next_change(now)) is not None:
+                changing[pipe] = change
+                deadline = min(deadline, change)
+            if pipe.wants_read(now):
+                readers.append(pipe)
+        timeout = None if deadline == _NEVER else max(0.0, deadline - now)
         readable, writable, _ = select.select(readers, [pipe for _, pipe in blocked], [], timeout)
         if self._wake in readable:
             with contextlib.suppress(BlockingIOError):
@@ -253,6 +256,8 @@ class Runner:
         for session, pipe in pipes:
             if pipe in readable:
                 pipe.read(now)
+            elif changing.get(pipe, _NEVER) > now:
+                continue
             while (data := pipe.take(now)) is not None:
                 arrivals.append((session, pipe, data))
                 if not data:

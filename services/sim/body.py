@@ -8,6 +8,7 @@ import contextlib
 import os
 import random
 import socket
+from collections.abc import Callable
 from pathlib import Path
 
 import msgpack
@@ -17,6 +18,7 @@ from services.balancer.i2c import I2CBus
 from services.balancer.loop import main as balance
 from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import SimulatedRobot, draw_errors
+from services.sim.core.module_line import SOURCE, TTY, ModuleLine
 from services.sim.i2c import SimulatedBus
 from swarm import clock
 from swarm.config import Config
@@ -26,6 +28,8 @@ from swarm.process import run
 
 WORLD_SOCKET = "world.sock"
 REPORT_S = 0.04
+RETRY_S = 1.0
+"""Between attempts to find the module."""
 
 
 class Reporter:
@@ -48,6 +52,41 @@ class Reporter:
             self._socket.sendto(msgpack.packb(pose), self._path)
 
 
+class ModuleWire:
+    """The serial line between the simulated ATmega and the world's DWM1001, a pseudo-terminal."""
+
+    def __init__(self, line: Callable[[], ModuleLine], path: Path) -> None:
+        """`line` gives the ATmega's end, which is another one after a reset."""
+        self._line, self._path = line, path
+        self._terminal: int | None = None
+        self._try_at = 0.0
+
+    def carry(self, now: float) -> None:
+        """Bytes in both directions; what finds no one at the other end is lost, as on a wire."""
+        if self._terminal is None:
+            self._open(now)
+        request = self._line().to_send()
+        if self._terminal is None:
+            return
+        try:
+            if request:
+                os.write(self._terminal, request)
+            if data := os.read(self._terminal, 4096):
+                self._line().receive(data, now)
+        except BlockingIOError:
+            return
+        except OSError:  # the module was unplugged
+            os.close(self._terminal)
+            self._terminal = None
+
+    def _open(self, now: float) -> None:
+        if now < self._try_at:
+            return
+        self._try_at = now + RETRY_S
+        with contextlib.suppress(OSError):
+            self._terminal = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+
+
 def simulated_bus(config: Config, robot: str) -> I2CBus:
     """A robot standing at its place of the config, held upright until its motors start."""
     text = os.environ.get("SWARM_SEED", "0")
@@ -58,7 +97,15 @@ def simulated_bus(config: Config, robot: str) -> I2CBus:
     body = BalboaBody(body_model(config.robot(robot).board, config.body), clock.now(), place=place)
     devices = SimulatedRobot(body, noise, errors=draw_errors(noise), trim=config.body.trim)
     reporter = Reporter(robot, body, socket_path(runtime_dir().parent, WORLD_SOCKET))
-    return SimulatedBus(devices, clock.now, reporter.report)
+    wires: list[Callable[[float], None]] = [reporter.report]
+    if config.dwm.source == SOURCE:
+        wires.append(ModuleWire(lambda: devices.atmega.line, runtime_dir() / TTY).carry)
+
+    def transferred(now: float) -> None:
+        for wire in wires:
+            wire(now)
+
+    return SimulatedBus(devices, clock.now, transferred)
 
 
 def main() -> None:

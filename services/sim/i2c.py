@@ -37,5 +37,13 @@ class SimulatedBus:
         self.robot.write(address, data, now)
         return self.robot.read(address, count, now)
 
+    def recover(self) -> None:
+        """See `I2CBus`."""
+        self.robot.recover(self._clock())
+
+    def untimed(self) -> float:
+        """See `I2CBus`."""
+        return self.robot.wire_s()
+
     def close(self) -> None:
         """See `I2CBus`."""

@@ -56,6 +56,7 @@ def summary(outcome: Outcome) -> Json:
         "messages_per_iteration": (
             round(outcome.messages / iterations, 2) if outcome.messages is not None and iterations > 0 else None
         ),
+        "messages": outcome.messages,
         "rss_mib_per_robot": round(sum(memory) / len(memory), 1) if memory else None,
         "restarts": sum(outcome.restarts.values()),
         "problems": list(outcome.problems),

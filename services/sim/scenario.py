@@ -11,6 +11,8 @@ from pathlib import Path
 
 from services.apps import loader
 from services.apps.localization.guard import check_step_size, limit_step_size
+from services.sim.core.module_line import SOURCE
+from services.sim.module import module_address
 from services.sim.options import Options
 from swarm import config as configuration
 from swarm.codec import Value
@@ -76,7 +78,12 @@ def build(options: Options, run_dir: Path) -> Scenario:
     config = replace(
         base,
         robots=tuple(
-            replace(robot, link=f"sim:{socket_path(run_dir / robot.name, 'mesh.sock')}") for robot in base.robots
+            replace(
+                robot,
+                link=f"sim:{socket_path(run_dir / robot.name, 'mesh.sock')}",
+                uwb=robot.uwb or module_address(index),
+            )
+            for index, robot in enumerate(base.robots)
         ),
         mesh=replace(base.mesh, insecure=True, key=None, listen=None),
         dwm=_dwm(base.dwm, options.replay, run_dir),
@@ -176,6 +183,8 @@ def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
 def _dwm(dwm: Dwm, replay: Path | None, run_dir: Path) -> Dwm:
     if replay is not None:
         return replace(dwm, source=f"replay:{replay.resolve()}")
+    if dwm.source == SOURCE:
+        return replace(dwm, target=dwm.target or TARGET)
     return replace(dwm, source=f"serial:{run_dir}/{{robot}}/dwm.tty", target=dwm.target or TARGET)
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.sim.core.module_line import SOURCE as SOURCE_ATMEGA
 from services.sim.module import ModuleBoard
 from swarm import clock
 from swarm.codec import MAX_PAYLOAD, decode
@@ -50,7 +51,7 @@ class World:
         self._socket.bind(str(socket_path(run_dir, SOCKET)))
         self._socket.setblocking(False)
         self._modules = ModuleBoard(run_dir, config, seed)
-        self._ranging = config.dwm.source.startswith("serial:")
+        self._ranging = config.dwm.source.startswith("serial:") or config.dwm.source == SOURCE_ATMEGA
         if self._ranging:
             for name in config.names:
                 self._modules.add(name)

@@ -16,7 +16,7 @@ from typing import NoReturn
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
-VERBS = ("config", "key", "kill", "measure", "mesh")
+VERBS = ("arm", "config", "key", "kill", "measure", "mesh", "stop")
 """Modules of this package."""
 
 HANDED_ON = {

@@ -16,6 +16,8 @@ bluetooth = "B8:27:EB:00:00:10"     # address of the Pi's adapter: bluetoothctl 
 
 [[robots]]
 name = "r1"
+uwb = "DE01"                        # address of its DWM1001: swarm dwm info
+uwb_role = "tag"                    # tag (finds its place) or anchor (other robots' tags range to it)
 bluetooth = "B8:27:EB:00:00:11"
 
 [[robots]]
@@ -97,7 +99,7 @@ y = 1.94
 # ---- UWB module of every robot: source, calibration, filter.
 
 [dwm]
-source = "serial:/dev/serial0"  # serial:PATH, or replay:DIR (a recording); {robot} is the robot's name
+source = "serial:/dev/serial0"  # serial:PATH, balancer (wired to the ATmega), replay:DIR; {robot}: its name
 target = "C933"            # address of the module that is the target
 rate = 10.0                # Hz, at most 10
 window = 5                 # moving average over so many measurements; 1 = off

@@ -95,12 +95,14 @@ def who_am_i(config: Config) -> str:
 def _robots(top: Table) -> tuple[Robot, ...]:
     robots: list[Robot] = []
     taken: dict[str, str] = {}
-    tables = top.tables("robots", ("name", "board", "bluetooth", "link"))
+    tables = top.tables("robots", ("name", "board", "bluetooth", "link", "uwb", "uwb_role"))
     if not tables:
         raise top.error("robots", 'missing; expected at least one robot, written [[robots]] with name = "r0"')
     for table in tables:
         robot = _robot(table)
-        for key, value in (("name", robot.name), ("bluetooth", robot.bluetooth), ("link", robot.link)):
+        for key, value in (
+            ("name", robot.name), ("bluetooth", robot.bluetooth), ("link", robot.link), ("uwb", robot.uwb)
+        ):  # fmt: skip
             # The prefix keeps the kinds apart: a robot may be called as another's socket.
             if value is not None and taken.setdefault(f"{key} {value}", robot.name) is not robot.name:
                 raise table.error(key, f"{shown(value)} is already that of robot {taken[f'{key} {value}']}")
@@ -126,7 +128,9 @@ def _robot(table: Table) -> Robot:
         ):
             raise table.wrong("link", _LINK)
     board = table.choice("board", "zero2w", ("zero2w", "pi4"))
-    return Robot(name, board, bluetooth.upper() if bluetooth else None, link)
+    uwb = sections.uwb_address(table, "uwb") if "uwb" in table else None
+    role = table.choice("uwb_role", "tag", ("tag", "anchor"))
+    return Robot(name, board, bluetooth.upper() if bluetooth else None, link, uwb, role)
 
 
 def _topology(top: Table, robots: Sequence[Robot]) -> Graph:

@@ -63,7 +63,7 @@ def anchors(top: Table) -> tuple[Anchor, ...]:
     """The tables [[anchors]]."""
     found: list[Anchor] = []
     for table in top.tables("anchors", ("address", "x", "y", "z")):
-        address = _uwb_address(table, "address")
+        address = uwb_address(table, "address")
         if any(anchor.address == address for anchor in found):
             raise table.error("address", f"{address} is already that of another anchor")
         x, y = (table.number(key, expected="a finite number, in m") for key in ("x", "y"))
@@ -75,10 +75,11 @@ def dwm(top: Table) -> Dwm:
     """The table [dwm]."""
     table = top.table("dwm", ("source", "target", "rate", "window", "distance", "position"))
     normal = Dwm()
-    expected = "serial:PATH or replay:DIR, {robot} in it standing for the robot's name"
+    expected = "serial:PATH, balancer or replay:DIR, {robot} in it standing for the robot's name"
     source = table.text("source", normal.source, expected=expected)
     kind, _, place = source.partition(":")
-    if kind not in ("serial", "replay") or not place or set("{}") & set(place.replace("{robot}", "")):
+    named = kind in ("serial", "replay") and place and not set("{}") & set(place.replace("{robot}", ""))
+    if source != "balancer" and not named:
         raise table.wrong("source", expected)
     distance = table.table("distance", ("gain", "offset"))
     gain = distance.number("gain", normal.distance.gain, above=0, expected="a number above 0")
@@ -86,7 +87,7 @@ def dwm(top: Table) -> Dwm:
     position = table.table("position", ("matrix", "offset"))
     return Dwm(
         source=source,
-        target=_uwb_address(table, "target") if "target" in table else None,
+        target=uwb_address(table, "target") if "target" in table else None,
         rate=table.number("rate", normal.rate, above=0, up_to=10, expected="a number above 0 up to 10, in Hz"),
         window=table.count("window", normal.window, low=1),
         distance=Linear(gain, offset),
@@ -139,7 +140,8 @@ def simulation(top: Table, robots: Sequence[str]) -> Simulation:
     )
 
 
-def _uwb_address(table: Table, key: str) -> str:
+def uwb_address(table: Table, key: str) -> str:
+    """The short address of a DWM1001."""
     address: str = table.text(key, expected="four hex digits like C933", pattern=_UWB_ADDRESS)
     return address.upper()
 

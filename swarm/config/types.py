@@ -26,6 +26,10 @@ class Robot:
     """Address of the Bluetooth adapter, B8:27:EB:12:34:56."""
     link: str | None = None
     """How others reach it where that is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
+    uwb: str | None = None
+    """Short address of its DWM1001, C933; `dwm/ranges` of the others name the robot by it."""
+    uwb_role: str = "tag"
+    """tag (finds its place) or anchor (others range to it; it knows no place of its own)."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,8 @@ class Dwm:
     """UWB module, calibration and filter."""
 
     source: str = "serial:/dev/serial0"
-    """serial:PATH (a DWM1001 in generic mode) or replay:DIR (a recording); `{robot}` = the own name."""
+    """serial:PATH (a DWM1001 in generic mode), balancer (one that is wired to the ATmega32U4) or replay:DIR (a
+    recording); `{robot}` = the own name."""
     target: str | None = None
     """Address of the module that is the target."""
     rate: float = 10.0
@@ -187,6 +192,11 @@ class Config:
             if robot.name == name:
                 return robot
         raise KeyError(name)
+
+    @property
+    def robots_by_module(self) -> dict[str, str]:
+        """Name of the robot that carries a UWB module, by the module's address."""
+        return {robot.uwb: robot.name for robot in self.robots if robot.uwb is not None}
 
     def neighbours(self, name: str) -> tuple[str, ...]:
         """Names of the robots linked to `name`, sorted."""

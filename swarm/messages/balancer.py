@@ -36,15 +36,30 @@ class BalancerState:
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Wheel travel, on `swarm/<robot>/balancer/odometry` at 25 Hz; integrated at 100 Hz, nothing is lost."""
+    """Own motion, on `swarm/<robot>/balancer/odometry` at 25 Hz, integrated at 100 Hz by measured time.
+
+    All values are sums since the loop started (`sequence` begins at 1 then): the difference of any two messages is the
+    motion between them, so a lost one costs nothing.
+    """
 
     t: float
+    """Of the control step."""
     sequence: int
     left: float
-    """Distance rolled by the left wheel since the loop started, corrected by body pitch, m."""
+    """Distance rolled by the left wheel, corrected by body pitch, m."""
     right: float
+    x: float
+    """Way of the axle's middle by wheels and `heading`, in the frame of the start: x ahead, m."""
+    y: float
+    """To the left, m."""
     heading: float
-    """Integrated from the wheels, rad, counter-clockwise positive, 0 at the start of the loop."""
+    """By gyro and wheels, rad, counter-clockwise positive, not wrapped: the gyro's zero is learned from the wheels."""
+    gyro_heading: float
+    """By the gyro alone (its zero measured at rest, nothing learned), rad: for a filter with a bias of its own."""
+    wheel_heading: float
+    """By the wheels alone: (right - left) / track, rad."""
+    tilt: float
+    """From upright, rad, at `t`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Messages of the balancer about the devices on its bus: what the ATmega32U4 holds of the DWM1001."""
+"""Messages of the balancer about the devices on its bus."""
 
 from dataclasses import dataclass
 
@@ -72,9 +72,61 @@ class ModuleAnswer:
     """Why there is no proper answer; empty where there is one (which may be a refusal by the module)."""
 
 
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """On `balancer/battery` at 1 Hz."""
+
+    t: float
+    voltage: float
+    """V."""
+
+
+@dataclass(frozen=True, slots=True)
+class Buttons:
+    """On `balancer/buttons`: on each change, and once a second."""
+
+    t: float
+    a: bool
+    """Pressed."""
+    b: bool
+    c: bool
+    presses_a: int
+    """Since the balancer started: a press that was missed shows here."""
+    presses_b: int
+    presses_c: int
+
+
+@dataclass(frozen=True, slots=True)
+class ImuRequest:
+    """Command on `balancer/set/imu`: tell the IMU's samples for a while."""
+
+    rate: float
+    """Hz: above 0, at most 100."""
+    duration: float
+    """s, at most 60; 0 ends an earlier request."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """On `balancer/imu` while somebody has asked for it: X up, Y to the left along the axle, Z backward."""
+
+    t: float
+    """Of the control step that read it, s."""
+    sequence: int
+    """Counts these messages."""
+    gyro: tuple[float, ...]
+    """rad/s, three axes, with the sensor's zero offset."""
+    acceleration: tuple[float, ...]
+    """Specific force, m/s^2, three axes."""
+
+
 TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "uwb"): Uwb,
     ("balancer", "module"): ModuleAnswer,
     ("balancer", "set/module"): ModuleRequest,
+    ("balancer", "battery"): Battery,
+    ("balancer", "buttons"): Buttons,
+    ("balancer", "imu"): ImuSample,
+    ("balancer", "set/imu"): ImuRequest,
 }
 """Message type of each key, by (service, topic)."""

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from swarm.messages.devices import ModuleAnswer, ModuleRequest
+
 
 @dataclass(frozen=True, slots=True)
 class Range:
@@ -19,11 +21,15 @@ class Range:
     """s since it was measured, at `t` of the message."""
     sequence: int
     """Counts new measurements of this anchor; a repeat keeps its number."""
+    stale: bool = False
+    """Not measured for longer than the module needs: the numbers are of then."""
+    robot: str | None = None
+    """The robot that carries this module; None for one that stands by itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """All ranges of one module report, on `swarm/<robot>/dwm/ranges` at 10 Hz."""
+    """The ranges to all modules seen in the last seconds, on `swarm/<robot>/dwm/ranges` with each report, at 10 Hz."""
 
     t: float
     sequence: int
@@ -67,5 +73,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("dwm", "ranges"): Ranges,
     ("dwm", "pose"): Pose,
     ("dwm", "measurement"): Measurement,
+    ("dwm", "module"): ModuleAnswer,
+    ("dwm", "set/module"): ModuleRequest,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -1,6 +1,9 @@
 """Messages of the mesh service, and the stop of the swarm that it carries."""
 
 from dataclasses import dataclass
+from typing import ClassVar
+
+from swarm.codec import MAX_BINARY
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +95,7 @@ class FloodRequest:
     It appears on every other robot's bus, raw, under `swarm/<this robot>/app/<app>/flood`.
     """
 
+    LIMIT: ClassVar[int] = MAX_BINARY
     ticket: str
     """Names this request; a repetition of it is not flooded again but gets the answer again."""
     app: str
@@ -125,6 +129,7 @@ class SendRequest:
     It appears on that robot's bus, raw, under `swarm/<this robot>/app/<app>/send/<to>`.
     """
 
+    LIMIT: ClassVar[int] = MAX_BINARY
     ticket: str
     app: str
     to: str
@@ -132,6 +137,27 @@ class SendRequest:
     priority: str
     timeout: float
     """s after which it is given up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reminder:
+    """Command on `mesh/set/remind`: tell the answer to a request again or, where there is none yet, a `Progress`."""
+
+    ticket: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a request is, on `swarm/<robot>/mesh/progress`."""
+
+    t: float
+    ticket: str
+    known: bool
+    """Whether there is such a request here: one that is not known was lost, and is to be made again."""
+    size: int
+    """Bytes of its payload; 0 where it is small, which takes no time worth telling."""
+    moved: int
+    """Bytes that have arrived: at the receiver, or at every neighbour that hands a flood on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,12 +194,43 @@ class Arm:
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is."""
+    """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is. Changes
+    are flooded, so that every robot's bus has every robot's word."""
 
     t: float
     stopped: bool
     by: dict[str, str]
-    """The robots whose stop holds, with its reason."""
+    """The robots whose stop holds, with its reason; 16 of them where there are more."""
+
+
+@dataclass(frozen=True, slots=True)
+class GraphRobot:
+    """A robot as `mesh/graph` shows it."""
+
+    robot: str
+    state: str
+    """self (the one that was asked), here, left, gone or never, as in `Member`."""
+    since: float
+    """Time of the last change of state; 0 for self."""
+    hops: int | None
+    """Links on the way to it; None where there is no way."""
+    via: str | None
+    """The neighbour that the way begins with."""
+    links: dict[str, float]
+    """The links it says it has, with their one-way times, s. One counts where both ends tell of it."""
+    stopped: bool | None
+    """Whether it says that it is stopped; None where it has not said anything since it was started."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeshGraph:
+    """The whole swarm as one robot knows it, the answer to queries of `swarm/<robot>/mesh/graph`."""
+
+    t: float
+    robots: tuple[GraphRobot, ...]
+    """By name, 100 at most; `?after=NAME` asks for those behind NAME."""
+    more: bool
+    """Whether there are robots behind the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,8 +292,11 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "flooded"): Flooded,
     ("mesh", "sent"): Sent,
     ("mesh", "stopped"): Stopped,
+    ("mesh", "graph"): MeshGraph,
     ("mesh", "set/flood"): FloodRequest,
     ("mesh", "set/send"): SendRequest,
+    ("mesh", "set/remind"): Reminder,
+    ("mesh", "progress"): Progress,
     ("mesh", "set/arm"): Arm,
     ("mesh", "clock"): Clock,
     ("mesh", "echo"): Echo,

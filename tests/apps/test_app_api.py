@@ -82,8 +82,9 @@ def test_first_values() -> None:
 
 def test_floods_and_messages_need_a_bus_and_say_so() -> None:
     robot = make().robot
-    for call in (lambda: robot.flood(b"x"), lambda: robot.send("r1", b"x")):
-        with pytest.raises(AppError, match="need a bus"):
+    calls = (lambda: robot.flood(b"x"), lambda: robot.send("r1", b"x"), robot.messages, lambda: robot.answer("t"))
+    for call in (*calls, lambda: robot.clock):
+        with pytest.raises(AppError, match=r"needs? a bus"):
             call()
 
 

@@ -130,7 +130,9 @@ def test_knocked_over_is_a_fault_and_a_command_brings_it_back(seed: int) -> None
 
 
 def test_rest_lets_it_lie_and_stand_wakes_it() -> None:
-    rig = upright().run(2)
+    rig = upright()
+    rig.body.push(0.02)  # the hand lets go
+    rig.run(2)
     rig.balancer.command("rest", rig.now)
     rig.run(4)
     assert rig.balancer.mode == "idle"

@@ -27,7 +27,8 @@ class Steps:
     def step(self, tilt: float = 0.0, *, rate: float = 0.0, way: float = 0.0, ticks: int = 1, **more: float):
         for _ in range(ticks):
             self.now += 0.01
-            fields = {"left": way, "right": way, "speed": 0.0, "heading": 0.0} | more
+            fields = dict.fromkeys(("speed", "heading", "turn_rate", "gyro_heading", "wheel_heading", "x", "y"), 0.0)
+            fields |= {"left": way, "right": way} | more
             duties = self.controller.step(Estimate(t=self.now, dt=0.01, tilt=tilt, tilt_rate=rate, **fields))
         return duties
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer import loop as loop_module
+from services.balancer.chores import Chores
 from services.balancer.link import pack, unpack
 from services.balancer.loop import Loop
 from swarm.errors import PayloadError
@@ -43,7 +44,7 @@ class VirtualLoop:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, rig: Rig | None = None) -> None:
         self.rig = rig or Rig()
         self.bridge = Lists()
-        self.loop = Loop(self.rig.balancer, self.bridge)
+        self.loop = Loop(self.rig.balancer, Chores(self.rig.balancer, self.rig.clock), self.bridge)
         self.started: list[float] = []
         self.oversleep: dict[int, float] = {}
         self.notified: list[str] = []
@@ -129,7 +130,7 @@ def test_what_only_the_loop_says_is_no_command(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     loop = VirtualLoop(monkeypatch)
-    loop.bridge.incoming = [Odometry(1.0, 1, 0.0, 0.0, 0.0)]
+    loop.bridge.incoming = [Odometry(1.0, 1, *[0.0] * 8)]
     loop.run(2)
     assert "the bridge sent a Odometry" in caplog.text
 

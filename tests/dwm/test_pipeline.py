@@ -2,12 +2,10 @@ from dataclasses import replace
 
 import pytest
 from dwm_frames import LOCATION
-from hypothesis import given
-from hypothesis import strategies as st
 
 from services.dwm.core import calibration
-from services.dwm.core.filters import MovingAverage
-from services.dwm.core.pipeline import FORGET, MAX_ANCHORS, Pipeline
+from services.dwm.core.pipeline import Pipeline
+from services.dwm.core.ranges import FORGET, MAX_DISTANCE, MAX_MODULES, STALE, STUCK
 from services.dwm.core.tlv import AnchorRange, Location, Position
 from swarm.config.types import Affine, Dwm, Linear
 
@@ -34,15 +32,6 @@ def test_the_position_model_of_the_thesis():
     x, y = calibration.position(POSITION, 0.439, 1.526)
     assert x == pytest.approx(0.93538932 * 0.439 + 0.00353817 * 1.526 + 0.046239576)
     assert y == pytest.approx(-0.01071457 * 0.439 + 0.94470965 * 1.526 + 0.050861534)
-
-
-@given(st.integers(1, 30), st.lists(st.floats(-100, 100), min_size=1, max_size=60))
-def test_moving_average(window, values):
-    average = MovingAverage(window)
-    means = [average.add(value) for value in values]
-    for index, mean in enumerate(means):
-        part = values[max(0, index + 1 - window) : index + 1]
-        assert mean == pytest.approx(sum(part) / len(part), abs=1e-9)
 
 
 def test_all_ranges_are_published_with_both_values():
@@ -81,9 +70,65 @@ def test_an_anchor_that_was_missing_keeps_its_own_count():
     pipeline = Pipeline(PLAIN)
     pipeline.report(location(1.0, 2.0), 1.0)
     ranges, _ = pipeline.report(location(1.1), 1.1)
-    assert [(item.anchor, item.sequence) for item in ranges.ranges] == [("D000", 1)]
+    assert {item.anchor: (item.sequence, item.raw, round(item.age, 6)) for item in ranges.ranges} == {
+        "D000": (1, 1.1, 0.0),
+        "D001": (0, 2.0, 0.1),
+    }
     ranges, _ = pipeline.report(location(1.2, 2.2), 1.2)
-    assert [(item.anchor, item.sequence) for item in ranges.ranges] == [("D000", 2), ("D001", 1)]
+    assert {item.anchor: item.sequence for item in ranges.ranges} == {"D000": 2, "D001": 1}
+
+
+def test_a_lost_anchor_is_marked_and_then_left_out():
+    pipeline = Pipeline(PLAIN)
+    pipeline.report(location(1.0, 2.0), 0.0)
+    stale = {}
+    for step in range(1, 40):
+        ranges, _ = pipeline.report(location(1.0 + step / 100), step / 10)
+        stale[step / 10] = {item.anchor: item.stale for item in ranges.ranges}
+    assert stale[0.5] == {"D000": False, "D001": False}
+    assert stale[0.6] == {"D000": False, "D001": True}
+    assert stale[FORGET] == {"D000": False, "D001": True}
+    assert stale[FORGET + 0.1] == {"D000": False}
+    ranges, _ = pipeline.report(location(1.0, 2.0), 4.0)
+    assert {item.anchor: item.sequence for item in ranges.ranges} == {"D000": 40, "D001": 1}
+
+
+def test_a_module_that_repeats_for_long_is_stale():
+    """It thinks that it stands still, and measures every 10 s."""
+    pipeline = Pipeline(PLAIN)
+    pipeline.report(location(1.0), 0.0)
+    ranges, _ = pipeline.report(location(1.0), 2.0)
+    assert [(item.stale, item.age, item.sequence) for item in ranges.ranges] == [(True, 2.0, 0)]
+
+
+def test_an_asking_at_a_low_rate_makes_nothing_stale():
+    pipeline = Pipeline(Dwm(window=1, rate=1.0))
+    pipeline.report(location(1.0), 0.0)
+    assert [item.stale for item in pipeline.report(location(1.0), 2.0)[0].ranges] == [False]
+
+
+def test_the_same_range_again_and_again_while_others_change_is_no_new_sample():
+    pipeline = Pipeline(PLAIN)
+    for step in range(STUCK + 8):
+        ranges, _ = pipeline.report(location(1.0, 2.0 + step / 100), step / 10)
+    stuck, moving = sorted(ranges.ranges, key=lambda item: item.anchor)
+    assert (stuck.sequence, moving.sequence) == (STUCK - 1, STUCK + 7)
+    assert (stuck.stale, moving.stale) == (True, False)
+    assert stuck.age > STALE
+
+
+def test_one_address_twice_and_impossible_distances_are_dropped_and_counted():
+    pipeline = Pipeline(PLAIN)
+    twice = replace(location(1.0, 2.0, 1.5).ranges[2], anchor="D000")
+    answer = location(1.0, 2.0, MAX_DISTANCE + 0.001)
+    ranges, _ = pipeline.report(replace(answer, ranges=(*answer.ranges, twice)), 0.0)
+    assert [item.anchor for item in ranges.ranges] == ["D001"]
+    assert pipeline.dropped() == {"duplicate_addresses": 2, "impossible_ranges": 1}
+
+
+def test_ranges_to_robots_name_them():
+    ranges, _ = Pipeline(PLAIN, {"D001": "r7"}).report(location(1.0, 2.0), 0.0)
+    assert [item.robot for item in ranges.ranges] == [None, "r7"]
 
 
 def test_without_a_fix_the_numbers_enter_nothing():
@@ -108,9 +153,9 @@ def test_an_average_starts_anew_after_a_gap():
 def test_wrong_addresses_do_not_pile_up():
     pipeline = Pipeline(PLAIN)
     known = Position(0.0, 0.0, 0.0, 100)
-    for address in range(3 * MAX_ANCHORS):
+    for address in range(3 * MAX_MODULES):
         item = AnchorRange(f"{address:04X}", 1.0, 100, known)
-        pipeline.report(Location(known, (item, AnchorRange("C933", 1.0, 100, known))), address * 0.1)
-    assert len(pipeline._anchors) == MAX_ANCHORS
-    ranges, _ = pipeline.report(Location(known, (AnchorRange("C933", 2.0, 100, known),)), 99.0)
-    assert ranges.ranges[0].sequence == 3 * MAX_ANCHORS
+        pipeline.report(Location(known, (item, AnchorRange("C933", address / 100, 100, known))), address * 0.01)
+    ranges, _ = pipeline.report(Location(known, (AnchorRange("C933", 2.0, 100, known),)), 2.0)
+    assert len(ranges.ranges) == MAX_MODULES
+    assert {item.anchor: item.sequence for item in ranges.ranges}["C933"] == 3 * MAX_MODULES

@@ -5,8 +5,11 @@ from dwm_frames import GOLDEN, LOCATION
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.dwm.core.poller import FAILURES, MAX_PAUSE, TIMEOUT, Health, Poller, Report
-from services.dwm.core.tlv import encode_refusal
+from services.dwm.core.calls import CFG_GET, RESET, VER_GET
+from services.dwm.core.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT
+from services.dwm.core.poller import FAILURES, MAX_PAUSE, MAX_WAITING, Answered, Health, Poller, Report
+from services.dwm.core.shell import LEAVE
+from services.dwm.core.tlv import LOC_GET, encode_refusal
 
 
 def ask(poller, now):
@@ -85,9 +88,83 @@ def test_a_silent_module_is_told_once_and_asked_ever_more_rarely_for_ever():
     pauses = [round(b - a, 6) for a, b in pairwise(sent)]
     assert pauses == sorted(pauses)
     assert pauses[-1] == pytest.approx(MAX_PAUSE + TIMEOUT)
-    ask(poller, poller.next_deadline())
+    while poller.to_send() != LOC_GET.request:
+        poller.handle_timer(poller.next_deadline())
     poller.receive(GOLDEN, poller.next_deadline() - 0.05)
     assert poller.events() == [Health(True, ""), Report(LOCATION)]
+
+
+def test_a_module_that_stays_in_its_shell_is_told_to_leave_it():
+    poller, asked = Poller(10.0, 0.0), []
+    while len(asked) < 12:
+        poller.handle_timer(poller.next_deadline())
+        if request := poller.to_send():
+            asked.append(request)
+            poller.receive(b"\r\ndwm> " if LEAVE not in asked[:-1] else GOLDEN, poller.next_deadline() - 0.05)
+    assert asked[:6] == [LOC_GET.request] * FAILURES + [LEAVE] + [LOC_GET.request] * 2
+    events = poller.events()
+    assert "shell mode" in events[0].reason
+    assert events[1:3] == [Health(True, ""), Report(LOCATION)]
+
+
+def test_a_module_that_is_in_no_shell_is_not_blamed_for_its_answer_to_quit():
+    poller, asked = Poller(10.0, 0.0), []
+    while len(asked) < 12:
+        poller.handle_timer(poller.next_deadline())
+        if request := poller.to_send():
+            asked.append(request)
+            if request == LEAVE:
+                poller.receive(encode_refusal(1), poller.next_deadline() - 0.05)
+    assert asked.count(LEAVE) == 3
+    assert ["does not answer" in health.reason for health in poller.events()] == [True]
+    assert poller.counters == {"silent": 8}  # the twelfth is under way
+
+
+def test_requests_of_others_go_between_two_polls():
+    poller = Poller(10.0, 0.0)
+    ask(poller, 0.0)
+    poller.ask("a", VER_GET.request)
+    assert poller.to_send() == b""  # one at a time
+    poller.receive(GOLDEN, 0.02)
+    poller.handle_timer(poller.next_deadline())
+    assert poller.to_send() == VER_GET.request
+    raw = bytes.fromhex("400100 5004 01000301 5104 00070100 5204 2a00cade")
+    poller.receive(raw[:7], 0.03)
+    poller.receive(raw[7:], 0.04)
+    assert poller.events() == [Health(True, ""), Report(LOCATION), Answered("a", raw, "")]
+    assert poller.next_deadline() == pytest.approx(0.1)
+    ask(poller, 0.1)
+
+
+def test_what_becomes_of_requests_that_get_no_answer():
+    poller = Poller(10.0, 0.0)
+    poller.ask("refused", CFG_GET.request)
+    poller.ask("silent", CFG_GET.request)
+    poller.ask("forbidden", b"\x13\x00")
+    poller.handle_timer(poller.next_deadline())
+    poller.receive(encode_refusal(5), 0.1)
+    poller.handle_timer(0.1)
+    assert poller.next_deadline() == pytest.approx(0.1 + SLOW_TIMEOUT)
+    poller.handle_timer(poller.next_deadline())
+    forbidden, refused, silent = poller.events()
+    assert "not one of the calls" in forbidden.problem
+    assert refused == Answered("refused", encode_refusal(5), "")
+    assert (silent.answer, "does not answer" in silent.problem) == (b"", True)
+    for number in range(MAX_WAITING + 1):
+        poller.ask(str(number), CFG_GET.request)
+    (last,) = poller.events()
+    assert (last.ticket, "ask again" in last.problem) == (str(MAX_WAITING), True)
+
+
+def test_a_reset_leaves_the_module_time_to_come_back():
+    poller = Poller(10.0, 0.0)
+    poller.ask("reset", RESET.request)
+    poller.handle_timer(0.0)
+    assert poller.to_send() == RESET.request
+    poller.receive(encode_refusal(0), 0.01)
+    assert poller.events() == [Answered("reset", encode_refusal(0), "")]
+    assert poller.next_deadline() == pytest.approx(0.01 + RESTART)
+    ask(poller, poller.next_deadline())
 
 
 @pytest.mark.parametrize(
@@ -95,9 +172,10 @@ def test_a_silent_module_is_told_once_and_asked_ever_more_rarely_for_ever():
     [
         (encode_refusal(4), "refuses loc_get: busy"),
         (encode_refusal(1), "unknown call or broken frame"),
-        (b"dwm> ", "garbled"),
+        (b"dwm> ", "shell mode"),
         (GOLDEN[:40], "garbled"),
-        (GOLDEN[:3] + b"\x48" + GOLDEN[4:], "part of type 48"),
+        (bytes(range(128, 200)), "wrong baud rate"),
+        (GOLDEN[:3] + b"\x47" + GOLDEN[4:], "another layout (loc_get: part of type 47"),
     ],
 )
 def test_trouble_is_named(answer, words):
@@ -114,7 +192,7 @@ def test_trouble_is_named(answer, words):
 def test_an_answer_after_a_wrong_frame_counts():
     poller = Poller(10.0, 0.0)
     ask(poller, 0.0)
-    poller.receive(GOLDEN[:3] + b"\x48" + GOLDEN, 0.02)
+    poller.receive(GOLDEN[:3] + b"\x47" + GOLDEN, 0.02)
     assert poller.events() == [Health(True, ""), Report(LOCATION)]
     assert poller.counters == {"wrong_frames": 1}
 
@@ -131,7 +209,7 @@ def test_any_course_keeps_the_rules(course):
             poller.handle_timer(now)
             assert poller.next_deadline() > now
         if request := poller.to_send():
-            assert request == b"\x0c\x00"
+            assert request in (b"\x0c\x00", LEAVE)
             sent.append(now)
         poller.events()
-    assert all(b - a >= 0.1 - 1e-9 or poller.counters for a, b in pairwise(sent))
+    assert all(at >= 0.1 * number - 1e-9 for number, at in enumerate(sent))

@@ -147,7 +147,7 @@ def test_any_bytes(data):
         (3, 0x48, "part of type 48, expected 41"),
         (4, 0x0C, "part 41 of 12 bytes"),
         (17, 101, "position quality of 101 %"),
-        (18, 0x48, "part of type 48, expected 49"),
+        (18, 0x4A, "part of type 4A, expected 49 or 48"),
         (19, 0x52, "part 49 of 82 bytes"),
         (19, 0x3D, "4 ranges announced in a part of 61 bytes"),
         (20, 5, "5 ranges announced in a part of 81 bytes"),

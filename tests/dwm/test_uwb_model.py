@@ -24,13 +24,13 @@ MODULES = [
 
 def errors(model, count=6000, heading=0.0, seed=1):
     """Range errors to D001 from (0.5, 1.5), in m."""
-    tag, true = Tag(MODULES, random.Random(seed), model), math.hypot(0.5, 1.5)
-    seen = (tag.measure(0.5, 1.5, heading) for _ in range(count))
+    tag, true = Tag(random.Random(seed), model), math.hypot(0.5, 1.5)
+    seen = (tag.measure(MODULES, 0.5, 1.5, heading) for _ in range(count))
     return [item.distance - true for location in seen for item in location.ranges if item.anchor == "D001"]
 
 
 def test_without_errors_it_is_geometry():
-    location = Tag(MODULES, random.Random(1), QUIET).measure(0.5, 1.5, 0.3)
+    location = Tag(random.Random(1), QUIET).measure(MODULES, 0.5, 1.5, 0.3)
     assert location.position == Position(0.5, 1.5, 0.0, 60)
     # the nearest four, and the target among them like any other
     assert [item.anchor for item in location.ranges] == ["C933", "D003", "D001", "D002"]
@@ -72,9 +72,9 @@ def test_the_heading_term_turns_with_the_robot():
 
 def test_the_position_is_about_as_good_as_the_recorded():
     # The thesis has 3.5 cm rms left after eq. 2.10: the simulated bias at its places is within that.
-    tag = Tag(MODULES, random.Random(5), replace(ErrorModel(), hidden=0, outlier=0, heading=0))
+    tag = Tag(random.Random(5), replace(ErrorModel(), hidden=0, outlier=0, heading=0))
     for place in ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5)):
-        fixes = [location.position for location in (tag.measure(*place, 0.0) for _ in range(1500))]
+        fixes = [location.position for location in (tag.measure(MODULES, *place, 0.0) for _ in range(1500))]
         fixes = [fix for fix in fixes if fix.quality > 0]
         x, y = statistics.mean(fix.x for fix in fixes), statistics.mean(fix.y for fix in fixes)
         true_x, true_y = place
@@ -84,23 +84,43 @@ def test_the_position_is_about_as_good_as_the_recorded():
 
 
 def test_two_anchors_give_no_fix_and_the_old_numbers():
-    tag = Tag(MODULES[:2] + MODULES[3:4], random.Random(1), QUIET)
-    location = tag.measure(0.5, 1.5, 0.0)
+    tag = Tag(random.Random(1), QUIET)
+    location = tag.measure(MODULES[:2] + MODULES[3:4], 0.5, 1.5, 0.0)
     assert location.position == Position(0.0, 0.0, 0.0, 0)
     assert len(location.ranges) == 3
 
 
+def test_heights_count():
+    tag = Tag(random.Random(1), QUIET)
+    (item,) = tag.measure([Module("D001", 0.0, 3.0, 1.0, MODULES[0].known)], 0.0, 0.0, 0.0, 5.0).ranges
+    assert item.distance == 5.0
+
+
+def test_one_address_twice_is_ranged_twice():
+    tag = Tag(random.Random(1), QUIET)
+    assert [item.anchor for item in tag.measure([MODULES[0], MODULES[0]], 0.5, 1.5, 0.0).ranges] == ["D001", "D001"]
+
+
+def test_between_robots_the_errors_are_those_of_the_model():
+    """0.1 m to 4 m, as the thesis asks of distances between robots (2.3)."""
+    for true in (0.1, 0.5, 1.0, 2.0, 4.0):
+        tag = Tag(random.Random(3), replace(ErrorModel(), hidden=0, outlier=0, heading=0))
+        robot = Module("DE01", true, 0.0, 0.0, MODULES[3].known)
+        found = [item.distance for _ in range(2000) for item in tag.measure([robot], 0.0, 0.0, 0.0).ranges]
+        assert statistics.mean(found) == pytest.approx(1.056 * true + 0.063, abs=0.004)
+
+
 def test_the_seed_decides():
-    first, second, other = (Tag(MODULES, random.Random(seed)) for seed in (1, 1, 2))
-    a = [first.measure(0.5, 1.5, 0.1) for _ in range(50)]
-    assert a == [second.measure(0.5, 1.5, 0.1) for _ in range(50)]
-    assert a != [other.measure(0.5, 1.5, 0.1) for _ in range(50)]
+    first, second, other = (Tag(random.Random(seed)) for seed in (1, 1, 2))
+    a = [first.measure(MODULES, 0.5, 1.5, 0.1) for _ in range(50)]
+    assert a == [second.measure(MODULES, 0.5, 1.5, 0.1) for _ in range(50)]
+    assert a != [other.measure(MODULES, 0.5, 1.5, 0.1) for _ in range(50)]
 
 
 def test_every_measurement_can_be_sent():
-    tag, generator = Tag(MODULES, random.Random(1)), random.Random(2)
+    tag, generator = Tag(random.Random(1)), random.Random(2)
     for _ in range(300):
-        location = tag.measure(generator.uniform(-5, 5), generator.uniform(-5, 5), 0.0)
+        location = tag.measure(MODULES, generator.uniform(-5, 5), generator.uniform(-5, 5), 0.0)
         decoder = Decoder(LOC_GET)
         decoder.receive(encode_location(location))
         assert decoder.next() == location

@@ -80,6 +80,12 @@ class ElfRobot:
         self._imu(address, len(data)).write(data, self.bench.now)
         return self._imu(address, count).read(count, self.bench.now)
 
+    def recover(self) -> None:
+        self.bench.call("i2c_wire", 2)
+
+    def untimed(self) -> float:
+        return 0.0
+
     def close(self) -> None:
         pass
 

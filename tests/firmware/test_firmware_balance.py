@@ -6,10 +6,12 @@ import pytest
 from elf_robot import ElfRobot
 
 from services.balancer.balancer import Balancer
+from services.balancer.chores import Chores
 from services.balancer.core.body import body_model
 from services.balancer.core.lqr import PERIOD_S
 from services.dwm.core.tlv import AnchorRange, Location, Position, encode_location
 from swarm.config.types import Body
+from swarm.messages import Uwb
 
 pytest_plugins = ("firmware_fixtures",)
 
@@ -30,8 +32,10 @@ class Standing:
         self.bench = bench
         self.robot = ElfRobot(bench, MODEL)
         self.balancer = Balancer(self.robot, MODEL, 0.0, self.robot.clock, self.robot.sleep, start_mode="stand")
+        self.chores = Chores(self.balancer, self.robot.clock)
+        self.news: list[object] = []
         self.tilts: list[float] = []
-        self.longest_tick = 0.0
+        self.longest_tick = self.longest_slack = 0.0
 
     def run(self, seconds: float, until=lambda: False) -> None:
         end = deadline = self.robot.clock()
@@ -42,8 +46,8 @@ class Standing:
             self.balancer.step(self.robot.clock())
             self.longest_tick = max(self.longest_tick, self.robot.clock() - deadline)
             self.balancer.show_leds()
-            if ticks % 100 == 50:
-                self.balancer.read_housekeeping()
+            self.news += self.chores.run(deadline + PERIOD_S)
+            self.longest_slack = max(self.longest_slack, self.robot.clock() - deadline)
             if self.bench.sent():
                 self.bench.feed(ANSWER)
             self.tilts.append(self.robot.body.tilt)
@@ -56,7 +60,7 @@ def upright(bench) -> Standing:
     standing.run(6.0, until=lambda: standing.balancer.mode == "balancing")
     assert standing.balancer.mode == "balancing", standing.balancer.fault
     standing.tilts.clear()
-    standing.longest_tick = 0.0
+    standing.longest_tick = standing.longest_slack = 0.0
     return standing
 
 
@@ -86,6 +90,12 @@ def test_it_stands_for_a_minute_with_everything_going_on(bench):
     assert stats.stretch_longest < 50e-6
     assert bench.call("interrupts_off") / 16e6 < 50e-6
     assert standing.longest_tick < 0.004, "of the bus for one control step"
+    assert standing.longest_slack < 0.0075, "with what else is done on the bus"
+    assert standing.chores.errors == 0
+    reports = [news for news in standing.news if isinstance(news, Uwb)]
+    assert {report.sequence for report in reports} >= set(range(reports[0].sequence, 590))
+    assert reports[-1].lost == 0
+    assert reports[-1].ranges[0].anchor == "C930"
     bench.run(0.001)
     assert bench.report().sequence >= 590, "the UWB reports went on"
     assert bench.number("UWB_BAD") == 0

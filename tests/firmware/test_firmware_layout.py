@@ -4,32 +4,35 @@ import itertools
 
 import pytest
 from firmware_build import APT, require
-from firmware_layout import CONSTANTS, FIELDS
+from firmware_layout import CONSTANTS, FIELDS, MAILBOX_STATE, RESET_CAUSE, UWB_HEAD, UWB_STATE
 
-from services.balancer.core import balboa
-
-DRIVEN = {"VERSION", "LEDS", "MOTORS", "ENCODERS", "BUTTONS", "STATUS", "BATTERY"}
-"""What the driver cannot do without."""
+from services.balancer.core import balboa, mailbox, uwb
 
 
-def test_every_offset_known_to_the_driver_is_the_firmwares():
-    known = {name: value for name, value in vars(balboa).items() if name in FIELDS}
-    assert known.keys() >= DRIVEN
-    assert known == {name: FIELDS[name].offset for name in known}
+def test_every_offset_is_the_same():
+    assert {name: getattr(balboa, name) for name in FIELDS} == {name: field.offset for name, field in FIELDS.items()}
 
 
 def test_every_constant_known_to_both_is_equal():
-    shared = {name for name, value in vars(balboa).items() if name in CONSTANTS and isinstance(value, int)}
-    assert shared >= {"ADDRESS", "LAYOUT_VERSION", "MOTOR_TOP", "STOPPED_BY_WATCHDOG"}
+    only_there = {"REVISION_NUMBER", "UWB_PLACE_SIZE", "UWB_RANGE_SIZE", "MOTOR_TIMEOUT_MS"}
+    shared = CONSTANTS.keys() - only_there
     assert {name: getattr(balboa, name) for name in shared} == {name: CONSTANTS[name] for name in shared}
     assert CONSTANTS["MOTOR_TIMEOUT_MS"] / 1000 == balboa.MOTOR_TIMEOUT_S
+
+
+def test_every_state_has_the_same_number():
+    for ours, theirs in ((uwb.State, UWB_STATE), (mailbox.State, MAILBOX_STATE)):
+        assert {state.name.lower(): state.value for state in ours} == theirs
+    assert set(balboa.RESET_CAUSES) == set(RESET_CAUSE.values())
 
 
 def test_the_drivers_formats_fit_the_fields():
     assert len(balboa.encode_motors(0.0, 0.0)) == FIELDS["MOTORS"].size
     assert len(balboa.encode_leds(False, False, False)) == FIELDS["LEDS"].size
-    end = FIELDS["BATTERY"].offset + FIELDS["BATTERY"].size
-    assert end - FIELDS["BUTTONS"].offset == balboa.HOUSEKEEPING_SIZE
+    assert FIELDS["STATUS"].offset + 1 - FIELDS["ENCODERS"].offset == balboa.MOTION_SIZE
+    assert FIELDS["UWB_STATE"].offset - FIELDS["BUTTONS"].offset == balboa.HOUSEKEEPING_SIZE
+    assert FIELDS["UWB"].offset + UWB_HEAD.size - 1 - FIELDS["UWB_STATE"].offset == balboa.PROGRESS_SIZE
+    assert FIELDS["UWB"].size == balboa.UWB_SIZE
 
 
 def test_fields_do_not_overlap_and_one_byte_reaches_them_all():

@@ -169,7 +169,7 @@ class World:
         """What an app asks for."""
         ticket = ticket or f"t{next(self._order)}"
         request = FloodRequest(ticket, "test", payload, priority, announce)
-        self.step(name, lambda overlays: overlays.request_flood(request, self.now))
+        self.step(name, lambda overlays: overlays.request(request, self.now))
         return ticket
 
     def send(
@@ -178,7 +178,7 @@ class World:
         """What an app asks for."""
         ticket = ticket or f"t{next(self._order)}"
         request = SendRequest(ticket, "test", to, payload, priority, timeout)
-        self.step(name, lambda overlays: overlays.request_send(request, self.now))
+        self.step(name, lambda overlays: overlays.request(request, self.now))
         return ticket
 
     # -- what a test looks at --

@@ -164,6 +164,28 @@ def test_what_a_robot_says_of_its_error_is_about_right() -> None:
     assert actual / 3 < statistics.mean(claimed) < actual * 3
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("jitter", [0.01, 0.0001])
+def test_what_it_says_holds_from_the_start_when_rates_are_not_known_yet(jitter: float, seed: int) -> None:
+    world = Clocks(shaped("line"), seed=seed, jitter=jitter)
+    world.run(3.0)
+    far: list[float] = []
+
+    def look() -> None:
+        times = world.times()
+        for name in ("r1", "r2", "r3", "r4", "r5"):
+            state = world.clocks[name].state(world.monotonic(name))
+            if state.root == name:
+                assert state.error == 0.0
+            else:
+                far.append(abs(times[name] - times[state.root]) / state.error)
+
+    world.run(60.0, 0.5, look)
+    assert len(far) > 500
+    assert sum(each <= 3.0 for each in far) >= 0.95 * len(far)
+    assert max(far) <= 8.0
+
+
 def test_hops_count_links_to_the_root() -> None:
     world = Clocks(shaped("line"))
     world.run(20.0)

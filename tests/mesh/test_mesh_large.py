@@ -426,11 +426,11 @@ def test_whatever_happens_large_messages_arrive_whole_once_and_are_told_truly(
                 to = world.names[option % len(world.names)]
                 sent[count] = (name, to, lives[name])
                 request = SendRequest(f"t{count}", "test", to, large(count), "bulk", 100.0)
-                world.step(name, lambda each, request=request: each.request_send(request, world.now))
+                world.step(name, lambda each, request=request: each.request(request, world.now))
             case "flood":
                 floods[count] = (name, lives[name])
                 wish = FloodRequest(f"t{count}", "test", large(count), "bulk", False)
-                world.step(name, lambda each, wish=wish: each.request_flood(wish, world.now))
+                world.step(name, lambda each, wish=wish: each.request(wish, world.now))
             case "latest":
                 key, payload = f"swarm/{name}/rule/k{option}", large(count)
                 world.step(

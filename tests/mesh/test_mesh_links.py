@@ -4,6 +4,7 @@ import os
 import select
 import socket
 import struct
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -291,3 +292,22 @@ def test_a_robot_without_a_link_is_reached_by_bluetooth() -> None:
     assert monikers.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
     with pytest.raises(ConfigError, match="robot r0: it has neither"):
         monikers.of_robot(Robot("r0"))
+
+
+@pytest.mark.parametrize("model", ["dial=60"])
+def test_a_dial_takes_its_time_and_ends_with_the_mesh(place: Place) -> None:
+    outcome: list[str] = []
+
+    def dial() -> None:
+        try:
+            place.connect()
+        except OSError as error:
+            outcome.append(str(error))
+
+    thread = threading.Thread(target=dial)
+    thread.start()
+    thread.join(0.1)
+    assert thread.is_alive()
+    place.near.close()
+    thread.join()
+    assert outcome == [sim.UNREACHABLE]

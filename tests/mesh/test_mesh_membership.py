@@ -7,12 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
-from services.mesh.core import membership
+from services.mesh.core import membership, packets
 from services.mesh.core.frames import CONTROL, FLOOD
 from services.mesh.core.halt import REPEAT_PERIOD, SPACING
-from services.mesh.core.overlays import STOP_PERIOD
+from services.mesh.core.membership import Membership
+from services.mesh.core.overlays import CONFIRM_AFTER, MAX_NAMED, STOP_PERIOD
 from services.mesh.core.packets import Halt, Mark, decode_halt, encode_halts
-from swarm.codec import decode
+from services.mesh.core.survey import PAGE, Survey
+from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.keys import STOP
 from swarm.messages import Stop, Stopped
 
@@ -202,11 +204,18 @@ def test_a_stop_reaches_all_at_the_speed_of_the_links() -> None:
 
 
 def test_a_stop_costs_no_more_messages_than_a_flood() -> None:
+    """And each robot's word that it is stopped costs another one."""
     world = World(thesis_d())
     world.settle()
+    world.counting = lambda packet: packet.key.endswith("/halt")
     stop(world, "r0")
     world.run(0.5)
-    assert world.messages[FLOOD] == 2 * len(thesis_d()) - (len(world.names) - 1)
+    a_flood = 2 * len(thesis_d()) - (len(world.names) - 1)
+    assert world.messages[True] == a_flood
+    assert world.messages[False] == len(world.names) * a_flood
+    stop(world, "r0", "smoke")
+    world.run(0.5)
+    assert world.messages[False] == len(world.names) * a_flood, "nothing new to say"
 
 
 def test_a_stop_is_repeated_on_the_bus_until_it_is_taken_back() -> None:
@@ -331,6 +340,124 @@ def test_a_lost_stop_is_repeated() -> None:
     world.loss = 0.0
     world.run(REPEAT_PERIOD)
     assert stopped(world, "r1").stopped
+
+
+def told(world: World, name: str) -> dict[str, bool | None]:
+    """Who is stopped by its own word, as one robot has heard."""
+    return {each.robot: each.stopped for each in world.bots[name].overlays.graph(world.now).robots}
+
+
+def test_every_robot_learns_who_has_obeyed() -> None:
+    world = World(line(6))
+    world.settle()
+    assert told(world, "r2") == {"r2": False} | dict.fromkeys(["r0", "r1", "r3", "r4", "r5"])
+    stop(world, "r0")
+    world.run(2 * 0.15 + CONFIRM_AFTER + 0.001)
+    assert told(world, "r0") == dict.fromkeys(world.names, True)
+    last = [decode(Stopped, payload, "") for payload in world.got("r0", "swarm/r5/mesh/stopped")]
+    assert [each.by for each in last] == [{"r0": "smoke"}]
+    arm(world, "r3")
+    world.run(1.0)
+    for name in world.names:
+        assert told(world, name) == dict.fromkeys(world.names, False)
+
+
+def test_who_was_cut_off_is_not_taken_for_stopped() -> None:
+    world = World(line(3))
+    world.settle()
+    world.cut("r1", "r2")
+    world.run(NOTICED)
+    stop(world, "r0")
+    world.run(NOTICED)
+    assert told(world, "r0") == {"r0": True, "r1": True, "r2": None}
+    world.join("r1", "r2")
+    world.run(NOTICED)
+    assert told(world, "r0")["r2"]
+    # Nor is one that was started anew by the word of its earlier process.
+    world.kill("r1")
+    world.run(NOTICED)
+    world.kill("r0")
+    world.kill("r2")
+    world.start("r1")
+    world.start("r0")
+    world.run(NOTICED)
+    assert told(world, "r0") == {"r0": False, "r1": None, "r2": None}
+
+
+def test_stops_on_all_robots_at_once_make_one_confirmation_of_each() -> None:
+    world = World(ring(6))
+    world.settle()
+    world.counting = lambda packet: packet.key.endswith("/stopped")
+    for name in world.names:
+        stop(world, name)
+    world.run(1.0)
+    assert world.messages[True] <= 2 * 6 * (2 * 6 - 5)
+    assert told(world, "r4") == dict.fromkeys(world.names, True)
+
+
+def test_what_is_told_of_a_stop_is_bounded() -> None:
+    world = World(line(40))
+    world.settle()
+    for name in world.names:
+        stop(world, name, "x" * 500)
+    world.run(5.0)
+    shown = stopped(world, "r0")
+    assert shown.stopped
+    assert len(shown.by) == MAX_NAMED
+    assert len(encode(shown)) < packets.MAX_SPREAD
+
+
+def test_a_word_that_is_none_is_a_bad_packet() -> None:
+    world = World(line(2))
+    world.settle()
+    wrong = packets.encode_spread(packets.Spread(2**60, 1, b"no msgpack"))
+    world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/stopped", wrong, CONTROL, world.now))
+    assert world.bots["r0"].counters["bad_packets"] == 1
+    assert world.bots["r0"].inbox == []
+
+
+# -- the whole swarm as one robot knows it ---------------------------------------------------------------------
+
+
+def test_each_robot_knows_the_whole_graph() -> None:
+    world = World(thesis_d())
+    world.run(8.0)
+    for name in world.names:
+        graph = world.bots[name].overlays.graph(world.now)
+        assert not graph.more
+        found = {frozenset((each.robot, peer)) for each in graph.robots for peer in each.links}
+        assert found == set(world.edges)
+        (own,) = (each for each in graph.robots if each.state == "self")
+        assert (own.robot, own.hops, own.via) == (name, 0, None)
+        assert all(each.hops in (1, 2) and each.state == "here" for each in graph.robots if each is not own)
+    world.kill("r5")
+    world.run(NOTICED)
+    (gone,) = (each for each in world.bots["r2"].overlays.graph(world.now).robots if each.robot == "r5")
+    assert (gone.state, gone.hops, gone.via) == ("gone", None, None)
+
+
+class ManyLinks:
+    """A map in which every robot has sixteen links, more than any radio has."""
+
+    def __init__(self, names: list[str]) -> None:
+        self._names = names
+
+    def links(self, name: str) -> dict[str, int]:
+        at = self._names.index(name)
+        return {self._names[(at + step) % len(self._names)]: 300 for step in range(1, 17)}
+
+
+def test_a_large_graph_comes_in_pages_that_fit_the_bus() -> None:
+    names = [f"a-long-name-{n:04}" for n in range(2 * PAGE + 50)]
+    survey = Survey(names[7], names, Membership(names[7], names), ManyLinks(names), lambda name: 0)  # type: ignore[arg-type]
+    found: list[str] = []
+    more, after = True, ""
+    while more:
+        page = survey.graph(1e6, stopped=True, after=after)
+        assert len(encode(page)) < MAX_PAYLOAD
+        found += [each.robot for each in page.robots]
+        more, after = page.more, page.robots[-1].robot
+    assert found == names
 
 
 def test_news_of_strangers_are_refused() -> None:

@@ -9,6 +9,7 @@ from test_mesh_session import disturbances, hello
 from services.mesh.core import frames, packets
 from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.frames import BULK, FLOOD, NEIGHBOURS, SYNC, UNICAST
+from services.mesh.core.outbox import LIMITS
 from services.mesh.core.packets import Spread
 from services.mesh.core.relay import Relay, matches, pattern
 from swarm.config.types import DEFAULT_RELAY, RelayRule
@@ -139,6 +140,22 @@ def test_in_the_bulk_class_rules_carry_a_mebibyte() -> None:
     assert world.bots["r0"].counters["too_large"] == 2
     assert sorted(world.bots["r3"].inbox) == [("swarm/r0/app/x/report/r3", largest), ("swarm/r0/dwm/pose", largest)]
     assert world.bots["r1"].inbox == [("swarm/r0/dwm/pose", largest)]
+
+
+def test_a_flood_that_finds_a_queue_full_waits_for_it() -> None:
+    world = World(LINE, rules=RULES, bandwidth=78_000.0)
+    world.run(1.0)
+    key = "swarm/r0/log/x"
+    count = LIMITS[BULK].messages
+    for n in range(count):
+        world.publish("r0", key, b"%d" % n, source_of(key))
+    assert world.bots["r0"].counters["pushed_back"] > 0
+    world.run(10.0)
+    assert [payload for _, payload in world.bots["r3"].inbox] == [b"%d" % n for n in range(count)]
+    assert all(bot.counters["flood_lost"] == 0 for bot in world.bots.values())
+    for n in range(2 * count):
+        world.publish("r0", key, b"%d" % n, source_of(key))
+    assert world.bots["r0"].counters["flood_lost"] > 0
 
 
 def test_a_maximum_rate_holds_for_floods() -> None:
@@ -279,8 +296,8 @@ def ask(world: World, name: str, count: int) -> None:
     to = "r2" if name == "r0" else "r0"
     flood = FloodRequest(f"f{count}", "x", b"%d" % count, "sync", False)
     send = SendRequest(f"s{count}", "x", to, b"%d" % count, "sync", 20.0)
-    world.step(name, lambda node: node.ask(lambda each, now: each.request_flood(flood, now), world.now))
-    world.step(name, lambda node: node.ask(lambda each, now: each.request_send(send, now), world.now))
+    world.step(name, lambda node: node.ask(lambda each, now: each.request(flood, now), world.now))
+    world.step(name, lambda node: node.ask(lambda each, now: each.request(send, now), world.now))
 
 
 def test_the_lockstep_path_is_the_one_it_was() -> None:

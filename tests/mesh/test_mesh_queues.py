@@ -184,6 +184,7 @@ def test_jitter_keeps_order_and_floor(steps: list[tuple[float, float]]) -> None:
 def test_air_models_are_read_from_text() -> None:
     assert AirModel.parse("") == AirModel()
     assert AirModel.parse("latency=0.03,jitter=0.01,bandwidth=78000,seed=5") == AirModel(0.03, 0.01, 78000.0, 5)
+    assert AirModel.parse("dial=2").dial == 2.0
     for wrong in ("latency", "latency=x", "speed=3", "jitter=-1", "bandwidth=0", "latency=nan", "latency=inf"):
         with pytest.raises(ConfigError, match="SWARM_SIM_LINK"):
             AirModel.parse(wrong)

@@ -1,19 +1,9 @@
 """What the ATmega32U4 offers at I2C slave 20: our layout, version 1. The firmware's header must match this table.
 
-A write is an index byte and data from that index; a read is a write of the index byte, STOP, a pause of 100 us, then
-the bytes. All numbers are little-endian. Names are those of the firmware.
-
-| offset | bytes | name          | who writes | meaning                                                    |
-|--------|-------|---------------|------------|------------------------------------------------------------|
-| 0      | 1     | version       | firmware   | LAYOUT_VERSION; another one is refused                     |
-| 1      | 3     | leds          | Pi         | red, yellow, green: 0 off, 1 on                            |
-| 4      | 4     | motors        | Pi         | int16 left, right: -400..400 = duty -1..1, forward positive |
-| 8      | 4     | encoders      | firmware   | int16 left, right: counts, wrapping, forward positive      |
-| 12     | 1     | buttons       | firmware   | bit 0 A, bit 1 B, bit 2 C: 1 = pressed                     |
-| 13     | 1     | status        | firmware   | bit 0: motors stopped because no motor write came in time  |
-| 14     | 2     | battery       | firmware   | uint16, mV                                                 |
-| 16     | 16    | (reserved)    |            | notes, reset cause, mailbox                                |
-| 32     | -     | (reserved)    |            | UWB block                                                  |
+A write is an index byte and data from that index, applied together at STOP; a byte that fits nowhere is not
+acknowledged (error 121) and nothing of that write is applied. A read is a write of the index byte, STOP, a pause of
+100 us, then the bytes, all of the moment of the index. All numbers are little-endian. firmware/README.md tells what
+each field means; names are those of the firmware.
 
 What changes every tick is together, so that a tick is one burst read and one burst write.
 """
@@ -34,8 +24,36 @@ ENCODERS = 8
 BUTTONS = 12
 STATUS = 13
 BATTERY = 14
+RESET_CAUSE = 16
+REVISION = 17
+FREE_STACK = 18
+ENCODER_ERRORS = 20
+REFUSED = 22
+BUS_RESETS = 23
+UWB_STATE = 24
+UWB_ERROR = 25
+UWB_BAD = 26
+NOTES_LEFT = 27
+MAILBOX_STATE = 28
+MAILBOX_ECHO = 29
+MAILBOX_LENGTH = 30
+UWB = 32
+COMMAND = 144
+NOTES = 160
+MAILBOX_TOKEN = 192
+MAILBOX_REQUEST_LENGTH = 193
+MAILBOX_PAGE = 194
+MAILBOX_WINDOW = 195
+"""Offsets."""
+
+UWB_SIZE = 100
+UWB_RANGES = 4
+TUNE_NOTES = 15
+WINDOW_SIZE = 28
+BOOTLOADER_COMMAND = 0xB007
+
 SIZE = 32
-"""Bytes in use before the UWB block."""
+"""Bytes before the UWB block."""
 
 PAUSE_S = 150e-6
 """Between a STOP and the next START to the ATmega: its TWI is deaf while the STOP interrupt is pending. 100 us is the
@@ -48,17 +66,76 @@ MOTOR_TIMEOUT_S = 0.2
 COUNTS_PER_MOTOR_TURN = 12
 STOPPED_BY_WATCHDOG = 0x01
 
+RESET_CAUSES = {
+    0x01: "power-on",
+    0x02: "reset pin",
+    0x04: "brown-out",
+    0x08: "watchdog",
+    0x40: "its main loop had hung",
+    0x80: "with the power on",
+}
+"""Bits of RESET_CAUSE."""
+
 _PAIR = struct.Struct("<2h")
-_HOUSEKEEPING = struct.Struct("<BBH")
+_MOTION = struct.Struct("<2hBB")
+_HOUSEKEEPING = struct.Struct("<BBHBBHBBBB")
+_PROGRESS = struct.Struct("<BBBBBBHHH")
+
+MOTION_SIZE = _MOTION.size
+"""Bytes from ENCODERS to STATUS: what is read in every tick."""
+HOUSEKEEPING_SIZE = _HOUSEKEEPING.size
+"""Bytes from BUTTONS to BUS_RESETS."""
+PROGRESS_SIZE = _PROGRESS.size
+"""Bytes from UWB_STATE into the UWB block, to its age: what a reader of reports, tunes and answers waits for."""
+
+
+class Motion(NamedTuple):
+    """What is read in every tick."""
+
+    left: int
+    """Encoder counts, -32768..32767, wrapping."""
+    right: int
+    buttons: int
+    """Bit 0 A, bit 1 B, bit 2 C: pressed."""
+    stopped_by_watchdog: bool
 
 
 class Housekeeping(NamedTuple):
     """What is read now and then."""
 
     buttons: tuple[bool, bool, bool]
+    """A, B, C."""
     stopped_by_watchdog: bool
     battery: float
     """V."""
+    reset_cause: int
+    """Bits of RESET_CAUSES."""
+    revision: int
+    """Release of the firmware."""
+    free_stack: int
+    """Bytes that its stack has never reached."""
+    encoder_errors: tuple[int, int]
+    """Left, right, wrapping at 256: both channels changed at once."""
+    refused: int
+    """Writes refused, wrapping at 256."""
+    bus_resets: int
+    """Transfers that we left in the middle, wrapping at 256."""
+
+
+class Progress(NamedTuple):
+    """Whether there is something new."""
+
+    uwb_state: int
+    uwb_error: int
+    uwb_bad: int
+    """Wrapping at 256."""
+    notes_left: int
+    mailbox_state: int
+    mailbox_echo: int
+    mailbox_length: int
+    uwb_sequence: int
+    uwb_age: int
+    """ms."""
 
 
 def check_version(value: int) -> None:
@@ -90,12 +167,10 @@ def encode_leds(red: bool, yellow: bool, green: bool) -> bytes:
     return bytes((red, yellow, green))
 
 
-def decode_encoders(data: bytes) -> tuple[int, int]:
-    """Counters left and right, -32768..32767. Raises `RemoteError` on a short block."""
-    if len(data) != _PAIR.size:
-        raise RemoteError(f"ATmega: {len(data)} bytes of encoders instead of {_PAIR.size}")
-    left, right = _PAIR.unpack(data)
-    return left, right
+def decode_motion(data: bytes) -> Motion:
+    """The bytes from ENCODERS to STATUS. Raises `RemoteError` on a short block."""
+    left, right, buttons, status = _unpack(_MOTION, data, "encoders")
+    return Motion(left, right, buttons & 7, bool(status & STOPPED_BY_WATCHDOG))
 
 
 def encoder_step(old: int, new: int) -> int:
@@ -104,13 +179,35 @@ def encoder_step(old: int, new: int) -> int:
 
 
 def decode_housekeeping(data: bytes) -> Housekeeping:
-    """The bytes from BUTTONS to the end of BATTERY. Raises `RemoteError` on a short block."""
-    if len(data) != _HOUSEKEEPING.size:
-        raise RemoteError(f"ATmega: {len(data)} bytes of housekeeping instead of {_HOUSEKEEPING.size}")
-    buttons, status, millivolts = _HOUSEKEEPING.unpack(data)
+    """The bytes from BUTTONS to BUS_RESETS. Raises `RemoteError` on a short block."""
+    buttons, status, millivolts, cause, revision, stack, left, right, refused, resets = _unpack(
+        _HOUSEKEEPING, data, "housekeeping"
+    )
     return Housekeeping(
-        (bool(buttons & 1), bool(buttons & 2), bool(buttons & 4)), bool(status & STOPPED_BY_WATCHDOG), millivolts / 1e3
+        (bool(buttons & 1), bool(buttons & 2), bool(buttons & 4)),
+        bool(status & STOPPED_BY_WATCHDOG),
+        millivolts / 1e3,
+        cause,
+        revision,
+        stack,
+        (left, right),
+        refused,
+        resets,
     )
 
 
-HOUSEKEEPING_SIZE = _HOUSEKEEPING.size
+def decode_progress(data: bytes) -> Progress:
+    """The bytes from UWB_STATE on. Raises `RemoteError` on a short block."""
+    return Progress(*_unpack(_PROGRESS, data, "progress"))
+
+
+def describe_reset(cause: int) -> str:
+    """RESET_CAUSE in words. Behind Pololu's bootloader a power-on shows no bit at all, a reset button none but the
+    last one (firmware/README.md)."""
+    return ", ".join(text for bit, text in RESET_CAUSES.items() if cause & bit) or "power-on"
+
+
+def _unpack(layout: struct.Struct, data: bytes, what: str) -> tuple[int, ...]:
+    if len(data) != layout.size:
+        raise RemoteError(f"ATmega: {len(data)} bytes of {what} instead of {layout.size}")
+    return layout.unpack(data)

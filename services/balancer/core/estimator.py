@@ -6,13 +6,9 @@ from typing import NamedTuple
 from services.balancer.core import imu
 from services.balancer.core.balboa import encoder_step
 from services.balancer.core.body import BodyModel
+from services.balancer.core.gyro import Zero
+from services.balancer.core.heading import Heading
 from swarm.errors import RemoteError
-
-SETTLE_S = 1.0
-"""The sensor's filters need this long after it was set up."""
-STILL_SAMPLES = 100
-STILL_RANGE = math.radians(3.0)
-"""rad/s between the least and the largest sample of a robot at rest; noise makes about 0.4 degrees a second."""
 
 GRAVITY_TIME_S = 2.0
 """Time constant with which gravity corrects the integrated gyro while the robot moves: short enough against the
@@ -27,31 +23,6 @@ SPEED_TIME_S = 0.01
 """Time constant of the speed's filter: a tick of 10 ms counts half. One count in a tick is 0.019 m/s."""
 LOST_TRACK_S = 0.5
 """After a gap this long the integral is worthless: tilt is taken from gravity anew."""
-
-
-class GyroZero:
-    """Finds the gyro's zero: one second for the filters to settle, then 100 samples at rest."""
-
-    def __init__(self) -> None:
-        self._start: float | None = None
-        self._samples: list[float] = []
-        self.restarts = 0
-        """How often the robot was moved meanwhile."""
-
-    def add(self, rate: float, now: float) -> float | None:
-        """Take a sample, rad/s; returns the zero once it is known."""
-        if self._start is None:
-            self._start = now
-        if now - self._start < SETTLE_S:
-            return None
-        self._samples.append(rate)
-        if max(self._samples) - min(self._samples) > STILL_RANGE:
-            self._samples.clear()
-            self.restarts += 1
-            return None
-        if len(self._samples) < STILL_SAMPLES:
-            return None
-        return math.fsum(self._samples) / len(self._samples)
 
 
 class Estimate(NamedTuple):
@@ -70,7 +41,17 @@ class Estimate(NamedTuple):
     speed: float
     """Of the axle, forward, m/s."""
     heading: float
-    """rad since the start, counter-clockwise positive."""
+    """By gyro and wheels, rad since the start, counter-clockwise positive, not wrapped."""
+    turn_rate: float
+    """By the gyro, rad/s."""
+    gyro_heading: float
+    """By the gyro alone, rad."""
+    wheel_heading: float
+    """By the wheels alone, rad."""
+    x: float
+    """Way in the plane of the start, ahead, m."""
+    y: float
+    """To the left, m."""
 
     @property
     def way(self) -> float:
@@ -81,14 +62,15 @@ class Estimate(NamedTuple):
 class Estimator:
     """Fuses IMU and encoders."""
 
-    def __init__(self, body: BodyModel, gyro_zero: float) -> None:
-        """`gyro_zero` in rad/s."""
+    def __init__(self, body: BodyModel, gyro_zero: Zero) -> None:
         self._radius = body.wheel_radius
         self._track = body.track
         self._radians_per_count = math.tau / body.counts_per_turn
         # A wheel cannot turn faster than a pulled motor; a bit for a stale count. More means a counter that was reset.
         self._fastest = 2 * body.free_speed / self._radians_per_count
-        self._gyro_zero = gyro_zero
+        self.gyro_zero = gyro_zero
+        """May be replaced by a newer one at any time."""
+        self._heading = Heading()
         self._last: float | None = None
         self._rate = 0.0
         self._tilt = 0.0
@@ -97,6 +79,7 @@ class Estimator:
         self._turned = [0, 0]
         self._way = 0.0
         self._speed = self._last_speed = 0.0
+        self._turn_rate = 0.0
         self.backwards = 0
         """Ticks at which the clock had not advanced."""
 
@@ -106,9 +89,10 @@ class Estimator:
 
     def update(self, reading: imu.Reading, counters: tuple[int, int], now: float) -> Estimate:
         """Take one sample. Raises `RemoteError` when the counters jumped (the ATmega was reset); the next is good."""
-        rate = reading.pitch_rate - self._gyro_zero
+        rate = reading.pitch_rate - self.gyro_zero.pitch
         if self._last is None or now - self._last > LOST_TRACK_S:
             return self._begin(reading, rate, counters, now)
+        before = self._left_and_right()
         dt = max(0.0, now - self._last)
         if dt == 0.0:
             self.backwards += 1
@@ -120,6 +104,11 @@ class Estimator:
             raise RemoteError(f"ATmega: encoders jumped by {steps[0]} and {steps[1]} counts")
         self._turned[0] += steps[0]
         self._turned[1] += steps[1]
+        zero = self.gyro_zero
+        self._turn_rate = imu.turn_rate(reading.up_rate - zero.up, reading.back_rate - zero.back, self._tilt)
+        after = self._left_and_right()
+        steps_m = after[0] - before[0], after[1] - before[1]
+        self._heading.update(self._turn_rate, (steps_m[1] - steps_m[0]) / self._track, sum(steps_m) / 2, dt)
         return self._estimate(now, dt)
 
     def _begin(self, reading: imu.Reading, rate: float, counters: tuple[int, int], now: float) -> Estimate:
@@ -149,15 +138,35 @@ class Estimator:
     def _resting(self, rate: float) -> bool:
         return abs(rate) < REST_RATE and abs(self._speed) < 0.01 and abs(self._tilt) > 1.0
 
-    def _estimate(self, now: float, dt: float) -> Estimate:
+    def _left_and_right(self) -> tuple[float, float]:
         # Encoders count wheel against body: the body's own turn belongs to the wheel's way over the floor.
         body_turn = self._tilt - self._tilt_origin
-        left, right = (self._radius * (n * self._radians_per_count + body_turn) for n in self._turned)
+        left, right = self._turned
+        per_count = self._radians_per_count
+        return self._radius * (left * per_count + body_turn), self._radius * (right * per_count + body_turn)
+
+    def _estimate(self, now: float, dt: float) -> Estimate:
+        left, right = self._left_and_right()
         way = (left + right) / 2
         if dt > 0.0:
             self._speed += ((way - self._way) / dt - self._speed) * dt / (SPEED_TIME_S + dt)
         self._way = way
-        return Estimate(now, dt, self._tilt, self._rate, left, right, self._speed, (right - left) / self._track)
+        heading = self._heading
+        return Estimate(
+            now,
+            dt,
+            self._tilt,
+            self._rate,
+            left,
+            right,
+            self._speed,
+            heading.value,
+            self._turn_rate,
+            heading.gyro,
+            (right - left) / self._track,
+            heading.x,
+            heading.y,
+        )
 
 
 def _wrapped(angle: float) -> float:

@@ -27,6 +27,9 @@ SETUP: tuple[tuple[int, int], ...] = (
 )
 """Register values, in the order they are written."""
 
+CONTROL = bytes(value for _, value in sorted(SETUP))
+"""What CTRL1_XL to CTRL3_C hold once it is set up."""
+
 BLOCK = 12
 """Bytes from OUTX_L_G on: gyro X Y Z, then accelerometer X Y Z, int16, low byte first."""
 
@@ -39,6 +42,15 @@ ACCELERATION_SCALE = 0.061e-3 * STANDARD_GRAVITY
 _WORDS = struct.Struct("<6h")
 
 
+class Rates(NamedTuple):
+    """One sample of all axes of the sensor: X up, Y to the left along the axle, Z backward."""
+
+    gyro: tuple[float, float, float]
+    """rad/s, with the sensor's zero offset."""
+    acceleration: tuple[float, float, float]
+    """Specific force, m/s^2."""
+
+
 class Reading(NamedTuple):
     """One sample of both sensors, of the axes the balancer uses."""
 
@@ -48,6 +60,10 @@ class Reading(NamedTuple):
     """Specific force along the body's X axis, m/s^2: +g when it stands."""
     back: float
     """Along Z, m/s^2: +g when it lies on its front."""
+    up_rate: float = 0.0
+    """About the body's X axis, rad/s: turning left when it stands; with the sensor's zero offset."""
+    back_rate: float = 0.0
+    """About Z, rad/s: turning left when it lies on its front; with the sensor's zero offset."""
 
 
 def check_identity(value: int) -> None:
@@ -55,6 +71,14 @@ def check_identity(value: int) -> None:
     if value != IDENTITY:
         hint = " (an LSM6DSO?)" if value == 0x6C else ""
         raise RemoteError(f"IMU at 0x{ADDRESS:02X}: WHO_AM_I is 0x{value:02X}{hint}, expected 0x{IDENTITY:02X}")
+
+
+def check_setup(registers: bytes) -> None:
+    """Raises `RemoteError` where CTRL1_XL to CTRL3_C do not hold what was written: ranges and rates would be others."""
+    if registers != CONTROL:
+        raise RemoteError(
+            f"IMU at 0x{ADDRESS:02X}: CTRL1_XL to CTRL3_C hold {registers.hex(' ')}, {CONTROL.hex(' ')} was written"
+        )
 
 
 def decode(block: bytes) -> Reading:
@@ -65,10 +89,25 @@ def decode(block: bytes) -> Reading:
     """
     if len(block) != BLOCK:
         raise RemoteError(f"IMU: {len(block)} bytes instead of {BLOCK}")
-    _, rate, _, up, side, back = _WORDS.unpack(block)
+    up_rate, rate, back_rate, up, side, back = _WORDS.unpack(block)
     if up == side == back == 0:
         raise RemoteError("IMU: no data, it was reset")
-    return Reading(rate * GYRO_SCALE, up * ACCELERATION_SCALE, back * ACCELERATION_SCALE)
+    return Reading(
+        rate * GYRO_SCALE,
+        up * ACCELERATION_SCALE,
+        back * ACCELERATION_SCALE,
+        up_rate * GYRO_SCALE,
+        back_rate * GYRO_SCALE,
+    )
+
+
+def decode_all(block: bytes) -> Rates:
+    """All axes of a block that `decode` has accepted."""
+    gx, gy, gz, ax, ay, az = _WORDS.unpack(block)
+    return Rates(
+        (gx * GYRO_SCALE, gy * GYRO_SCALE, gz * GYRO_SCALE),
+        (ax * ACCELERATION_SCALE, ay * ACCELERATION_SCALE, az * ACCELERATION_SCALE),
+    )
 
 
 def gravity_tilt(reading: Reading, tilt: float = 0.0, acceleration: float = 0.0) -> float:
@@ -80,3 +119,8 @@ def gravity_tilt(reading: Reading, tilt: float = 0.0, acceleration: float = 0.0)
     back = reading.back + acceleration * math.cos(tilt)
     up = reading.up - acceleration * math.sin(tilt)
     return math.atan2(back, up)
+
+
+def turn_rate(up_rate: float, back_rate: float, tilt: float) -> float:
+    """Rate about the vertical, rad/s, to the left: the vertical's shares of the two axes that lean with the body."""
+    return up_rate * math.cos(tilt) + back_rate * math.sin(tilt)

@@ -1,16 +1,15 @@
-"""Asking the module for its location again and again: one request at a time, and what to think of silence.
+"""Asking the module for its location again and again, and what else others want of it: one request at a time.
 
 Pure: the shell sends `to_send()`, feeds `receive()` and calls `handle_timer()` at `next_deadline()`.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
 
-from services.dwm.core.tlv import LOC_GET, Decoder, Location, Refusal
+from services.dwm.core import calls, shell
+from services.dwm.core.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT, Answer, Exchange, Trouble
+from services.dwm.core.tlv import LOC_GET, Call, Location
 from swarm.errors import FrameError
-
-TIMEOUT = 0.100
-"""s to wait for an answer (API guide: one request at a time; the module answers within 100 ms)."""
 
 MAX_RATE = 10.0
 """Hz: the module measures at most that often, asking faster repeats the same data."""
@@ -21,12 +20,20 @@ FAILURES = 3
 MAX_PAUSE = 2.0
 """s: longest pause between requests to a module that does not work."""
 
+MAX_WAITING = 8
+"""Requests of others that wait for the line."""
+
+_LEAVE = Call("leave the shell", shell.LEAVE, (), lambda _: None)
+"""To a module that gives no answers: one in shell mode leaves it, any other says that it is no call."""
+
 
 @dataclass(frozen=True, slots=True)
 class Report:
     """The module's answer."""
 
     location: Location
+    age: float = 0.0
+    """s since it was given; above zero where somebody else has asked for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +45,17 @@ class Health:
     """What is wrong; empty where it works."""
 
 
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What became of a request of others."""
+
+    ticket: str
+    answer: bytes
+    """As it came from the module."""
+    problem: str
+    """Why there is no proper answer; empty where there is one, which may be a refusal."""
+
+
 class Poller:
     """Requests at a fixed rate; `counters` tell what went wrong so far."""
 
@@ -46,54 +64,53 @@ class Poller:
         self._period = 1.0 / min(rate, MAX_RATE)
         self._pause = self._period
         self._due = now
-        self._answer_by: float | None = None
-        self._decoder = Decoder(LOC_GET)
+        self._exchange: Exchange[object] | None = None
+        self._answer_by = 0.0
+        self._away_until = now
+        self._ticket: str | None = None
+        self._waiting: deque[tuple[str, Call[object]]] = deque()
         self._out = bytearray()
-        self._events: list[Report | Health] = []
+        self._events: list[Report | Health | Answered] = []
         self._failures = 0
         self._trouble: str | None = None  # kind of the trouble last told; None before anything was
-        self._garbled = ""
-        self._skipped = 0
 
     def next_deadline(self) -> float:
         """When to call `handle_timer` next."""
-        return self._due if self._answer_by is None else self._answer_by
+        if self._exchange is not None:
+            return self._answer_by
+        return min(self._due, self._away_until) if self._waiting else self._due
+
+    def ask(self, ticket: str, request: bytes) -> None:
+        """A request of others: it goes next. `Answered` follows in any case."""
+        try:
+            call = calls.call_of(request)
+        except FrameError as error:
+            self._events.append(Answered(ticket, b"", str(error)))
+            return
+        if len(self._waiting) >= MAX_WAITING:
+            self._events.append(Answered(ticket, b"", "too many requests wait for the module, ask again"))
+            return
+        self._waiting.append((ticket, call))
 
     def handle_timer(self, now: float) -> None:
         """Give up on an answer that is late, send the next request when it is due."""
-        if self._answer_by is not None and now >= self._answer_by:
-            self._answer_by = None
-            if self._garbled or self._decoder.skipped + self._pending() > self._skipped:
-                self.counters["garbled"] += 1
-                hint = f" ({self._garbled})" if self._garbled else ""
-                self._failed(now, "garbled", f"its answers are garbled{hint}: wrong baud rate, or shell mode?")
-            else:
-                self.counters["silent"] += 1
-                self._failed(now, "silent", "it does not answer: is it wired, powered and in generic mode?")
-        if self._answer_by is None and now >= self._due:
+        if self._exchange is not None and now >= self._answer_by:
+            self._finish(self._exchange, self._exchange.expire(), now)
+        if self._exchange is None and now >= self.next_deadline():
             self._request(now)
 
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes from the line; what comes unasked (a late answer) is dropped."""
-        if self._answer_by is None:
+        exchange = self._exchange
+        if exchange is None:
             self.counters["unasked"] += 1
             return
-        self._decoder.receive(data)
-        while self._answer_by is not None:
-            try:
-                answer = self._decoder.next()
-            except FrameError as error:
-                self.counters["wrong_frames"] += 1
-                self._garbled = str(error)
-                continue
-            if answer is None:
-                return
-            self._answer_by = None
-            if isinstance(answer, Refusal):
-                self.counters["refused"] += 1
-                self._failed(now, f"refused {answer.code}", f"it refuses loc_get: {answer.name}")
-            else:
-                self._worked(answer)
+        before = exchange.wrong_frames
+        outcome = exchange.receive(data)
+        if exchange.wrong_frames > before:
+            self.counters["wrong_frames"] += exchange.wrong_frames - before
+        if outcome is not None:
+            self._finish(exchange, outcome, now)
 
     def to_send(self) -> bytes:
         """Bytes for the line, to be written in one piece: a gap of 763 us ends a request."""
@@ -101,25 +118,44 @@ class Poller:
         self._out.clear()
         return data
 
-    def events(self) -> list[Report | Health]:
+    def events(self) -> list[Report | Health | Answered]:
         """What happened since the last call, in order."""
         events, self._events = self._events, []
         return events
 
     def _request(self, now: float) -> None:
-        self._decoder.reset()
-        self._skipped, self._garbled = self._decoder.skipped, ""
-        self._out += LOC_GET.request
-        self._answer_by = now + TIMEOUT
-        self._due += self._pause
-        if self._due <= now:  # we were late: keep the distance instead of catching up
-            self._due = now + self._pause
+        call: Call[object]
+        if self._waiting:
+            self._ticket, call = self._waiting.popleft()
+            self._answer_by = now + SLOW_TIMEOUT
+        else:
+            lost = self._failures > 0 and self._failures % FAILURES == 0
+            self._ticket, call = None, _LEAVE if lost else LOC_GET
+            self._answer_by = now + TIMEOUT
+            self._due += self._pause
+            if self._due <= now:  # we were late: keep the distance instead of catching up
+                self._due = now + self._pause
+        self._exchange = Exchange(call)
+        self._out += call.request
 
-    def _pending(self) -> int:
-        """Bytes of an answer that never got whole."""
-        before = self._decoder.skipped
-        self._decoder.reset()
-        return self._decoder.skipped - before
+    def _finish(self, exchange: Exchange[object], outcome: Answer[object] | Trouble, now: float) -> None:
+        self._exchange = None
+        if self._ticket is not None:
+            self._answered(exchange, outcome, now)
+        elif isinstance(outcome, Trouble):
+            self._failed(now, outcome, asked=exchange.call)
+        elif isinstance(outcome.result, Location):
+            self._worked(outcome.result)
+        else:
+            self._failures += 1  # a late answer, taken for that to `_LEAVE`: ask for a location again
+
+    def _answered(self, exchange: Exchange[object], outcome: Answer[object] | Trouble, now: float) -> None:
+        assert self._ticket is not None
+        problem = outcome.reason if isinstance(outcome, Trouble) and outcome.kind != "refused" else ""
+        self._events.append(Answered(self._ticket, outcome.raw, problem))
+        self._ticket = None
+        if exchange.call.request == calls.RESET.request and isinstance(outcome, Answer):
+            self._due = self._away_until = now + RESTART
 
     def _worked(self, location: Location) -> None:
         if self._trouble != "":
@@ -127,12 +163,17 @@ class Poller:
         self._trouble, self._failures, self._pause = "", 0, self._period
         self._events.append(Report(location))
 
-    def _failed(self, now: float, kind: str, reason: str) -> None:
+    def _failed(self, now: float, trouble: Trouble, asked: Call[object]) -> None:
         self._failures += 1
-        if self._failures < FAILURES:
-            return
-        if kind != self._trouble:
+        if not (asked is _LEAVE and trouble.kind == "refused"):  # so says a module that is not in its shell
+            self.counters[trouble.kind] += 1
+            self._tell(trouble)
+        if self._failures >= FAILURES:
+            self._pause = min(self._pause * 2, MAX_PAUSE)
+            self._due = now + self._pause
+
+    def _tell(self, trouble: Trouble) -> None:
+        kind = trouble.reason if trouble.kind == "refused" else trouble.kind
+        if self._failures >= FAILURES and kind != self._trouble:
             self._trouble = kind
-            self._events.append(Health(False, reason))
-        self._pause = min(self._pause * 2, MAX_PAUSE)
-        self._due = now + self._pause
+            self._events.append(Health(False, trouble.reason))

@@ -4,22 +4,23 @@ We send a request (type, length, value) and the module answers with a status par
 data parts of that call follow. For `dwm_loc_get`, request `0C 00`:
 
     40 01 00 | 41 0D      x, y, z (i32, mm), quality (u8, %)
-             | 49 LEN     count (u8), then count times:
+             | 49 LEN     a tag: count (u8), then count times:
                           address (u16), distance (u32, mm), quality (u8), position (13 bytes as above)
+             | 48 LEN     an anchor: count (u8), then count times: id (u64), distance (u32, mm), quality (u8)
 
-All integers are little-endian. There is no checksum and no frame mark, so that a receiver has to lean on what
-must hold (types, lengths, counts, percentages); what does not is dropped up to the next thing that looks like
-an answer.
+The other calls are in `calls`. All integers are little-endian. There is no checksum and no frame mark, so that a
+receiver has to lean on what must hold (types, lengths, counts, percentages); what does not is dropped up to the next
+thing that looks like an answer.
 """
 
 import struct
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from swarm.errors import FrameError, LocalError
 
-T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 STATUS = 0x40
 OK = 0
@@ -36,9 +37,21 @@ ERRORS = {
 MAX_RANGES = 12
 """Records that fit one part: its length is one byte and at most 253 (API guide: values of 0 to 253 bytes)."""
 
+MAX_ANCHOR_RANGES = 19
+"""The same for the shorter records of an anchor."""
+
+POSITION = 0x41
+ANCHOR_RANGES = 0x48
+TAG_RANGES = 0x49
+
 _POSITION = struct.Struct("<iiiB")
 _RANGE = struct.Struct("<HIB")
 _RECORD = _RANGE.size + _POSITION.size
+_ANCHOR_RECORD = struct.Struct("<QIB")
+
+
+class LayoutError(FrameError):
+    """An answer is made of other parts than the call's: noise, or another firmware."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +77,15 @@ class AnchorRange:
     quality: int
     """0-100."""
     position: Position
-    """Where that module was set up to be."""
+    """Where that module was set up to be; an anchor's answer does not say it (quality 0)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """The answer of a tag to `dwm_loc_get`: own position and the ranges it was computed from."""
+    """The answer to `dwm_loc_get`: own position and the ranges it was computed from.
+
+    An anchor has ranges only after the phone app's auto-positioning, which has anchors range each other once.
+    """
 
     position: Position
     ranges: tuple[AnchorRange, ...]
@@ -89,21 +105,28 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One data part of an answer: its type and the lengths it may have."""
+    """One data part of an answer: the types it may be of, and the lengths each may have."""
 
-    kind: int
-    lengths: Collection[int]
+    kinds: Mapping[int, Collection[int]]
 
 
 @dataclass(frozen=True, slots=True)
-class Call(Generic[T]):
+class Call(Generic[T_co]):
     """A call of the module's API: what to send, and how its answer is laid out and read."""
 
     name: str
     request: bytes
     parts: tuple[Part, ...]
-    read: Callable[[list[bytes]], T]
-    """Turns the parts' values into a result; raises `FrameError` where they cannot be true."""
+    """Of its answer, after the status; none where the status is all."""
+    read: Callable[[list[tuple[int, bytes]]], T_co]
+    """Turns the parts' types and values into a result; raises `FrameError` where they cannot be true."""
+    heads: tuple[bytes, ...] = field(init=False)
+    """How an answer with data may begin."""
+
+    def __post_init__(self) -> None:
+        first = self.parts[0].kinds if self.parts else {}
+        heads = (bytes((STATUS, 1, OK, kind, length)) for kind in first for length in first[kind])
+        object.__setattr__(self, "heads", tuple(heads))
 
 
 def _percent(value: int, what: str) -> int:
@@ -112,48 +135,70 @@ def _percent(value: int, what: str) -> int:
     return value
 
 
-def _position(value: bytes) -> Position:
+def decode_position(value: bytes) -> Position:
+    """13 bytes; raises `FrameError` where the quality is no percentage."""
     x, y, z, quality = _POSITION.unpack(value)
     return Position(x / 1000, y / 1000, z / 1000, _percent(quality, "position quality"))
 
 
-def _location(values: list[bytes]) -> Location:
-    position, ranges = values
-    if len(ranges) != 1 + _RECORD * ranges[0]:
+def _location(parts: list[tuple[int, bytes]]) -> Location:
+    (_, position), (kind, ranges) = parts
+    size = _RECORD if kind == TAG_RANGES else _ANCHOR_RECORD.size
+    if len(ranges) != 1 + size * ranges[0]:
         raise FrameError(f"{ranges[0]} ranges announced in a part of {len(ranges)} bytes")
-    return Location(_position(position), tuple(_ranges(ranges[1:])))
+    read = _tag_ranges if kind == TAG_RANGES else _anchor_ranges
+    return Location(decode_position(position), tuple(read(ranges[1:])))
 
 
-def _ranges(records: bytes) -> Iterable[AnchorRange]:
+def _tag_ranges(records: bytes) -> Iterable[AnchorRange]:
     for at in range(0, len(records), _RECORD):
         address, distance, quality = _RANGE.unpack_from(records, at)
-        place = _position(records[at + _RANGE.size : at + _RECORD])
+        place = decode_position(records[at + _RANGE.size : at + _RECORD])
         yield AnchorRange(f"{address:04X}", distance / 1000, _percent(quality, "range quality"), place)
 
+
+def _anchor_ranges(records: bytes) -> Iterable[AnchorRange]:
+    for identity, distance, quality in _ANCHOR_RECORD.iter_unpack(records):
+        address = f"{identity & 0xFFFF:04X}"  # the short address is the low end of the 64-bit id
+        yield AnchorRange(address, distance / 1000, _percent(quality, "range quality"), NOWHERE)
+
+
+NOWHERE = Position(0.0, 0.0, 0.0, 0)
+"""The place of a module that was not set up, or of which nothing is said."""
+
+POSITION_PART = Part({POSITION: (_POSITION.size,)})
 
 LOC_GET = Call(
     "loc_get",
     b"\x0c\x00",
-    (Part(0x41, (_POSITION.size,)), Part(0x49, range(1, 2 + _RECORD * MAX_RANGES, _RECORD))),
+    (
+        POSITION_PART,
+        Part(
+            {
+                TAG_RANGES: range(1, 2 + _RECORD * MAX_RANGES, _RECORD),
+                ANCHOR_RANGES: range(1, 2 + _ANCHOR_RECORD.size * MAX_ANCHOR_RANGES, _ANCHOR_RECORD.size),
+            }
+        ),
+    ),
     _location,
 )
-"""Own position and the distances to all anchors in sight, of a tag."""
+"""Own position and the distances to all anchors in sight of a tag."""
 
 
-class Decoder(Generic[T]):
+class Decoder(Generic[T_co]):
     """Takes the module's bytes apart as answers to one call, in pieces of any size, among any noise.
 
     A wrong frame costs itself and nothing after it: reading goes on at the next byte that can start an
     answer. An answer that was cut off is noticed when the head of the next one appears inside it.
     """
 
-    def __init__(self, call: Call[T]) -> None:
+    def __init__(self, call: Call[T_co]) -> None:
         self.skipped = 0
         """Bytes thrown away so far because no answer can start there."""
         self._call = call
         self._buffer = bytearray()
-        first = call.parts[0]
-        self._heads = [bytes((STATUS, 1, OK, first.kind, length)) for length in first.lengths]
+        self.raw = b""
+        """The bytes of the last answer that `next` gave."""
 
     def receive(self, data: bytes) -> None:
         """Take bytes as they came from the line; then call `next` until it gives None."""
@@ -164,7 +209,7 @@ class Decoder(Generic[T]):
         self.skipped += len(self._buffer)
         self._buffer.clear()
 
-    def next(self) -> T | Refusal | None:
+    def next(self) -> T_co | Refusal | None:
         """The next answer, None where more bytes are needed.
 
         Raises `FrameError` for what started like an answer and is none; it has been dropped, call again.
@@ -173,7 +218,7 @@ class Decoder(Generic[T]):
         while self._seek():
             if buffer[2] != OK:
                 refusal = Refusal(buffer[2])
-                del buffer[:3]
+                self._take(3)
                 return refusal
             try:
                 values, end = self._data()
@@ -183,9 +228,13 @@ class Decoder(Generic[T]):
             except FrameError:
                 self._skip(1)
                 raise
-            del buffer[:end]
+            self._take(end)
             return result
         return None
+
+    def _take(self, count: int) -> None:
+        self.raw = bytes(self._buffer[:count])
+        del self._buffer[:count]
 
     def _seek(self) -> bool:
         """Move to the next status part; False where there is no whole one yet."""
@@ -199,26 +248,26 @@ class Decoder(Generic[T]):
                 return len(buffer) >= 3
         return False
 
-    def _data(self) -> tuple[list[bytes] | None, int]:
-        """The values of the data parts and where they end; no values where bytes are missing."""
+    def _data(self) -> tuple[list[tuple[int, bytes]] | None, int]:
+        """Types and values of the data parts, and where they end; no values where bytes are missing."""
         name, buffer, at = self._call.name, self._buffer, 3
-        values: list[bytes] | None = []
+        values: list[tuple[int, bytes]] = []
         for part in self._call.parts:
-            if len(buffer) > at and buffer[at] != part.kind:
-                raise FrameError(f"{name}: part of type {buffer[at]:02X}, expected {part.kind:02X}")
-            if len(buffer) > at + 1 and buffer[at + 1] not in part.lengths:
-                raise FrameError(f"{name}: part {part.kind:02X} of {buffer[at + 1]} bytes")
+            if len(buffer) > at and buffer[at] not in part.kinds:
+                expected = " or ".join(f"{kind:02X}" for kind in part.kinds)
+                raise LayoutError(f"{name}: part of type {buffer[at]:02X}, expected {expected}")
+            if len(buffer) > at + 1 and buffer[at + 1] not in part.kinds[buffer[at]]:
+                raise LayoutError(f"{name}: part {buffer[at]:02X} of {buffer[at + 1]} bytes")
             end = at + 2 + buffer[at + 1] if len(buffer) > at + 1 else len(buffer) + 1
             if end > len(buffer):
-                values, at = None, len(buffer)
+                at = len(buffer)
                 break
-            assert values is not None
-            values.append(bytes(buffer[at + 2 : end]))
+            values.append((buffer[at], bytes(buffer[at + 2 : end])))
             at = end
         # A head may begin inside and end behind: then it swallowed the last bytes.
-        if any(buffer.find(head, 1, at + len(head) - 1) > 0 for head in self._heads):
+        if any(buffer.find(head, 1, at + len(head) - 1) > 0 for head in self._call.heads):
             raise FrameError(f"{name}: cut off by the head of another answer")
-        return values, at
+        return (values if len(values) == len(self._call.parts) else None), at
 
     def _skip(self, count: int) -> None:
         del self._buffer[:count]
@@ -226,25 +275,44 @@ class Decoder(Generic[T]):
 
 
 def encode_refusal(code: int) -> bytes:
-    """The answer of a module that refuses a call."""
+    """The answer of a module that refuses a call; 0 is the answer to a call that asks for no data."""
     return bytes((STATUS, 1, code))
 
 
-def encode_location(location: Location) -> bytes:
-    """The answer of a tag to `dwm_loc_get`. Raises `LocalError` where a value does not fit its field."""
-    if len(location.ranges) > MAX_RANGES:
-        raise LocalError(f"{len(location.ranges)} ranges, an answer holds at most {MAX_RANGES}")
+def encode_part(kind: int, value: bytes) -> bytes:
+    """Type, length, value."""
+    return bytes((kind, len(value))) + value
+
+
+def encode_location(location: Location, *, anchor: bool = False) -> bytes:
+    """The answer of a tag, or of an anchor, to `dwm_loc_get`. Raises `LocalError` where a value does not fit."""
+    most = MAX_ANCHOR_RANGES if anchor else MAX_RANGES
+    if len(location.ranges) > most:
+        raise LocalError(f"{len(location.ranges)} ranges, an answer holds at most {most}")
     try:
-        records = b"".join(
-            _RANGE.pack(int(item.anchor, 16), round(item.distance * 1000), item.quality) + _pack(item.position)
-            for item in location.ranges
-        )
-        place = _pack(location.position)
+        records = b"".join(map(_anchor_record if anchor else _tag_record, location.ranges))
     except (struct.error, ValueError) as error:
         raise LocalError(f"a location that no module can report: {error}") from None
-    head = bytes((STATUS, 1, OK, 0x41, len(place)))
-    return head + place + bytes((0x49, 1 + len(records), len(location.ranges))) + records
+    ranges = bytes((len(location.ranges),)) + records
+    return (
+        encode_refusal(OK)
+        + encode_part(POSITION, encode_position(location.position))
+        + encode_part(ANCHOR_RANGES if anchor else TAG_RANGES, ranges)
+    )
 
 
-def _pack(place: Position) -> bytes:
-    return _POSITION.pack(round(place.x * 1000), round(place.y * 1000), round(place.z * 1000), place.quality)
+def encode_position(place: Position) -> bytes:
+    """13 bytes; raises `LocalError` where a value does not fit its field."""
+    try:
+        return _POSITION.pack(round(place.x * 1000), round(place.y * 1000), round(place.z * 1000), place.quality)
+    except struct.error as error:
+        raise LocalError(f"a position that no module can hold: {error}") from None
+
+
+def _tag_record(item: AnchorRange) -> bytes:
+    head = _RANGE.pack(int(item.anchor, 16), round(item.distance * 1000), item.quality)
+    return head + encode_position(item.position)
+
+
+def _anchor_record(item: AnchorRange) -> bytes:
+    return _ANCHOR_RECORD.pack(int(item.anchor, 16), round(item.distance * 1000), item.quality)

@@ -35,6 +35,9 @@ _ENOUGH = 20
 SKEW_AFTER = 10.0
 """s that samples must span before a slope is fitted; over less it would be noise."""
 
+UNKNOWN_SKEW = 30e-6
+"""s/s by which two quartz clocks differ (standard deviation), as long as that was not measured."""
+
 MAX_SKEW = 100e-6
 """Largest difference of two clocks' rates believed: crystals are good for +-20 to 30 ppm each."""
 
@@ -147,10 +150,16 @@ class Fit(NamedTuple):
     skew: float
     error: float
     """Standard error of the offset, s."""
+    skew_error: float
+    """Standard error of the skew, s/s."""
 
     def offset_at(self, now: float) -> float:
         """The offset at another time."""
         return self.offset + self.skew * (now - self.at)
+
+    def error_at(self, now: float) -> float:
+        """Its standard error, which grows with the distance from the samples' middle."""
+        return math.hypot(self.error, self.skew_error * (now - self.at))
 
 
 class LinkClock:
@@ -180,15 +189,18 @@ class LinkClock:
         count = len(best)
         at = sum(sample[0] for sample in best) / count
         mean = sum(sample[2] for sample in best) / count
-        skew = 0.0
+        skew, skew_error = 0.0, UNKNOWN_SKEW
         square = sum((sample[0] - at) ** 2 for sample in best)
-        if self._samples[-1][0] - self._samples[0][0] >= SKEW_AFTER and square > 0.0:
+        fitted = self._samples[-1][0] - self._samples[0][0] >= SKEW_AFTER and square > 0.0
+        if fitted:
             skew = sum((sample[0] - at) * (sample[2] - mean) for sample in best) / square
             skew = max(-MAX_SKEW, min(MAX_SKEW, skew))
         if count < 2:
-            return Fit(at, mean, skew, best[0][1] / 2)
+            return Fit(at, mean, skew, best[0][1] / 2, skew_error)
         rest = sum((sample[2] - mean - skew * (sample[0] - at)) ** 2 for sample in best) / (count - 1)
-        return Fit(at, mean, skew, math.sqrt(rest / count))
+        if fitted:
+            skew_error = math.sqrt(rest / square)
+        return Fit(at, mean, skew, math.sqrt(rest / count), skew_error)
 
 
 class _Neighbour:
@@ -216,6 +228,8 @@ class MeshClock:
         """Newest epoch of each root (and its incarnation) heard of, when it came, and whether that root is settled."""
         self._started: float | None = None
         self._root = (robot, self._incarnation)
+        self._followed = robot
+        """Whose time this is: that of the root as soon as there is a way to it."""
         self._parent: str | None = None
         self._hop = 0
         self._epoch = 0
@@ -264,7 +278,8 @@ class MeshClock:
             *self._root,
             self._epoch,
             self._hop,
-            peer == self._parent,
+            # Who has heard of the root but has no way to it yet has nothing to offer to anybody.
+            peer == self._parent or self._followed != self._root[0],
             self._settled,
             now,
             self._offset,
@@ -275,7 +290,7 @@ class MeshClock:
     def state(self, now: float) -> ClockState:
         """The mesh clock now."""
         self._update(now)
-        return ClockState(now, self._offset, self._rate, self._root[0], self._hop, self._error)
+        return ClockState(now, self._offset, self._rate, self._followed, self._hop, self._error)
 
     # -- inside --
 
@@ -288,11 +303,13 @@ class MeshClock:
     def _update(self, now: float) -> None:
         if self._started is None:
             self._started = now
-        self._offset += self._rate * (now - self._at)
+        passed = now - self._at
+        self._offset += self._rate * passed
         self._at = now
         self._root = self._choose_root(now)
         if self._root[0] == self._robot:
             self._parent, self._hop, self._rate, self._error = None, 0, 0.0, 0.0
+            self._followed = self._robot
             if now >= self._own_epoch_at + EPOCH_PERIOD:
                 self._own_epoch, self._own_epoch_at = self._own_epoch + 1, now
             self._epoch = self._own_epoch
@@ -301,6 +318,8 @@ class MeshClock:
         self._parent = self._choose_parent(now)
         if self._parent is None:
             self._rate = 0.0
+            if self._followed != self._robot:
+                self._error += UNKNOWN_SKEW * passed
             return
         parent = self._neighbours[self._parent]
         assert parent.claim is not None
@@ -309,6 +328,7 @@ class MeshClock:
         self._epoch = parent.claim.epoch
         self._settled = parent.claim.settled
         self._follow(parent.claim, parent.link.fit, now)
+        self._followed = self._root[0]
 
     def _follow(self, claim: Claim, fit: Fit, now: float) -> None:
         between = fit.offset_at(now)
@@ -318,7 +338,7 @@ class MeshClock:
             self._offset, error = target, 0.0
         self._rate = max(-MAX_SLEW, min(MAX_SLEW, error / SETTLE))
         # What is still to be slewed is an error, too.
-        self._error = math.hypot(claim.error, fit.error, error)
+        self._error = math.hypot(claim.error, fit.error_at(now), error)
 
     def _choose_root(self, now: float) -> tuple[str, int]:
         """The smallest name heard of lately, or the own one; of two incarnations the one heard of last."""

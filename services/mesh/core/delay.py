@@ -25,10 +25,12 @@ class AirModel:
     bandwidth: float | None = None
     """bytes/s in each direction; None = without limit."""
     seed: int = 0
+    dial: float = 0.0
+    """s until a connection is there, or found impossible: finding the other one takes a radio its time."""
 
     @classmethod
     def parse(cls, text: str) -> "AirModel":
-        """Read `latency=0.03,jitter=0.01,bandwidth=78000,seed=1`, each part optional."""
+        """Read `latency=0.03,jitter=0.01,bandwidth=78000,seed=1,dial=2`, each part optional."""
         names = [field.name for field in fields(cls)]
         values: dict[str, float] = {}
         for part in filter(None, text.split(",")):
@@ -46,6 +48,7 @@ class AirModel:
             values.get("jitter", 0.0),
             values.get("bandwidth"),
             int(values.get("seed", 0)),
+            values.get("dial", 0.0),
         )
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection
 
 from services.mesh.core import largefloods, packets, pieces
 from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.catchup import CatchUp
 from services.mesh.core.echo import Id, Waves
 from services.mesh.core.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.frames import BULK, FLOOD
@@ -18,18 +19,7 @@ from services.mesh.core.largefloods import LargeFloods
 from services.mesh.core.packets import Spread
 from services.mesh.core.store import NEW, OLD, Store
 from swarm.errors import FrameError
-from swarm.keys import key as key_of
 from swarm.keys import parse
-
-COMPARE_PERIOD = 30.0
-"""s between two comparisons of what two neighbours keep, each spread by a fifth. Repairs what full queues dropped."""
-
-ANSWER_PERIOD = 2.0
-"""s between two whole digests to one neighbour, the one at link-up aside."""
-
-REPAIR_PERIOD = 0.1
-REPAIR_BYTES = 4096
-"""Missing values leave in portions, 41 kB/s: half of what a Bluetooth link carries, in the class of each value."""
 
 MAX_ATTEMPTS = 64
 """Own confirmed floods under way; more are refused."""
@@ -37,7 +27,7 @@ MAX_ATTEMPTS = 64
 BEGIN_ANEW = 1.0
 """s between two changes of the own incarnation."""
 
-COUNTERS = ("flood_sent", "flood_duplicates", "flood_old", "flood_retries", "flood_unkept", "repaired", "wave_sent")
+COUNTERS = ("flood_sent", "flood_duplicates", "flood_old", "flood_retries", "flood_unkept", "wave_sent")
 
 _NEVER = float("inf")
 
@@ -62,19 +52,6 @@ class Attempt:
         self.robots: set[str] = set()
         self.goal: set[str] = set()
         """Who could be reached when it began."""
-
-
-class Neighbour:
-    """What is under way to one neighbour."""
-
-    __slots__ = ("answered_at", "compare_at", "missing", "repair_at")
-
-    def __init__(self, compare_at: float) -> None:
-        self.compare_at = compare_at
-        self.answered_at = -_NEVER
-        self.missing: dict[tuple[str, str], None] = {}
-        """Values to be sent, by origin and key."""
-        self.repair_at = _NEVER
 
 
 class Flood:
@@ -102,17 +79,16 @@ class Flood:
         self._deliver = deliver
         self._reached = reached
         self._expected = expected
-        self._random = random
         self._counters = counters
         self._store = Store()
         self.incarnation = incarnation
         self._sequence = 0
         self._store.begin(me, incarnation)
         self._began_at = -_NEVER
-        self._links: dict[str, Neighbour] = {}
         self._attempts: dict[int, Attempt] = {}
         self._waves = Waves(me, self._emit_wave, towards=towards, heard=self._heard)
-        self._digest_key = key_of(me, "mesh", "digest")
+        self._neighbours = CatchUp(me, self._store, emit=emit, random=random, counters=counters)
+        self._links = self._neighbours.links
         self.large = LargeFloods(
             me, self._store, self._waves, pass_on=self._pass_on, deliver=deliver, counters=counters
         )
@@ -143,6 +119,15 @@ class Flood:
         self._try(attempt, now)
         return True
 
+    def progress(self, token: object) -> tuple[int, int] | None:
+        """Bytes of an own large flood that every neighbour who fetches it has, and all its bytes; None where that flood
+        is not under way."""
+        for attempt in self._attempts.values():
+            if attempt.token == token:
+                id = pieces.Id(self._me, self.incarnation, attempt.first, flood=True)
+                return self.large.progress(id), len(attempt.payload)
+        return None
+
     def forget(self, origin: str) -> None:
         """A robot has been gone for long: its values are not handed on any more."""
         self._store.forget(origin)
@@ -155,12 +140,11 @@ class Flood:
 
     def link_up(self, peer: str, now: float) -> None:
         """Tell a new neighbour what we keep."""
-        self._links[peer] = Neighbour(now + self._compare_period())
-        self._send_digest(peer, answer=False)
+        self._neighbours.link_up(peer, now)
 
     def unlink(self, peer: str) -> None:
         """A neighbour is gone: nothing goes to it any more."""
-        self._links.pop(peer, None)
+        self._neighbours.unlink(peer)
 
     def link_down(self, peer: str, now: float) -> None:
         """After `unlink`, when routes know it, too: what echoes make of it."""
@@ -179,12 +163,19 @@ class Flood:
                     raise FrameError("ECHO with robots that are not in our configuration")
                 self._waves.echo(Id(parse(key).robot, echo.incarnation, echo.sequence), key, priority, peer, echo, now)
             case packets.DIGEST:
-                self._on_digest(peer, packets.decode_digest(data), now)
+                digest = packets.decode_digest(data)
+                incarnation, _ = digest.origins.get(self._me, (0, 0))
+                if incarnation > self.incarnation:
+                    self._go_above(incarnation, now)
+                self._neighbours.on_digest(peer, digest, now)
             case packets.SUMMARY:
-                if packets.decode_summary(data) != self._store.summary():
-                    self._answer(peer, now, answer=True)
+                self._neighbours.on_summary(peer, packets.decode_summary(data), now)
             case kind:
                 raise FrameError(f"flood packet kind {kind}: not known")
+
+    def pushed_back(self, packet: Transmit, now: float) -> None:
+        """The queue of a link had no room for one of our packets: it is sent later."""
+        self._neighbours.pushed_back(packet, now)
 
     def handle_timer(self, now: float) -> None:
         """Whatever is due."""
@@ -193,21 +184,13 @@ class Flood:
         for sequence, attempt in list(self._attempts.items()):
             if now >= attempt.deadline and self._attempts.get(sequence) is attempt:
                 self._expire(sequence, attempt, now)
-        for peer, link in self._links.items():
-            if now >= link.repair_at:
-                self._repair(peer, link, now)
-            if now >= link.compare_at:
-                link.compare_at = now + self._compare_period()
-                self._transmit(peer, self._digest_key, packets.encode_summary(self._store.summary()), BULK)
+        self._neighbours.handle_timer(now)
         self._counters["flood_unkept"] = self._store.unkept
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called."""
         deadline = min((attempt.deadline for attempt in self._attempts.values()), default=_NEVER)
-        deadline = min(deadline, self.large.next_deadline())
-        for link in self._links.values():
-            deadline = min(deadline, link.repair_at, link.compare_at)
-        return deadline
+        return min(deadline, self.large.next_deadline(), self._neighbours.next_deadline())
 
     # -- spreading ---------------------------------------------------------------------------------------------
 
@@ -232,7 +215,7 @@ class Flood:
         for peer in others:
             self._counters["flood_sent"] += 1
             self._counters["wave_sent"] += packet.echo
-            self._emit(Transmit(peer, FLOOD, key, data, priority, packet.latest))
+            self._neighbours.spread(Transmit(peer, FLOOD, key, data, priority, packet.latest))
         return others
 
     def _on_spread(self, peer: str, key: str, packet: Spread, priority: int, now: float) -> None:
@@ -326,56 +309,7 @@ class Flood:
             self._waves.forget(Id(self._me, self.incarnation, sequence))
         self._reached(attempt.token, frozenset(attempt.robots - {self._me}), complete)
 
-    # -- repair ------------------------------------------------------------------------------------------------
-
-    def _compare_period(self) -> float:
-        return COMPARE_PERIOD * (0.8 + 0.4 * self._random())
-
-    def _send_digest(self, peer: str, *, answer: bool) -> None:
-        for data in packets.encode_digests(self._store.digest(), answer=answer):
-            self._transmit(peer, self._digest_key, data, BULK)
-
-    def _answer(self, peer: str, now: float, *, answer: bool) -> None:
-        link = self._links[peer]
-        if now >= link.answered_at + ANSWER_PERIOD:
-            link.answered_at = now
-            self._send_digest(peer, answer=answer)
-
-    def _on_digest(self, peer: str, digest: packets.Digest, now: float) -> None:
-        incarnation, _ = digest.origins.get(self._me, (0, 0))
-        if incarnation > self.incarnation:
-            self._go_above(incarnation, now)
-        theirs, _ = digest.origins.get(peer, (0, 0))
-        if theirs > self._store.incarnation(peer):
-            self._store.begin(peer, theirs)  # it has begun anew: nobody else can know that better
-        link, differs = self._links[peer], False
-        for origin in self._store.lacking(digest.low, digest.high, digest.origins):
-            differs = True
-            if digest.origins.get(origin, (0, 0))[0] <= self._store.incarnation(origin):
-                link.missing |= {(origin, key): None for key, _ in self._store.kept(origin)}
-        if link.missing and link.repair_at == _NEVER:
-            self._repair(peer, link, now)
-        if digest.answer and (differs or digest.origins.keys() - self._store.digest().keys()):
-            self._answer(peer, now, answer=False)
-
-    def _repair(self, peer: str, link: Neighbour, now: float) -> None:
-        size = 0
-        while link.missing and size < REPAIR_BYTES:
-            origin, key = next(iter(link.missing))
-            del link.missing[origin, key]
-            kept = self._store.one(origin, key)
-            if kept is not None:
-                packet = Spread(self._store.incarnation(origin), kept.sequence, kept.payload, latest=True)
-                if len(kept.payload) > packets.MAX_SPREAD:
-                    packet = packet._replace(payload=b"", size=len(kept.payload))
-                data = packets.encode_spread(packet)
-                size += len(data)
-                self._counters["repaired"] += 1
-                self._emit(Transmit(peer, FLOOD, key, data, kept.priority, latest=True))
-        link.repair_at = now + REPAIR_PERIOD if link.missing else _NEVER
-
-    def _transmit(self, peer: str, key: str, data: bytes, priority: int) -> None:
-        self._emit(Transmit(peer, FLOOD, key, data, priority))
+    # -- inside ------------------------------------------------------------------------------------------------
 
     def _emit_wave(self, packet: Transmit) -> None:
         self._counters["wave_sent"] += 1

@@ -38,7 +38,7 @@ class Large:
             return
         want = self._exchange.receive(packet, now)
         if want is not None and packet.id.flood:
-            self._floods.wanted(packet.id, now)
+            self._floods.wanted(packet.id, packet.sender, want.have, now)
         elif want is not None:
             self._transfers.wanted(packet.sender, packet.id, want.have, now)
 

@@ -14,7 +14,7 @@ from services.mesh.core.echo import Waves
 from services.mesh.core.exchange import Exchange, total_of
 from services.mesh.core.frames import BULK
 from services.mesh.core.packets import Spread
-from services.mesh.core.pieces import Id
+from services.mesh.core.pieces import SIZE, Id
 from services.mesh.core.store import NEW, OLD, Store
 from services.mesh.core.window import Window
 
@@ -57,13 +57,15 @@ class _Coming:
 class _Held:
     """A message that others may fetch."""
 
-    __slots__ = ("key", "payload", "until")
+    __slots__ = ("have", "key", "payload", "until")
 
     def __init__(self, payload: bytes, until: float, key: str) -> None:
         self.payload = payload
         self.until = until
         self.key = key
         """Of a latest value; empty otherwise."""
+        self.have: dict[str, int] = {}
+        """Pieces that those who ask for more have."""
 
 
 class LargeFloods:
@@ -109,10 +111,16 @@ class LargeFloods:
         held = self._held.get(id)
         return held.payload if held is not None else self._store.payload(id.origin, id.incarnation, id.number)
 
-    def wanted(self, id: Id, now: float) -> None:
-        """Somebody asked for pieces."""
+    def wanted(self, id: Id, peer: str, have: int, now: float) -> None:
+        """Somebody who has so many pieces asked for more."""
         if (held := self._held.get(id)) is not None:
             held.until = now + HOLD
+            held.have[peer] = have
+
+    def progress(self, id: Id) -> int:
+        """Bytes that all who fetch a message from us have."""
+        held = self._held.get(id)
+        return min(min(held.have.values(), default=0) * SIZE, len(held.payload)) if held is not None else 0
 
     def announced(self, peer: str, origin: str, key: str, packet: Spread, now: float) -> None:
         """A neighbour announces a message."""

@@ -238,6 +238,13 @@ class LinkState:
             graph[name] = edges
         return graph
 
+    def links(self, name: str) -> dict[str, int]:
+        """The links that a robot says it has, and their one-way times in units of 0.1 ms; this robot's as they are."""
+        if name == self._me:
+            return {peer: link.level.time for peer, link in self._links.items()}
+        known = self._known.get(name)
+        return dict(known.advertisement.neighbours) if known is not None else {}
+
     def incarnation(self, name: str) -> int:
         """The incarnation of a robot's LSA; 0 = none is known."""
         known = self._known.get(name)

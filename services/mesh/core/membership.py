@@ -79,12 +79,14 @@ class Membership:
 
     def members(self) -> tuple[Member, ...]:
         """Everybody, by name; those never seen included."""
-        found = []
-        for name, state in list(self._members.items())[:MAX_SHOWN]:
-            route = self._routes.get(name) if state.state == HERE else None
-            hops, via = (route.hops, route.next_hop) if route is not None else (None, None)
-            found.append(Member(name, state.state, state.since, hops, via))
-        return tuple(found)
+        return tuple(map(self.member, list(self._members)[:MAX_SHOWN]))
+
+    def member(self, name: str) -> Member:
+        """One of the others."""
+        state = self._members[name]
+        route = self._routes.get(name) if state.state == HERE else None
+        hops, via = (route.hops, route.next_hop) if route is not None else (None, None)
+        return Member(name, state.state, state.since, hops, via)
 
 
 def _arrival(old: _State, incarnation: int) -> str | None:

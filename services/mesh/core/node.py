@@ -179,12 +179,19 @@ class Node:
         ready, self._ready = self._ready, []
         return ready
 
-    def next_deadline(self) -> float | None:
+    def next_deadline(self) -> float:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
-        deadlines = [session.next_deadline() for session in self._sessions]
-        deadlines += [link.dialler.next_deadline() for link in self._links.values() if link.dialler is not None]
-        deadlines += (self._relay.next_deadline(), self.overlays.next_deadline())
-        return min((deadline for deadline in deadlines if deadline is not None), default=None)
+        # After each message, so without lists and generators: an idle link costs two calls.
+        earliest = self.overlays.next_deadline()
+        if (deadline := self._relay.next_deadline()) is not None and deadline < earliest:
+            earliest = deadline
+        for session in self._sessions:
+            if (deadline := session.next_deadline()) is not None and deadline < earliest:
+                earliest = deadline
+        for link in self._links.values():
+            if link.dialler is not None and (deadline := link.dialler.next_deadline()) is not None:
+                earliest = min(earliest, deadline)
+        return earliest
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
@@ -245,7 +252,8 @@ class Node:
                 session = self._links[action.peer].session
                 if session is not None and session.is_up:
                     name = name_of(action.overlay, action.key)
-                    session.send(action.priority, name, action.payload, latest=action.latest)
+                    if not session.send(action.priority, name, action.payload, latest=action.latest):
+                        self.overlays.pushed_back(action)
                     self._ready.append(session)
             elif type(action) is Received:
                 self._actions.append(action)

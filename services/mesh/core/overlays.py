@@ -4,29 +4,28 @@ The node feeds it links and packets, and carries out `actions()`. It knows no se
 real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
 """
 
-from collections import Counter, OrderedDict
+import itertools
+from collections import Counter
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 
-from services.mesh.core import exchange, flood, largefloods, packets, transfers, unicast
+from services.mesh.core import catchup, exchange, flood, largefloods, packets, transfers, unicast
 from services.mesh.core.actions import Transmit
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
-from services.mesh.core.frames import BULK, CONTROL, FLOOD, PRIORITIES
+from services.mesh.core.frames import BULK, CONTROL, FLOOD
 from services.mesh.core.halt import Register
 from services.mesh.core.large import Large
 from services.mesh.core.linkstate import HOPS, LinkState
 from services.mesh.core.membership import SETTLE, Membership
 from services.mesh.core.pieces import Packet
+from services.mesh.core.requests import Requests
+from services.mesh.core.survey import Survey
 from services.mesh.core.unicast import Unicast
 from swarm.codec import encode
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import STOP, is_name, parse
 from swarm.keys import key as key_of
-from swarm.messages import Flooded, FloodRequest, Members, SendRequest, Sent, Stop, Stopped
-
-MAX_TICKETS = 1024
-"""Requests of apps whose answers are remembered, so that a repeated request is answered again, not done again."""
+from swarm.messages import FloodRequest, Members, MeshGraph, Reminder, SendRequest, Stop, Stopped
 
 MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
@@ -35,23 +34,21 @@ STOP_PERIOD = 1.0
 """s between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts, or a
 message that was lost, must not make an exception."""
 
+CONFIRM_AFTER = 0.05
+"""s from a change of the register until `mesh/stopped` is flooded: stops that are given on many robots at once make one
+flood of each robot."""
+
+MAX_NAMED = 16
+"""Robots that `mesh/stopped` names: with their reasons it stays far below what a flood carries."""
+
 LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
-COUNTERS = (*flood.COUNTERS, *unicast.COUNTERS, *exchange.COUNTERS, *transfers.COUNTERS, *largefloods.COUNTERS,
-            "bad_packets")  # fmt: skip
+COUNTERS = (*flood.COUNTERS, *catchup.COUNTERS, *largefloods.COUNTERS, *unicast.COUNTERS, *transfers.COUNTERS,
+            *exchange.COUNTERS, "bad_packets")  # fmt: skip
 
 _NEVER = float("inf")
-
-
-@dataclass(frozen=True, slots=True)
-class _Ticket:
-    """Whose answer is awaited."""
-
-    ticket: str
-    app: str
-    announce: bool = False
 
 
 Action = Transmit | Received
@@ -82,17 +79,19 @@ class Overlays:
         self._admits_unicast = admits_unicast
         self._actions: list[Action] = []
         emit = self._actions.append
+        self._requests = Requests(me, to_bus=self._to_bus, patience=self._patience, now=lambda: self._now)
         self._flood = Flood(
             me, incarnation, self._robots,
-            emit=emit, deliver=self._on_flood, reached=self._on_reached, towards=self._towards,
+            emit=emit, deliver=self._on_flood, reached=self._requests.reached, towards=self._towards,
             expected=lambda: self._map.routes().keys(), random=random, counters=counters,
         )  # fmt: skip
         self._map = LinkState(me, metric=metric, publish=self._publish_links, aged=self._flood.forget, random=random)
         self._unicast = Unicast(
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
-            ended=self._on_sent, on_large=self._on_large, counters=counters,
+            ended=self._requests.sent, on_large=self._on_large, counters=counters,
         )  # fmt: skip
+        self._requests.flood, self._requests.unicast = self._flood, self._unicast
         self._large = Large(
             me, self._unicast.transfers, self._flood.large,
             emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
@@ -101,18 +100,18 @@ class Overlays:
             me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._on_register
         )
         self._membership = Membership(me, self._robots)
+        self._survey = Survey(me, self._robots, self._membership, self._map, self._flood.known)
         self._now = 0.0
         self._version = 0
         self._deadline = 0.0
         self._look_at = _NEVER
         self._members_at = 0.0
         self._stop_at = _NEVER
-        self._tickets: OrderedDict[str, Flooded | Sent | None] = OrderedDict()
+        self._confirm_at = _NEVER
+        self._confirmed: dict[str, str] = {}
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
         self._stopped_key = key_of(me, "mesh", "stopped")
-        self._flooded_key = key_of(me, "mesh", "flooded")
-        self._sent_key = key_of(me, "mesh", "sent")
 
     # -- links and packets -------------------------------------------------------------------------------------
 
@@ -152,7 +151,7 @@ class Overlays:
             return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
         if service == "mesh" and topic in ("digest", "halt"):
             return robot == peer
-        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded")):
+        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped")):
             return True
         return _is_app_flood(service, topic) or self._admits_flood(key)
 
@@ -167,10 +166,16 @@ class Overlays:
                 self._register.receive(peer, data, now)
             else:
                 self._flood.receive(peer, key, data, priority, now)
-        except FrameError:
+        except (FrameError, PayloadError):
             self._counters["bad_packets"] += 1
         if self._version != self._map.version:
             self._routes_changed(now)
+
+    def pushed_back(self, packet: Transmit) -> None:
+        """The queue of a link has refused a packet. Unicast repeats end to end; a flood is offered again from here."""
+        if packet.overlay == FLOOD:
+            self._flood.pushed_back(packet, self._now)
+            self._deadline = min(self._deadline, self._flood.next_deadline())
 
     # -- what this robot wants ---------------------------------------------------------------------------------
 
@@ -186,36 +191,15 @@ class Overlays:
         self._now = now
         self._unicast.send(None, to, key, payload, priority, now, latest=latest)
 
-    def request_flood(self, request: FloodRequest, now: float) -> None:
-        """An app's wish; the answer goes to `mesh/flooded`."""
+    def request(self, request: FloodRequest | SendRequest | Reminder, now: float) -> None:
+        """An app's wish; the answer goes to the own bus."""
         self._now = now
-        if self._is_known(request.ticket):
-            return
-        token = _Ticket(request.ticket, request.app, request.announce)
-        problem = _problem(request.app, request.priority)
-        priority = PRIORITIES.get(request.priority, BULK)
-        if len(request.payload) > (limit := flood.limit_of(priority)):
-            problem = f"{len(request.payload)} bytes, a flood has at most {limit} in its class"
-        if not problem:
-            key = key_of(self.me, "app", request.app, "flood")
-            if self._flood.confirm(token, key, request.payload, priority, self._patience(priority), now):
-                return
-            problem = "too many floods, or bytes of large ones, are under way"
-        self._answer_flood(token, (), complete=False, problem=problem)
-
-    def request_send(self, request: SendRequest, now: float) -> None:
-        """An app's wish; the answer goes to `mesh/sent`."""
-        self._now = now
-        if self._is_known(request.ticket):
-            return
-        token = _Ticket(request.ticket, request.app)
-        problem = _problem(request.app, request.priority) or ("" if is_name(request.to) else "that is no robot's name")
-        if problem:
-            self._on_sent(token, request.to, problem)
-            return
-        key = key_of(self.me, "app", request.app, "send", request.to)
-        priority = PRIORITIES[request.priority]
-        self._unicast.send(token, request.to, key, request.payload, priority, now, timeout=request.timeout)
+        if isinstance(request, FloodRequest):
+            self._requests.request_flood(request)
+        elif isinstance(request, SendRequest):
+            self._requests.request_send(request)
+        else:
+            self._requests.remind(request)
 
     def stop(self, stop: Stop, now: float) -> None:
         """Somebody on this robot has published `swarm/stop`."""
@@ -251,6 +235,8 @@ class Overlays:
             self._to_bus(self._members_key, encode(self.members(now)), BULK)
         if now >= self._stop_at:
             self._tell_stop(now)
+        if now >= self._confirm_at:
+            self._confirm(now)
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
@@ -268,6 +254,7 @@ class Overlays:
             self._look_at,
             self._members_at,
             self._stop_at,
+            self._confirm_at,
         )
         actions = self._actions[:]
         self._actions.clear()  # the list itself is shared
@@ -280,7 +267,11 @@ class Overlays:
     def stopped(self, now: float) -> Stopped:
         """For the key `mesh/stopped`."""
         stops = self._register.stops
-        return Stopped(now, bool(stops), stops)
+        return Stopped(now, bool(stops), dict(itertools.islice(stops.items(), MAX_NAMED)))
+
+    def graph(self, now: float, after: str = "") -> MeshGraph:
+        """For the key `mesh/graph`: robots with names behind `after`."""
+        return self._survey.graph(now, stopped=bool(self._register.stops), after=after)
 
     # -- inside ------------------------------------------------------------------------------------------------
 
@@ -291,8 +282,10 @@ class Overlays:
         _, service, topic = parse(key)
         if (service, topic) == ("mesh", "lsa"):
             self._map.receive(origin, incarnation, payload, self._now)
-        else:
-            self._to_bus(key, payload, priority)
+            return
+        if (service, topic) == ("mesh", "stopped"):
+            self._survey.heard(origin, incarnation, key, payload)
+        self._to_bus(key, payload, priority)
 
     def _on_large(self, packet: Packet, now: float) -> None:
         self._large.receive(packet, now)
@@ -333,46 +326,20 @@ class Overlays:
                 return True
         return self._admits_unicast(sender, key)
 
-    # -- answers to apps ---------------------------------------------------------------------------------------
-
-    def _is_known(self, ticket: str) -> bool:
-        """Whether a request was seen before; its answer, if it is there, is told again."""
-        if ticket in self._tickets:
-            answer = self._tickets[ticket]
-            if answer is not None:
-                key = self._flooded_key if isinstance(answer, Flooded) else self._sent_key
-                self._to_bus(key, encode(answer), CONTROL)
-            return True
-        if len(self._tickets) >= MAX_TICKETS:
-            self._tickets.popitem(last=False)
-        self._tickets[ticket] = None
-        return False
-
-    def _on_reached(self, token: object, robots: frozenset[str], complete: bool) -> None:
-        if isinstance(token, _Ticket):
-            problem = "" if complete else "a link broke, or a robot did not answer"
-            self._answer_flood(token, packets.sorted_names(robots), complete=complete, problem=problem)
-
-    def _answer_flood(self, token: _Ticket, robots: tuple[str, ...], *, complete: bool, problem: str) -> None:
-        answer = Flooded(self._now, token.ticket, token.app, robots, complete, problem)
-        self._tickets[token.ticket] = answer
-        payload = encode(answer)
-        self._to_bus(self._flooded_key, payload, CONTROL)
-        if token.announce and complete and len(payload) <= packets.MAX_SPREAD:
-            self._flood.publish(self._flooded_key, payload, CONTROL, self._now, latest=False)
-
-    def _on_sent(self, token: object, to: str, problem: str) -> None:
-        if isinstance(token, _Ticket):
-            answer = Sent(self._now, token.ticket, token.app, to, not problem, problem)
-            self._tickets[token.ticket] = answer
-            self._to_bus(self._sent_key, encode(answer), CONTROL)
-
     # -- stop --------------------------------------------------------------------------------------------------
 
     def _on_register(self) -> None:
         self._tell_stop(self._now)
         if self._stop_at == _NEVER:
             self._to_bus(self._stopped_key, encode(self.stopped(self._now)), CONTROL)
+        self._confirm_at = min(self._confirm_at, self._now + CONFIRM_AFTER)
+
+    def _confirm(self, now: float) -> None:
+        """Tell all robots whether this one is stopped: not in the control class, where the stops themselves are."""
+        self._confirm_at = _NEVER
+        if self._confirmed != (stops := self._register.stops):
+            self._confirmed = stops
+            self._flood.publish(self._stopped_key, encode(self.stopped(now)), BULK, now, latest=True)
 
     def _tell_stop(self, now: float) -> None:
         stops = self._register.stops
@@ -386,12 +353,3 @@ class Overlays:
 def _is_app_flood(service: str, topic: str) -> bool:
     app, _, rest = topic.partition("/")
     return service == "app" and rest == "flood" and is_name(app)
-
-
-def _problem(app: str, priority: str) -> str:
-    """What is wrong with a request; empty where it is fine."""
-    if not is_name(app):
-        return f"{app[:40]!r} is no app's name"
-    if priority not in PRIORITIES:
-        return f"priority {priority[:40]!r}: expected {', '.join(PRIORITIES)}"
-    return ""

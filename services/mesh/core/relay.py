@@ -170,7 +170,7 @@ class Relay:
 
     def next_deadline(self) -> float | None:
         """When the next held value leaves."""
-        return min((leg.next_at for leg in self._held), default=None)
+        return min(leg.next_at for leg in self._held) if self._held else None
 
     def _find(self, key: str) -> Route:
         source = next((index for index, each in enumerate(self._sources) if matches(each, key)), -1)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from services.mesh.core.packets import Spread
 from services.mesh.core.window import Window
 
-WINDOW = 64
-"""Floods of one origin that may overtake each other."""
+WINDOW = 2048
+"""Floods of one origin that may overtake each other: more than wait in a link's queue and for it."""
 
 KEPT_EACH = 64
 """Latest values kept of one origin; a value under a further key is carried, but not kept."""

@@ -65,7 +65,7 @@ class Air:
         # The kernel may delay a timer by 50 us to save power; here that would be latency nobody asked for. Threads
         # inherit it from the one that starts them.
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
-        self._closing = False
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="air", daemon=True)
         self._thread.start()
 
@@ -77,13 +77,17 @@ class Air:
         """The way of bytes from `peer` to us; both names and the seed decide its randomness."""
         return DelayLine(self.model, random.Random(f"{self.model.seed}:{peer}>{self.me}").gauss)
 
+    def wait_for_dial(self) -> bool:
+        """Wait as long as a radio needs to find the other; False when this mesh stops meanwhile."""
+        return not self._closing.wait(self.model.dial)
+
     def is_cut(self, peer: str) -> bool:
         """Whether nothing passes between `peer` and us now."""
         return clock.now() < self.cut_until(peer)
 
     def close(self) -> None:
         """Stop taking cuts."""
-        self._closing = True
+        self._closing.set()
         with contextlib.suppress(OSError):
             self._sock.shutdown(socket.SHUT_RDWR)
         self._thread.join(1.0)
@@ -94,7 +98,7 @@ class Air:
     def _serve(self) -> None:
         while True:
             data = self._sock.recv(1024)
-            if self._closing:
+            if self._closing.is_set():
                 return
             try:
                 wish = unpack(data)
@@ -219,7 +223,7 @@ class Listener:
 
 def dial(path: Path, air: Air, peer: str) -> Pipe:
     """Connect to `peer`; raises OSError."""
-    if air.is_cut(peer):
+    if not air.wait_for_dial() or air.is_cut(peer):
         raise ConnectionError(UNREACHABLE)
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     sock.settimeout(DIAL_TIMEOUT)

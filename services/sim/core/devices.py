@@ -1,10 +1,11 @@
 """The I2C devices of a Balboa at the level of their registers, with a simulated body behind them.
 
-LSM6DS33 (services/balancer/core/imu.py) and ATmega32U4 (services/balancer/core/balboa.py) as a master meets them: an
-IMU that was not set up gives zeros, the ATmega counts its index up and stops the motors when nobody commands them.
-Every transfer first moves the body on to `now`, the time of the caller's clock.
+LSM6DS33 (services/balancer/core/imu.py) and ATmega32U4 (services/sim/core/atmega.py) as a master meets them: an IMU
+that was not set up gives zeros, the ATmega stops the motors when nobody commands them. Every transfer first moves the
+body on to `now`, the time of the caller's clock.
 """
 
+import contextlib
 import errno
 import math
 import os
@@ -12,14 +13,24 @@ import struct
 from typing import NamedTuple, Protocol
 
 from services.balancer.core import balboa, imu
+from services.balancer.core.transfers import BIT_S, BITS_PER_BYTE, BITS_PER_TRANSFER, HOLD_S
+from services.sim.core.atmega import AtmegaDevice
 from services.sim.core.balboa import BalboaBody
 
-BITS_PER_BYTE = 9
-"""Eight and the acknowledge."""
-BITS_PER_TRANSFER = 2
-"""START and STOP (or repeated START) take about a bit each."""
+NOBODY = 0x7F
+"""An address that no device has."""
 
 _WORD_LIMIT = 0x7FFF
+
+
+class Device(Protocol):
+    """What answers at an address."""
+
+    def write(self, data: bytes, now: float) -> None:
+        """The bytes of a write transaction, at least one; OSError 121 where one is not acknowledged."""
+
+    def read(self, count: int, now: float) -> bytes:
+        """The bytes of a read transaction."""
 
 
 class Noise(Protocol):
@@ -38,6 +49,9 @@ class ImuErrors(NamedTuple):
     gyro_noise: float
     """rad/s."""
     gyro_offset: float
+    """About the axle, rad/s; the next two about the other axes."""
+    up_rate_offset: float
+    back_rate_offset: float
     acceleration_noise: float
     """m/s^2."""
     up_offset: float
@@ -51,13 +65,15 @@ def draw_errors(noise: Noise) -> ImuErrors:
     return ImuErrors(
         gyro_noise=math.radians(7e-3 * math.sqrt(104)),
         gyro_offset=math.radians(noise.uniform(-10, 10)),
+        up_rate_offset=math.radians(noise.uniform(-10, 10)),
+        back_rate_offset=math.radians(noise.uniform(-10, 10)),
         acceleration_noise=90e-6 * math.sqrt(104) * imu.STANDARD_GRAVITY,
         up_offset=noise.uniform(-offset, offset),
         back_offset=noise.uniform(-offset, offset),
     )
 
 
-NO_ERRORS = ImuErrors(0.0, 0.0, 0.0, 0.0, 0.0)
+NO_ERRORS = ImuErrors(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class ImuDevice:
@@ -108,7 +124,11 @@ class ImuDevice:
         if self._registers[imu.CTRL2_G] >> 4:
             scale = _GYRO_SCALES[self._registers[imu.CTRL2_G] >> 2 & 3]
             rate = body.tilt_rate + errors.gyro_offset + gauss(0.0, errors.gyro_noise)
-            gyro = (0, _word(rate / scale), _word(body.turn_rate * math.cos(body.tilt) / scale))
+            # The vertical's shares of the axes that lean with the body, and with the sensor on it.
+            leaning = body.tilt + self._trim
+            up = body.turn_rate * math.cos(leaning) + errors.up_rate_offset + gauss(0.0, errors.gyro_noise)
+            back = body.turn_rate * math.sin(leaning) + errors.back_rate_offset + gauss(0.0, errors.gyro_noise)
+            gyro = (_word(up / scale), _word(rate / scale), _word(back / scale))
         if self._registers[imu.CTRL1_XL] >> 4:
             scale = _ACCELERATION_SCALES[self._registers[imu.CTRL1_XL] >> 2 & 3]
             # Specific force at the sensor, along body axes turned from the vertical by `tilt`; then its mounting.
@@ -135,70 +155,6 @@ def _word(value: float) -> int:
     return max(-_WORD_LIMIT, min(_WORD_LIMIT, round(value)))
 
 
-class AtmegaDevice:
-    """The ATmega32U4 with our firmware: buffer, motors with their watchdog, encoders, LEDs, battery."""
-
-    _WRITABLE = range(balboa.LEDS, balboa.ENCODERS)
-
-    def __init__(self, body: BalboaBody, battery: float) -> None:
-        """`battery` in V."""
-        self._body = body
-        self._buffer = bytearray(balboa.SIZE)
-        self._buffer[balboa.VERSION] = balboa.LAYOUT_VERSION
-        struct.pack_into("<H", self._buffer, balboa.BATTERY, round(battery * 1e3))
-        self._index = 0
-        self._motors_until = -math.inf
-
-    @property
-    def leds(self) -> tuple[bool, bool, bool]:
-        """Red, yellow, green as they shine."""
-        red, yellow, green = self._buffer[balboa.LEDS : balboa.LEDS + 3]
-        return bool(red), bool(yellow), bool(green)
-
-    @property
-    def motors(self) -> tuple[float, float]:
-        """Duties in force, left and right."""
-        return balboa.decode_motors(bytes(self._buffer[balboa.MOTORS : balboa.MOTORS + 4]))
-
-    def press(self, buttons: int) -> None:
-        """Hold buttons down: bit 0 A, bit 1 B, bit 2 C."""
-        self._buffer[balboa.BUTTONS] = buttons & 7
-
-    def advance(self, now: float) -> None:
-        """Move the body on; the motors stop on the way when their time is over."""
-        if now > self._motors_until and self.motors != (0.0, 0.0):
-            self._body.advance(self._motors_until)
-            self._body.drive(0.0, 0.0)
-            self._buffer[balboa.MOTORS : balboa.MOTORS + 4] = bytes(4)
-            self._buffer[balboa.STATUS] |= balboa.STOPPED_BY_WATCHDOG
-        self._body.advance(now)
-
-    def write(self, data: bytes, now: float) -> None:
-        """Take an index and data; a write that does not fit is dropped whole, as at STOP on the chip."""
-        self._index = data[0]
-        values = data[1:]
-        if not values or self._index + len(values) > balboa.SIZE:
-            return
-        touched = range(self._index, self._index + len(values))
-        for position, value in zip(touched, values, strict=True):
-            if position in self._WRITABLE:
-                self._buffer[position] = value
-        if touched.start < balboa.ENCODERS and touched.stop > balboa.MOTORS:
-            self._body.drive(*self.motors)
-            self._motors_until = now + balboa.MOTOR_TIMEOUT_S
-            self._buffer[balboa.STATUS] &= ~balboa.STOPPED_BY_WATCHDOG
-
-    def read(self, count: int, now: float) -> bytes:
-        """Bytes from the index on; zeros beyond the buffer."""
-        del now
-        per_radian = self._body.model.counts_per_turn / math.tau
-        left, right = (math.floor(angle * per_radian) for angle in self._body.wheel_angles())
-        struct.pack_into("<2H", self._buffer, balboa.ENCODERS, left & 0xFFFF, right & 0xFFFF)
-        result = bytes(self._buffer[self._index : self._index + count]).ljust(count, b"\0")
-        self._index += count
-        return result
-
-
 class SimulatedRobot:
     """One robot's I2C bus: dispatches transfers to the devices and counts the time they would take on the wire."""
 
@@ -209,25 +165,44 @@ class SimulatedRobot:
         self.body = body
         self.imu = ImuDevice(body, noise, errors, trim)
         self.atmega = AtmegaDevice(body, battery)
-        self._devices: dict[int, ImuDevice | AtmegaDevice] = {
-            imu.ADDRESS: self.imu,
-            balboa.ADDRESS: self.atmega,
-        }
+        self.devices: dict[int, Device] = {imu.ADDRESS: self.imu, balboa.ADDRESS: self.atmega}
+        """By address; what is taken out is absent."""
+        self.sda_held = False
+        """A device holds SDA low in the middle of a byte: nothing goes until nine clock pulses have come."""
+        self.failures: list[int] = []
+        """Error numbers with which the next transfers fail, 0 = this one does not."""
         self.bits = 0
         """Clock periods of SCL so far: at 100 kHz, 10 us each."""
+        self.bytes_held = 0
+        """Bytes with which the ATmega held SCL."""
 
     def write(self, address: int, data: bytes, now: float) -> None:
-        """A write transaction; OSError 121 where no device has this address."""
+        """A write transaction; OSError as the kernel raises it."""
         self._reach(address, len(data), now).write(data, now)
 
     def read(self, address: int, count: int, now: float) -> bytes:
-        """A read transaction; OSError 121 where no device has this address."""
+        """A read transaction; OSError as the kernel raises it."""
         return self._reach(address, count, now).read(count, now)
 
-    def _reach(self, address: int, count: int, now: float) -> ImuDevice | AtmegaDevice:
+    def recover(self, now: float) -> None:
+        """A byte read from nobody: its clock pulses free SDA."""
+        self.sda_held = False
+        with contextlib.suppress(OSError):
+            self.read(NOBODY, 1, now)
+
+    def wire_s(self) -> float:
+        """Time on the wire so far, s."""
+        return self.bits * BIT_S + self.bytes_held * HOLD_S
+
+    def _reach(self, address: int, count: int, now: float) -> Device:
         self.atmega.advance(now)
         self.bits += BITS_PER_TRANSFER + BITS_PER_BYTE * (1 + count)
-        try:
-            return self._devices[address]
-        except KeyError:
-            raise OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO)) from None
+        error = errno.ETIMEDOUT if self.sda_held else self.failures.pop(0) if self.failures else 0
+        device = self.devices.get(address)
+        if device is self.atmega:
+            self.bytes_held += 1 + count
+        if device is None or (device is self.atmega and self.atmega.in_bootloader):
+            error = error or errno.EREMOTEIO
+        if error or device is None:
+            raise OSError(error, os.strerror(error))
+        return device

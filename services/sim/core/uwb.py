@@ -5,7 +5,7 @@ the literature on UWB ranging in rooms. Randomness comes in as a generator, so t
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -78,16 +78,15 @@ class Module:
 class Tag:
     """The module of one robot."""
 
-    def __init__(self, modules: Sequence[Module], generator: Generator, model: ErrorModel | None = None) -> None:
-        self._modules = tuple(modules)
+    def __init__(self, generator: Generator, model: ErrorModel | None = None) -> None:
         self._generator = generator
         self._model = model or ErrorModel()
         self._phase = generator.uniform(-math.pi, math.pi)
         self._place = (0.0, 0.0)
 
-    def measure(self, x: float, y: float, heading: float) -> Location:
+    def measure(self, modules: Iterable[Module], x: float, y: float, heading: float, z: float = 0.0) -> Location:
         """One measurement of a robot at this pose (m, rad): what the module answers until the next one."""
-        seen = sorted((math.dist((x, y, 0.0), (m.x, m.y, m.z)), m.address, m) for m in self._modules)
+        seen = sorted(((math.dist((x, y, z), (m.x, m.y, m.z)), m.address, m) for m in modules), key=lambda s: s[:2])
         ranges = tuple(
             AnchorRange(module.address, self._range(distance, heading), 100, module.known)
             for distance, _, module in seen[:MAX_RANGES]

@@ -1,0 +1,115 @@
+"""What the bus does in the slack of the ticks: battery, buttons, UWB reports, requests to the DWM1001, the IMU's rates.
+
+Each chore is a core that says which transfer is next. This runs them, in the order of their urgency, as far as the
+rest of the tick allows: a transfer that does not fit waits for the next tick, so that no control step is ever late
+because of one.
+"""
+
+import errno
+import logging
+from collections.abc import Callable, Sequence
+
+from services.balancer.balancer import Balancer
+from services.balancer.core import imu
+from services.balancer.core.buttons import ButtonCounter
+from services.balancer.core.health import Health
+from services.balancer.core.mailbox import Mailbox
+from services.balancer.core.transfers import Chore, duration
+from services.balancer.core.uwb import UwbReader
+from services.balancer.link import Message
+from swarm.errors import RemoteError
+from swarm.messages import ImuRequest, ImuSample, ModuleRequest
+
+SLACK_S = 4.4e-3
+"""Of bus time a tick may spend here: the longest slice (32 bytes from the ATmega, 4.2 ms) and no second one. With the
+control step's 3.5 ms the bus is busy for 8 of 10 ms at most."""
+MARGIN_S = 1.0e-3
+"""Left free before the next tick."""
+LOG_PERIOD_S = 10.0
+"""Of failures: a chore that fails again and again is counted, not logged each time."""
+
+_log = logging.getLogger("balancer")
+
+
+class Chores:
+    """See the module. All of it runs on the loop's thread."""
+
+    def __init__(self, balancer: Balancer, clock: Callable[[], float]) -> None:
+        self._balancer, self._clock = balancer, clock
+        now = clock()
+        self._uwb = UwbReader(now)
+        self._mailbox = Mailbox()
+        self._health = Health(now)
+        self._order: tuple[Chore, ...] = (self._uwb, self._mailbox, self._health)
+        self._buttons = ButtonCounter()
+        self._imu_until = self._imu_next = now
+        self._imu_period = 0.0
+        self._imu_sequence = 0
+        self._was_connected = False
+        self._logged = now - LOG_PERIOD_S
+        self.errors = 0
+        """Transfers that failed here since the start."""
+
+    def obey(self, message: Message, now: float) -> bool:
+        """Take a command; False where it is none for a chore."""
+        match message:
+            case ModuleRequest():
+                self._mailbox.post(message, now)
+            case ImuRequest(rate, seconds):
+                self._imu_period, self._imu_until, self._imu_next = 1.0 / rate, now + seconds, now
+            case _:
+                return False
+        return True
+
+    def run(self, until: float) -> Sequence[Message]:
+        """Do what fits before `until`, the next tick's time. Returns what is to be told, in order."""
+        now = self._clock()
+        news: list[Message] = []
+        balancer = self._balancer
+        if not balancer.connected:
+            self._was_connected = False
+        else:
+            if not self._was_connected:
+                self._was_connected = True
+                self._uwb.restart()
+            self._work(min(SLACK_S, until - MARGIN_S - now))
+            if (buttons := self._buttons.update(balancer.motion.buttons, now)) is not None:
+                news.append(buttons)
+            if self._imu_next <= now < self._imu_until:
+                news.append(self._sample(now))
+        if self._health.found is not None:
+            balancer.battery = self._health.found.battery
+        for chore in (self._health, self._uwb, self._mailbox):
+            if chore.news is not None:
+                news.append(chore.news)
+                chore.news = None
+        return news
+
+    def _work(self, budget: float) -> None:
+        """Transfers of `budget` seconds at most."""
+        for chore in self._order:
+            while (transfer := chore.next(now := self._clock())) is not None:
+                cost = duration(transfer)
+                if cost > budget:
+                    break
+                budget -= cost
+                try:
+                    chore.take(self._balancer.balboa.transfer(transfer), now)
+                except OSError as error:
+                    self._failed(chore, error, now)
+                except RemoteError as error:
+                    self._failed(chore, OSError(errno.EBADMSG, str(error)), now)
+
+    def _failed(self, chore: Chore, error: OSError, now: float) -> None:
+        self.errors += 1
+        if now - self._logged >= LOG_PERIOD_S:
+            self._logged = now
+            _log.warning("%s: %s errors=%d", type(chore).__name__, error.strerror or error, self.errors)
+        chore.fail(error, now)
+
+    def _sample(self, now: float) -> ImuSample:
+        self._imu_next = max(self._imu_next + self._imu_period, now)
+        self._imu_sequence += 1
+        rates = imu.decode_all(self._balancer.imu.block)
+        estimate = self._balancer.estimate
+        return ImuSample(now if estimate is None else estimate.t, self._imu_sequence, rates.gyro, rates.acceleration)

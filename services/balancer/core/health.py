@@ -1,0 +1,48 @@
+"""How the board fares: battery, and what the firmware counts."""
+
+import logging
+
+from services.balancer.core import balboa
+from services.balancer.core.transfers import Transfer, read
+from swarm.messages import Battery
+
+LOOK_S = 0.5
+TELL_S = 1.0
+
+_LOOK = read(balboa.BUTTONS, balboa.HOUSEKEEPING_SIZE)
+
+_log = logging.getLogger("balancer")
+
+
+class Health:
+    """A chore: reads the housekeeping twice a second; what the firmware noticed goes to the log."""
+
+    def __init__(self, now: float) -> None:
+        self.news: Battery | None = None
+        """What is to be told; whoever takes it sets None."""
+        self.found: balboa.Housekeeping | None = None
+        """The last look."""
+        self._look_at = self._tell_at = now
+
+    def next(self, now: float) -> Transfer | None:
+        """See `Chore`."""
+        return _LOOK if now >= self._look_at else None
+
+    def take(self, data: bytes, now: float) -> None:
+        """See `Chore`."""
+        found, before = balboa.decode_housekeeping(data), self.found
+        self.found, self._look_at = found, now + LOOK_S
+        if now >= self._tell_at:
+            self._tell_at = max(self._tell_at + TELL_S, now)
+            self.news = Battery(now, found.battery)
+        if before is None:
+            return
+        if found.encoder_errors != before.encoder_errors:
+            _log.warning("encoders: both channels changed at once left,right=%d,%d", *found.encoder_errors)
+        if found.bus_resets != before.bus_resets:
+            _log.warning("the ATmega dropped a transfer that had stopped in the middle resets=%d", found.bus_resets)
+
+    def fail(self, error: OSError, now: float) -> None:
+        """See `Chore`."""
+        del error  # the control loop meets it too, and names it
+        self._look_at = now + LOOK_S

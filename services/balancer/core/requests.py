@@ -1,0 +1,24 @@
+"""What commands to the devices must keep to. The bridge refuses what does not; the loop need not check again."""
+
+from services.balancer.core.mailbox import check_request
+from swarm.errors import LocalError
+from swarm.messages import ImuRequest, ModuleRequest
+
+IMU_RATE = 100.0
+"""Hz: the control loop's own."""
+IMU_DURATION_S = 60.0
+
+
+def check(command: object) -> None:
+    """Raises `LocalError` where a command to a device is out of range."""
+    match command:
+        case ModuleRequest():
+            check_request(command)
+        case ImuRequest(rate, duration):
+            _in_range("rate", rate, 0.01, IMU_RATE, "Hz")
+            _in_range("duration", duration, 0.0, IMU_DURATION_S, "s")
+
+
+def _in_range(name: str, value: float, low: float, high: float, unit: str) -> None:
+    if not low <= value <= high:
+        raise LocalError(f"{name}: {value:g} {unit}, expected {low:g} to {high:g}")

@@ -1,0 +1,71 @@
+"""A DWM1001 that is wired to the ATmega32U4: reports come over the bus from the balancer, requests go there."""
+
+import queue
+
+from services.dwm.core.block import Block
+from services.dwm.core.calls import call_of
+from services.dwm.core.pipeline import Pipeline
+from services.dwm.core.poller import Health
+from services.dwm.requests import Requests
+from swarm import clock
+from swarm.errors import FrameError, PayloadError
+from swarm.keys import key
+from swarm.messages import ModuleAnswer, Uwb, read
+from swarm.service import Service
+
+_POLL = 0.25
+"""s between looks at whether to stop: a signal does not wake a queue."""
+
+
+def serve(service: Service) -> None:
+    """Publish what the ATmega hears of the module until the service is to stop."""
+    robot, bus = service.robot, service.bus
+    arrived: queue.SimpleQueue[Uwb | ModuleAnswer | None] = queue.SimpleQueue()
+
+    def take(name: str, payload: bytes) -> None:
+        try:
+            message = read(name, payload)
+        except PayloadError as error:
+            service.counters["refused_payloads"] += 1
+            service.log.debug("%s", error)
+            return
+        if isinstance(message, Uwb | ModuleAnswer):
+            arrived.put(message)
+
+    bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
+    requests = Requests(service, lambda: arrived.put(None), repeats=True)
+    block, pipeline = Block(clock.now()), Pipeline(service.config.dwm, service.config.robots_by_module)
+    service.ready()
+    while not service.stopping.is_set():
+        try:
+            message = arrived.get(timeout=_POLL)
+        except queue.Empty:
+            message = None
+        now = clock.now()
+        _pass_on(service, requests)
+        if isinstance(message, ModuleAnswer):
+            requests.answer(message.ticket, message.answer, message.problem)
+            continue
+        for event in block.handle_timer(now) if message is None else block.receive(message, now):
+            if isinstance(event, Health) and event.working:
+                service.ready()
+            elif isinstance(event, Health):
+                service.degraded(event.reason)
+            else:
+                ranges, pose = pipeline.report(event.location, now - event.age)
+                service.counters["reports"] += 1
+                service.counters.update(pipeline.dropped())
+                bus.publish(key(robot, "dwm", "ranges"), ranges)
+                bus.publish(key(robot, "dwm", "pose"), pose)
+        service.watchdog()
+
+
+def _pass_on(service: Service, requests: Requests) -> None:
+    """Requests go to the balancer under the same ticket; only calls that are let through."""
+    for request in requests.new():
+        try:
+            call_of(request.request)
+        except FrameError as error:
+            requests.answer(request.ticket, b"", str(error))
+        else:
+            service.bus.publish(key(service.robot, "balancer", "set", "module"), request)

@@ -1,0 +1,60 @@
+"""The last half second of a robot's own motion: where it was when a range was measured that is only now reported."""
+
+from collections import deque
+from math import cos, sin
+from typing import NamedTuple
+
+KEPT = 0.5
+"""s."""
+
+_AHEAD = 0.1
+"""s: the motion is continued at its last speed for at most so long."""
+
+
+class Node(NamedTuple):
+    """The robot in a frame of its own, which begins anywhere and drifts."""
+
+    t: float
+    u: float
+    """m."""
+    v: float
+    heading: float
+    """rad."""
+    tilt: float
+    """rad, forward positive."""
+
+
+class Track:
+    """Dead reckoning from increments of way and heading."""
+
+    def __init__(self, t: float) -> None:
+        self._nodes: deque[Node] = deque([Node(t, 0.0, 0.0, 0.0, 0.0)])
+
+    @property
+    def newest(self) -> Node:
+        """Where the robot is."""
+        return self._nodes[-1]
+
+    def add(self, t: float, distance: float, turn: float, tilt: float) -> None:
+        """`distance` (m) and `turn` (rad) were made since the newest node; t must not go back."""
+        last = self._nodes[-1]
+        middle = last.heading + 0.5 * turn
+        node = Node(t, last.u + distance * cos(middle), last.v + distance * sin(middle), last.heading + turn, tilt)
+        self._nodes.append(node)
+        while len(self._nodes) > 2 and self._nodes[1].t < t - KEPT:
+            self._nodes.popleft()
+
+    def at(self, t: float) -> Node:
+        """The robot at `t`: between nodes on a line, after the newest one on at its speed, before the first there."""
+        nodes = self._nodes
+        if t <= nodes[0].t or len(nodes) == 1:
+            return nodes[0]
+        after = len(nodes) - 1
+        while after > 1 and nodes[after - 1].t >= t:
+            after -= 1
+        first, second = nodes[after - 1], nodes[after]
+        if second.t <= first.t:
+            return second
+        share = (min(t, second.t + _AHEAD) - first.t) / (second.t - first.t)
+        u, v, heading, tilt = (a + share * (b - a) for a, b in zip(first[1:], second[1:], strict=True))
+        return Node(t, u, v, heading, tilt if share <= 1.0 else second.tilt)

@@ -1,0 +1,72 @@
+"""Requests to the module that come over the bus (`dwm/set/module`), and their answers (`dwm/module`).
+
+A request is named by its ticket and repeated by whoever asks until the answer is there, since the bus may lose
+messages. The last ones are answered again from memory, so that nothing is done twice.
+"""
+
+import queue
+from collections import OrderedDict
+from collections.abc import Callable
+
+from swarm import clock
+from swarm.codec import decode
+from swarm.errors import PayloadError
+from swarm.keys import key
+from swarm.messages import ModuleAnswer, ModuleRequest
+from swarm.service import Service
+
+MAX_OPEN = 16
+"""Tickets remembered."""
+
+MAX_REQUEST = 255
+"""Bytes: type, length and at most 253 of value."""
+
+
+class Requests:
+    """What is asked for and not yet answered."""
+
+    def __init__(self, service: Service, wake: Callable[[], None], *, repeats: bool = False) -> None:
+        """`wake()` is called on Zenoh's thread when there is something to take. With `repeats` a request that is
+        repeated before its answer is there comes again: for one who passes it on over the bus."""
+        self._service = service
+        self._wake = wake
+        self._repeats = repeats
+        self._queue: queue.SimpleQueue[ModuleRequest] = queue.SimpleQueue()
+        self._answers: OrderedDict[str, ModuleAnswer | None] = OrderedDict()
+        self._key = key(service.robot, "dwm", "module")
+        service.bus.subscribe(key(service.robot, "dwm", "set", "module"), self._take)
+
+    def new(self) -> list[ModuleRequest]:
+        """What came since the last call."""
+        return [self._queue.get_nowait() for _ in range(self._queue.qsize())]
+
+    def answer(self, ticket: str, data: bytes, problem: str) -> None:
+        """Publish what the module said; nothing where nobody has asked here."""
+        if ticket in self._answers:
+            message = self._answers[ticket] = ModuleAnswer(clock.now(), ticket, data, problem)
+            self._service.bus.publish(self._key, message)
+
+    def _take(self, name: str, payload: bytes) -> None:
+        """Runs on Zenoh's thread."""
+        try:
+            request = decode(ModuleRequest, payload, name)
+        except PayloadError as error:
+            self._service.counters["refused_payloads"] += 1
+            self._service.log.debug("%s", error)
+            return
+        if len(request.request) > MAX_REQUEST:
+            self._service.counters["refused_payloads"] += 1
+            return
+        if request.ticket in self._answers:
+            known = self._answers[request.ticket]
+            if known is not None:
+                self._service.bus.publish(self._key, known)
+                return
+            if not self._repeats:
+                return
+        else:
+            self._answers[request.ticket] = None
+            if len(self._answers) > MAX_OPEN:
+                self._answers.popitem(last=False)
+        self._queue.put(request)
+        self._wake()
