@@ -11,7 +11,7 @@ import time
 import tomllib
 from pathlib import Path
 
-from swarm.errors import BusError
+from swarm.errors import BusError, LocalError
 from swarm.keys import is_name
 from swarm.paths import BUS_SOCKET
 
@@ -102,6 +102,20 @@ def robots(directory: Path) -> dict[str, Path]:
     with_bus = {path.parent.name for path in directory.glob(f"*/{BUS_SOCKET}")}
     names = sorted(with_bus | set(_listed(directory / CONFIG)))
     return {name: directory / name for name in names if is_name(name)}
+
+
+def runtime_of(run_dir: Path | None, robot: str) -> Path:
+    """Runtime directory of a robot of the running simulation in `run_dir` (None = the usual place).
+
+    Raises `LocalError` where there is no such simulation or robot.
+    """
+    directory = (run_dir or default_run_dir()).absolute()
+    if not is_live(directory):
+        raise LocalError(f"no simulation is running in {directory} (--run-dir names another one)")
+    known = robots(directory)
+    if robot not in known:
+        raise LocalError(f"no robot {robot!r} in the simulation, there are {', '.join(known) or 'none yet'}")
+    return known[robot]
 
 
 def _listed(path: Path) -> list[str]:

@@ -72,8 +72,8 @@ class Processes:
         self._started.append(process)
         return process
 
-    def start_ready(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
-        """Start a service and return when it has told systemd (us) that it is ready."""
+    def start_ready(self, *arguments: str, until: str = "READY=1", **environment: str) -> subprocess.Popen[str]:
+        """Start a service and return when it has told systemd (us) that it is ready, or something else."""
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._sockets.append(sock)
         address = str(self.runtime / f"notify{len(self._sockets)}")
@@ -83,12 +83,12 @@ class Processes:
         deadline = time.monotonic() + 20
         while True:
             try:
-                if "READY=1" in sock.recv(4096).decode():
+                if until in sock.recv(4096).decode():
                     return process
             except TimeoutError:
                 if process.poll() is not None or time.monotonic() > deadline:
                     process.kill()
-                    pytest.fail(f"{arguments} did not get ready:\n{process.communicate()[1]}")
+                    pytest.fail(f"{arguments} did not say {until}:\n{process.communicate()[1]}")
 
     def router(self, **environment: str) -> subprocess.Popen[str]:
         """Start the bus service of this runtime directory and wait until it listens."""

@@ -17,6 +17,7 @@ from swarm.config import (
     Affine,
     Anchor,
     App,
+    Balancing,
     Body,
     Config,
     Dwm,
@@ -32,6 +33,7 @@ from swarm.config import (
     who_am_i,
 )
 from swarm.config.example import EXAMPLE
+from swarm.config.sections import FILTERS
 from swarm.core.graph import Graph
 from swarm.errors import ConfigError, LocalError
 
@@ -108,11 +110,17 @@ def test_the_example_says_the_defaults():
     assert config.mesh == Mesh()
     assert str(config.mesh.key_file) in EXAMPLE
     assert config.body == Body()
-    assert dataclasses.replace(config.dwm, target=None, distance=Linear(), position=Affine()) == Dwm()
+    assert config.balancing == Balancing()
+    assert config.body_of("r4") == Body(trim=0.03)
+    assert config.balancing_of("r5") == Balancing(controller="pololu")
+    assert (config.body_of("r0"), config.balancing_of("r0")) == (Body(), Balancing())
+    own = {"target": None, "distance": Linear(), "position": Affine(), "filters": {}, "position_window": None}
+    assert config.dwm.position_window == config.dwm.window
+    assert dataclasses.replace(config.dwm, **own) == Dwm()
 
 
 # `path` is no entry; `parameters` are an app's own entries; edges are written as [topology].
-NOT_ENTRIES = {(Config, "path"), (App, "parameters")}
+NOT_ENTRIES = {(Config, "path"), (App, "parameters"), (Config, "bodies"), (Config, "balancings")}
 
 
 @pytest.mark.parametrize(
@@ -294,6 +302,10 @@ def test_what_the_example_leaves_out_is_right_too():
         *(
             (ONE + f"[dwm]\n{entry}", f"[dwm{message}")
             for entry, message in [
+                ('filter = "kalman"', "] filter: expected auto or ekf or multilateration or average, got 'kalman'"),
+                ('calibration = "{r}.toml"', "] calibration: expected the path of a file, {robot} standing for"),
+                ("latency = 1.0", "] latency: expected 0 to 0.4, in s, got 1.0"),
+                ('filters = { r9 = "ekf" }', ".filters] r9: unknown entry"),
                 ("windw = 3", "] windw: unknown entry; did you mean window?"),
                 ("window = 0", "] window: expected a whole number, at least 1, got 0"),
                 ("window = true", "] window: expected a whole number, at least 1, got true"),
@@ -328,6 +340,21 @@ def test_what_the_example_leaves_out_is_right_too():
         # Body, apps, simulation.
         (ONE + "[body]\nwheel_radius = -1", "[body] wheel_radius: expected a number above 0, in m, got -1"),
         (ONE + "[body]\ntrim = 5", "[body] trim: expected an angle within 0.5 of 0, in rad, got 5"),
+        (ONE + "[body.robots.r0]\ntrack = 0", "[body.robots.r0] track: expected a number above 0, in m, got 0"),
+        (ONE + "[body.robots.r9]\ntrack = 0.1", "[body.robots.r9]: unknown table; "),
+        (ONE + "[body]\npayload = 2", "[body] payload: expected a number above 0 up to 1, in kg, got 2"),
+        (
+            ONE + "[balancing]\ncontroller = 'pid'",
+            "[balancing] controller: expected lqr or pololu or thesis, got 'pid'",
+        ),
+        (
+            ONE + "[balancing]\nmax_speed = 3",
+            "[balancing] max_speed: expected a number above 0 up to 0.6, in m/s, got 3",
+        ),
+        (
+            ONE + "[balancing.robots.r0]\nbattery_limit = 7",
+            "[balancing.robots.r0] battery_limit: expected less than battery_warning, got 7 and 6.6 V",
+        ),
         (ONE + "[apps]\nx = 3", "[apps] x: expected a table, written [apps.x], got 3"),
         (ONE + "[apps.Max]", "[apps] Max: expected the name of an app"),
         (ONE + "[apps.max]\n_x = 1", "[apps.max] _x: expected a parameter's name"),
@@ -391,6 +418,24 @@ parameter_names = st.from_regex(r"[a-z][A-Za-z0-9_]{0,10}", fullmatch=True).filt
 parameters = st.dictionaries(parameter_names, values, max_size=4)
 
 
+def bodies(payload: float | None = None):
+    """`payload` of the common body: a robot can have another one, but cannot do without."""
+    payloads = st.floats(0.01, 1) if payload is not None else st.none() | st.floats(0.01, 1)
+    return st.builds(Body, positive, positive, positive, st.floats(-0.5, 0.5), payloads, positive)
+
+
+balancings = st.builds(
+    Balancing,
+    st.sampled_from(["lqr", "pololu", "thesis"]),
+    st.floats(0.01, 0.6),
+    st.floats(0.1, 6),
+    st.floats(0.1, 1),
+    st.floats(0.1, 20),
+    st.floats(6.6, 20),
+    st.floats(0.1, 6.5),
+)
+
+
 @st.composite
 def swarms(draw):
     robot_names = draw(st.lists(names, min_size=1, max_size=8, unique=True))
@@ -429,6 +474,7 @@ def swarms(draw):
     addresses = draw(st.lists(st.from_regex(r"[0-9A-F]{4}", fullmatch=True), max_size=4, unique=True))
     of_robots = st.sampled_from(robot_names)
     pair = st.tuples(finite, finite)
+    body = draw(bodies())
     security = draw(st.sampled_from([(True, None), (False, None), (False, "/some/key")]))
     return Config(
         path=FILE,
@@ -438,12 +484,22 @@ def swarms(draw):
         relay=DEFAULT_RELAY + tuple(relay),
         anchors=tuple(Anchor(address, draw(finite), draw(finite), draw(finite)) for address in addresses),
         mesh=Mesh(*security, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead),
-        body=Body(draw(positive), draw(positive), draw(st.floats(-0.5, 0.5))),
+        body=body,
+        bodies=draw(st.dictionaries(of_robots, bodies(body.payload))),
+        balancing=draw(balancings),
+        balancings=draw(st.dictionaries(of_robots, balancings)),
         dwm=Dwm(
             source=draw(st.sampled_from(["serial:/dev/ttyS0", "replay:/tmp/a b/{robot}", 'replay:"\\'])),
             target=draw(st.none() | st.just("C933")),
             rate=draw(st.floats(0.1, 10)),
+            filter=draw(st.sampled_from(FILTERS)),
+            filters=draw(st.dictionaries(of_robots, st.sampled_from(FILTERS))),
             window=draw(st.integers(1, 100)),
+            position_window=draw(st.none() | st.integers(1, 100)),
+            latency=draw(st.floats(0, 0.4)),
+            height=draw(finite),
+            lever=draw(finite),
+            calibration=draw(st.none() | st.just("of/{robot}.toml")),
             distance=Linear(draw(positive), draw(finite)),
             position=Affine((draw(pair), draw(pair)), draw(pair)),
         ),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from swarm.codec import decode, encode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, key
-from swarm.messages import TOPICS, AppState, Leds, SetMode, Status, Stop, read, type_of
+from swarm.messages import TOPICS, AppState, SetLeds, SetMode, Status, Stop, read, type_of
 
 TYPES = sorted({*TOPICS.values(), Stop}, key=lambda kind: kind.__name__)
 
@@ -68,7 +68,7 @@ def test_any_key_is_read_or_refused(text: str, payload: bytes) -> None:
         ("swarm/r0/mesh/status", Status),
         ("swarm/r0/app/consensus/status", Status),
         ("swarm/r0/app/consensus/state", AppState),
-        ("swarm/r0/balancer/set/leds", Leds),
+        ("swarm/r0/balancer/set/leds", SetLeds),
         ("swarm/r0/balancer/set/mode", SetMode),
         ("swarm/r0/balancer/set/other", None),
         ("swarm/r0/app/consensus/sync/1-2-3-4", None),

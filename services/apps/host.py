@@ -48,6 +48,8 @@ ALONE = 0.03
 """s of an iteration of a robot without neighbours, who has nobody to wait for."""
 CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
+STUCK = 10.0
+"""s after which a step that still runs no longer feeds systemd's watchdog."""
 EPOCH = 0
 """The only membership there is with the policy `wait` (rule R9)."""
 
@@ -79,6 +81,7 @@ class Host:
         self._todo: queue.SimpleQueue[Compute | None] = queue.SimpleQueue()
         self._closing = False
         self._computed_at = 0.0
+        self._step_began: float | None = None
         self._waiting: tuple[str, ...] = ()
         self._measuring: float | None = None
         self._phase, self._reason = "starting", ""
@@ -174,8 +177,10 @@ class Host:
             if self._closing or self._phase == "fault":
                 return
             with self._app_lock:
+                self._step_began = clock.now()
                 own, private = self._runner.step(todo.k, todo.own, todo.values, measurement)
                 now = self._computed_at = clock.now()
+                self._step_began = None
                 with self._lock:
                     self._core.computed(own, _STAMP.pack(now) + private, now)
                     self._perform()
@@ -246,6 +251,9 @@ class Host:
             self._show(repeat)
             if repeat or news != told:
                 told, told_at = news, now
+                # Waiting for others is no fault of ours; a step that does not end is.
+                if self._step_began is None or now - self._step_began < STUCK:
+                    self._service.watchdog()
                 self._publish("progress", self._progress())
 
     def _pause(self) -> float:

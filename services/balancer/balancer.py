@@ -5,17 +5,23 @@ the slack. The same object balances on the Pi, in the simulation's processes and
 """
 
 import logging
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
 
-from services.balancer.core import balboa, lqr
+from services.balancer.core import balboa, faults, imu
+from services.balancer.core.battery import EMPTY, LOW, OK, BatteryGuard
 from services.balancer.core.body import BodyModel
-from services.balancer.core.controller import FAULT, IDLE, STARTING, Controller, Regulator
+from services.balancer.core.choice import make_controller
+from services.balancer.core.controller import BALANCING, CALIBRATING, FAULT, IDLE, STARTING
 from services.balancer.core.estimator import Estimate, Estimator
+from services.balancer.core.faults import Fault
 from services.balancer.core.gyro import GyroZero, Zero
-from services.balancer.core.leds import Shown, shown
+from services.balancer.core.leds import LONGEST_CLAIM_S, Shown, shown
+from services.balancer.core.posture import at_rest, posture
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
-from swarm.errors import RemoteError
+from swarm.config.types import Balancing
+from swarm.errors import LocalError, RemoteError
 
 TOLERATED_ERRORS = 5
 """Ticks in a row without data before it is a fault. The motors keep their last command for so long (50 ms)."""
@@ -37,22 +43,28 @@ class Balancer:
         sleep: Callable[[float], None],
         *,
         start_mode: str = "rest",
+        settings: Balancing | None = None,
     ) -> None:
         """`start_mode` is obeyed once the gyro's zero is known; `sleep` waits for the ATmega, 150 us at most."""
         self._bus = bus
         self.imu = Imu(bus)
         self.balboa = Balboa(bus, clock, sleep)
         self._body = body
-        self._controller = Controller(Regulator(lqr.gains(body)), trim)
-        self._zero = GyroZero()
+        settings = Balancing() if settings is None else settings
+        self._controller = make_controller(body, trim, settings)
+        self._guard = BatteryGuard(settings.battery_warning, settings.battery_limit)
+        self._zero: GyroZero | None = GyroZero()
         self._estimator: Estimator | None = None
         self._wish = start_mode
         self._connected = False
-        self._unreachable = ""
+        self._unreachable: Fault | None = None
         self._retry_at = 0.0
         self._errors_in_row = 0
-        self._claim: Shown | None = None
+        self._claim: tuple[Shown, float] | None = None
         self._leds: Shown | None = None
+        self._now = 0.0
+        self.notices: deque[tuple[str, str]] = deque(maxlen=8)
+        """What happened and is no fault, as (about what, text), for who asks next."""
         self.estimate: Estimate | None = None
         self.duty = (0.0, 0.0)
         self.battery: float | None = None
@@ -78,15 +90,42 @@ class Balancer:
 
     @property
     def mode(self) -> str:
-        """starting, idle, standing_up, balancing or fault."""
-        if self._unreachable:
+        """starting, calibrating, idle, standing_up, balancing, lying_down or fault."""
+        if self._unreachable is not None:
             return FAULT
-        return STARTING if not self.ready and self._controller.mode == IDLE else self._controller.mode
+        if self._controller.mode != IDLE or self._zero is None:
+            return self._controller.mode
+        return CALIBRATING if self._connected else STARTING
 
     @property
-    def fault(self) -> str:
-        """Why the motors are off; empty when there is no fault."""
+    def fault(self) -> Fault | None:
+        """Why the motors are off; None when there is no fault."""
         return self._controller.fault or self._unreachable
+
+    @property
+    def posture(self) -> str:
+        """upright, front, back or leaning; unknown before the first estimate."""
+        return "unknown" if self.estimate is None else posture(self.estimate.tilt, self._controller.configured_trim)
+
+    @property
+    def demand(self) -> tuple[float, float]:
+        """Speed and turn rate it drives with, m/s and rad/s."""
+        return self._controller.demand
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """What may be changed while it runs, as it is."""
+        return self._controller.parameters
+
+    @property
+    def battery_level(self) -> str:
+        """ok, low or empty."""
+        return self._guard.level
+
+    @property
+    def battery_time_left(self) -> float | None:
+        """s until it lies down, roughly; None before the battery was read."""
+        return self._guard.time_left(moving=self.mode == BALANCING)
 
     @property
     def leds(self) -> Shown | None:
@@ -94,33 +133,63 @@ class Balancer:
         return self._leds
 
     def command(self, mode: str, now: float) -> None:
-        """`stand` or `rest`, at once or as soon as it is ready. Raises `LocalError` for another mode."""
-        Controller.check(mode)
-        self._wish, self._claim = mode, None
-        self._controller.command(mode if self.ready else "rest", now)
+        """`stand` or `rest`, at once or as soon as it is ready; `lie` and `calibrate` where they can be done now.
 
-    def claim_leds(self, leds: Shown) -> None:
-        """Show what an app wants, until the next mode command."""
-        self._claim = leds
+        Raises `LocalError` where the command is none, or cannot be obeyed.
+        """
+        self._controller.check(mode)
+        if mode != "rest" and self._unreachable is not None:
+            raise LocalError(f"mode {mode}: the robot's devices do not answer ({self._unreachable.reason})")
+        if mode == "stand" and self._guard.level == EMPTY:
+            raise LocalError(f"mode stand: the battery is empty ({self._guard.volts:.1f} V): charge or change it")
+        if mode == "calibrate":
+            self._calibrate()
+        elif mode == "lie":
+            self._controller.command(mode, now)
+            self._claim = None
+        else:
+            self._wish, self._claim = mode, None
+            if self.ready and mode == "stand":
+                self._zero = None  # a calibration under way is given up: the zero of before holds
+            self._controller.command(mode if self.ready else "rest", now)
 
-    def stop(self, reason: str) -> None:
-        """Motors off until the next command."""
+    def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> None:
+        """Drive forward (m/s) and turn left (rad/s) for a time; a value above its limit is cut, and that is told.
+
+        Raises `LocalError` where it is no number, holds for too long, or the robot does not balance.
+        """
+        cut = self._controller.drive(speed, turn_rate, seconds, now)
+        if cut:
+            self.notices.append(("velocity", cut))
+
+    def change(self, parameters: Mapping[str, float]) -> None:
+        """Change parameters, all or none; raises `LocalError` that names the first that cannot be."""
+        self._controller.change(parameters)
+
+    def claim_leds(self, leds: Shown, seconds: float, now: float) -> None:
+        """Show what an app wants, for a time or until the next mode command. Raises `LocalError` for a wrong time."""
+        if not 0.0 < seconds <= LONGEST_CLAIM_S:
+            raise LocalError(f"leds: seconds: expected a time above 0 up to {LONGEST_CLAIM_S:g} s, got {seconds:.6g}")
+        self._claim = leds, now + seconds
+
+    def stop(self, reason: str) -> bool:
+        """Motors off until the next command; True where that is new."""
         self._wish = "rest"
-        self._controller.fail(f"stopped: {reason}")
+        return self._controller.fail(Fault(faults.STOPPED, f"stopped: {reason}"))
 
     def step(self, now: float) -> None:
         """One tick: read, estimate, decide, command the motors. Bus failures end up in `fault`, not here."""
+        self._now = now
         if not self._connected and not self._connect(now):
             return
         try:
             self.balboa.select(balboa.ENCODERS)
             reading = self.imu.read()
             self.motion = self.balboa.fetch_motion()
+            if self._zero is not None:
+                self._seek_zero(self._zero, reading, now)
             if self._estimator is None:
-                zero = self._zero.add(reading, now)
                 self.balboa.write_motors(0.0, 0.0)
-                if zero is not None:
-                    self._start(zero, now)
                 self._errors_in_row = 0
                 return
             self.estimate = self._estimator.update(reading, (self.motion.left, self.motion.right), now)
@@ -131,9 +200,29 @@ class Balancer:
         else:
             self._errors_in_row = 0
 
+    def watch_battery(self, now: float) -> None:
+        """Judge the battery by its last reading: warn, or lie down; for the slack, once a second."""
+        if self.battery is None or not self._guard.update(self.battery, now):
+            return
+        volts = f"{self._guard.volts:.1f} V"
+        if self._guard.level == LOW:
+            _log.warning("battery low: %s", volts)
+            self.notices.append(("battery", f"low: {volts}, the robot lies down at {self._guard.limit:.1f} V"))
+        elif self._guard.level == EMPTY:
+            self._wish = "rest"
+            self._controller.lie_down(now, Fault(faults.BATTERY, f"battery empty: {volts}"))
+
     def show_leds(self) -> bool:
         """Write the LEDs where they changed; for the slack. True when they did."""
-        wanted = shown(self.mode, self._claim)
+        if self._claim is not None and self._now >= self._claim[1]:
+            self._claim = None
+        wanted = shown(
+            self.mode,
+            "" if self.fault is None else self.fault.name,
+            None if self._claim is None else self._claim[0],
+            low_battery=self._guard.level != OK,
+            now=self._now,
+        )
         if wanted == self._leds or not self._connected:
             return False
         try:
@@ -155,11 +244,36 @@ class Balancer:
                 self.duty = (0.0, 0.0)
                 return
 
+    def _calibrate(self) -> None:
+        """Look for the gyro's zero anew; it is given up, and that is told, when the robot moves meanwhile."""
+        if not self.ready or self._controller.mode != IDLE:
+            raise LocalError(f"mode calibrate: the robot must be idle, this one is {self.mode}")
+        if self.estimate is None or not at_rest(self.estimate):
+            raise LocalError("mode calibrate: the robot must be at rest, this one is moving")
+        self._zero = GyroZero(settle_s=0.0)
+
+    def _seek_zero(self, search: GyroZero, reading: imu.Reading, now: float) -> None:
+        restarts = search.restarts
+        zero = search.add(reading, now)
+        if zero is not None:
+            self._zero = None
+            self._start(zero, now)
+            _log.info("gyro zero found zero=%.4f rad/s restarts=%d", zero.pitch, restarts)
+        elif search.restarts > restarts:
+            if self.ready:
+                self._zero = None
+                self.notices.append(("calibrate", "given up: the robot was moved; the gyro's zero of before holds"))
+            elif search.restarts % 20 == 1:
+                self.notices.append(("calibrate", "the robot is moved: leave it alone for a second"))
+
     def _start(self, zero: Zero, now: float) -> None:
+        if self._estimator is not None:
+            self._estimator.gyro_zero = zero
+            self.notices.append(("calibrate", "done"))
+            return
         self._estimator = Estimator(self._body, zero)
         if self._controller.mode == IDLE:
             self._controller.command(self._wish, now)
-        _log.info("gyro zero found zero=%.4f rad/s restarts=%d", zero.pitch, self._zero.restarts)
 
     def _connect(self, now: float) -> bool:
         if now < self._retry_at:
@@ -171,17 +285,17 @@ class Balancer:
         except (OSError, RemoteError) as error:
             self._bus_errors += 1
             self._bus.recover()
-            reason = _described(error)
-            if reason != self._unreachable:
-                _log.error("the robot's devices do not answer: %s", reason)
-            self._unreachable = reason
+            fault = _described(error)
+            if fault != self._unreachable:
+                _log.error("the robot's devices do not answer: %s", fault.reason)
+            self._unreachable = fault
             return False
-        if self._unreachable:
+        if self._unreachable is not None:
             _log.info("the robot's devices answer again")
         reset = balboa.describe_reset(found.reset_cause)
         _log.info("ATmega firmware=%d last_reset=%s battery=%.2f V", found.revision, reset, found.battery)
         self.battery = found.battery
-        self._connected, self._unreachable, self._leds = True, "", None
+        self._connected, self._unreachable, self._leds = True, None, None
         self._errors_in_row = 0
         if self._estimator is not None:
             self._estimator.lost_track()
@@ -195,16 +309,16 @@ class Balancer:
             self._bus.recover()
         if self._errors_in_row < TOLERATED_ERRORS:
             return
-        reason = _described(error)
-        _log.error("the bus failed %d ticks in a row: %s", self._errors_in_row, reason)
-        self._unreachable = reason
+        fault = _described(error)
+        _log.error("the bus failed %d ticks in a row: %s", self._errors_in_row, fault.reason)
+        self._unreachable = fault
         if self._estimator is not None:
-            self._controller.fail(reason)
+            self._controller.fail(fault)
         self._connected, self._retry_at = False, now + RETRY_S
         self.motors_off()
 
 
-def _described(error: OSError | RemoteError) -> str:
+def _described(error: OSError | RemoteError) -> Fault:
     if isinstance(error, OSError):
-        return f"I2C: {error.strerror or error} (error {error.errno})"
-    return str(error)
+        return Fault(faults.BUS, f"I2C: {error.strerror or error} (error {error.errno})")
+    return Fault(faults.DEVICE, str(error))

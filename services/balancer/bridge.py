@@ -7,20 +7,27 @@ import contextlib
 import socket
 import sys
 
-from services.balancer.core.controller import COMMANDS, FAULT
+from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.requests import check
+from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
 from swarm import clock
 from swarm.errors import LocalError, PayloadError
-from swarm.keys import STOP, key
+from swarm.keys import STOP, key, parse
 from swarm.messages import (
+    AppState,
+    BalancerFault,
     BalancerState,
     Battery,
     Buttons,
+    Display,
     ImuSample,
     Leds,
     ModuleAnswer,
+    Notice,
     Odometry,
+    Parameters,
+    SetDisplay,
     SetMode,
     Uwb,
     read,
@@ -34,17 +41,24 @@ _POLL_S = 0.25
 _LOG_PERIOD_S = 5.0
 """Of refused commands: a flood of them is counted, not logged one by one."""
 
-_TOPICS = {
+_NOTICE_PERIOD_S = 0.1
+"""Of notices about refused commands."""
+
+_TOPICS: dict[type, str] = {
     BalancerState: "state",
     Odometry: "odometry",
     Leds: "leds",
+    BalancerFault: "fault",
+    Notice: "notice",
+    Parameters: "parameters",
     Battery: "battery",
     Buttons: "buttons",
     ImuSample: "imu",
     Uwb: "uwb",
     ModuleAnswer: "module",
+    Display: "display",
 }
-_COMMANDS = ("mode", "leds", "module", "imu")
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display")
 
 
 class Relay:
@@ -56,9 +70,12 @@ class Relay:
         self._loop.settimeout(_POLL_S)
         self._logged = -_LOG_PERIOD_S
         self._heard = clock.now()
-        self._keys: dict[type, str] = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
+        self._noticed = -_NOTICE_PERIOD_S
+        self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe([STOP, *commands], self._command)
+        self._composer = Composer(service.robot)
+        service.bus.subscribe([key(service.robot, "app", "*", "state")], self._app_state)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
@@ -79,9 +96,12 @@ class Relay:
 
     def _publish(self, message: Message) -> None:
         if isinstance(message, BalancerState):
+            self._composer.take_state(message)
+            if (text := self._composer.lines(self._heard)) is not None:
+                self._hand_over(text, "display")
             if message.mode == FAULT:
                 self._service.degraded(message.fault)
-            elif message.mode != "starting":
+            elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
         # The body's state goes ahead of whatever floods the bus.
         self._service.bus.publish(self._keys[type(message)], message, urgent=True)
@@ -91,26 +111,44 @@ class Relay:
         try:
             message = read(name, payload)
         except PayloadError as error:
-            self._refuse("refused", str(error))
+            self._refuse(name, "refused", str(error))
             return
         if isinstance(message, SetMode) and message.mode not in COMMANDS:
-            self._refuse("refused", f"{name}: mode: expected one of {', '.join(COMMANDS)}, got {message.mode!r}")
+            wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
+            self._refuse(name, "refused", f"{name}: mode: {wrong}")
+            return
+        try:
+            check(message)
+        except LocalError as error:
+            self._refuse(name, "refused", f"{name}: {error}")
+            return
+        if isinstance(message, SetDisplay):
+            self._composer.take_text(message.text)
         elif isinstance(message, Command):
-            try:
-                check(message)
-            except LocalError as error:
-                self._refuse("refused", f"{name}: {error}")
-                return
-            try:
-                self._loop.send(pack(message), socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                self._refuse("dropped", f"{name}: the control loop does not take commands")
-            except OSError:
-                return  # the loop is gone, and so are we in a moment
+            self._hand_over(message, name)
 
-    def _refuse(self, counter: str, reason: str) -> None:
+    def _app_state(self, name: str, payload: bytes) -> None:
+        """For the display; runs on Zenoh's thread. What is none is its sender's business."""
+        with contextlib.suppress(PayloadError):
+            if isinstance(message := read(name, payload), AppState):
+                self._composer.take_app(parse(name).topic.partition("/")[0], message)
+
+    def _hand_over(self, message: Command, name: str) -> None:
+        """To the loop, or away with it where that does not take it."""
+        try:
+            self._loop.send(pack(message), socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
+        except OSError:
+            return  # the loop is gone, and so are we in a moment
+
+    def _refuse(self, name: str, counter: str, reason: str) -> None:
         self._service.counters[counter] += 1
         now = clock.now()
+        if now - self._noticed >= _NOTICE_PERIOD_S:
+            self._noticed = now
+            notice = Notice(now, name.rpartition("/")[2], f"{counter}: {reason[:200]}")
+            self._service.bus.publish(self._keys[Notice], notice)
         if now - self._logged >= _LOG_PERIOD_S:
             self._logged = now
             self._service.log.warning("command %s: %s", counter, reason[:200])

@@ -12,13 +12,16 @@ from collections.abc import Callable, Sequence
 from services.balancer.balancer import Balancer
 from services.balancer.core import imu
 from services.balancer.core.buttons import ButtonCounter
+from services.balancer.core.display import ADDRESS, Screen
 from services.balancer.core.health import Health
 from services.balancer.core.mailbox import Mailbox
+from services.balancer.core.screen import ScreenText
 from services.balancer.core.transfers import Chore, duration
+from services.balancer.core.tune import Player
 from services.balancer.core.uwb import UwbReader
 from services.balancer.link import Message
 from swarm.errors import RemoteError
-from swarm.messages import ImuRequest, ImuSample, ModuleRequest
+from swarm.messages import Display, ImuRequest, ImuSample, ModuleRequest, SetNotes
 
 SLACK_S = 4.4e-3
 """Of bus time a tick may spend here: the longest slice (32 bytes from the ATmega, 4.2 ms) and no second one. With the
@@ -40,7 +43,12 @@ class Chores:
         self._uwb = UwbReader(now)
         self._mailbox = Mailbox()
         self._health = Health(now)
-        self._order: tuple[Chore, ...] = (self._uwb, self._mailbox, self._health)
+        self._player = Player()
+        self._screen = Screen(now)
+        self._order: tuple[Chore, ...] = (self._player, self._uwb, self._mailbox, self._health, self._screen)
+        self._lines: tuple[str, ...] = ()
+        self._shown: tuple[bool, tuple[str, ...]] | None = None
+        """What was told of the display."""
         self._buttons = ButtonCounter()
         self._imu_until = self._imu_next = now
         self._imu_period = 0.0
@@ -57,6 +65,11 @@ class Chores:
                 self._mailbox.post(message, now)
             case ImuRequest(rate, seconds):
                 self._imu_period, self._imu_until, self._imu_next = 1.0 / rate, now + seconds, now
+            case SetNotes():
+                self._player.play(message, now)
+            case ScreenText(lines):
+                self._lines = lines
+                self._screen.show(lines)
             case _:
                 return False
         return True
@@ -79,6 +92,8 @@ class Chores:
                 news.append(self._sample(now))
         if self._health.found is not None:
             balancer.battery = self._health.found.battery
+        if (display := self._display(now)) is not None:
+            news.append(display)
         for chore in (self._health, self._uwb, self._mailbox):
             if chore.news is not None:
                 news.append(chore.news)
@@ -101,11 +116,25 @@ class Chores:
                     self._failed(chore, OSError(errno.EBADMSG, str(error)), now)
 
     def _failed(self, chore: Chore, error: OSError, now: float) -> None:
-        self.errors += 1
-        if now - self._logged >= LOG_PERIOD_S:
-            self._logged = now
-            _log.warning("%s: %s errors=%d", type(chore).__name__, error.strerror or error, self.errors)
+        if chore is not self._screen or self._screen.present:  # a robot without a display is a whole robot
+            self.errors += 1
+            if now - self._logged >= LOG_PERIOD_S:
+                self._logged = now
+                _log.warning("%s: %s errors=%d", type(chore).__name__, error.strerror or error, self.errors)
         chore.fail(error, now)
+
+    def _display(self, now: float) -> Display | None:
+        """What is to be told of the display, once it is drawn or known not to be there."""
+        screen = self._screen
+        if screen.present is None or (screen.present and not screen.drawn):
+            return None
+        shown = (screen.present, self._lines)
+        if shown == self._shown:
+            return None
+        if self._shown is None or self._shown[0] != screen.present:
+            _log.info("display %s", "found" if screen.present else f"not there (0x{ADDRESS:02X}): nothing is shown")
+        self._shown = shown
+        return Display(now, *shown)
 
     def _sample(self, now: float) -> ImuSample:
         self._imu_next = max(self._imu_next + self._imu_period, now)

@@ -5,41 +5,55 @@ the other). The loop's end never blocks: what does not fit is dropped, so a brid
 nothing else.
 """
 
+from typing import get_args
+
+from services.balancer.core.screen import ScreenText
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
 from swarm.messages import (
+    BalancerFault,
     BalancerState,
     Battery,
     Buttons,
+    Display,
     ImuRequest,
     ImuSample,
     Leds,
     ModuleAnswer,
     ModuleRequest,
+    Notice,
     Odometry,
+    Parameters,
+    SetLeds,
     SetMode,
+    SetNotes,
+    SetParameters,
+    SetVelocity,
     Stop,
     Uwb,
 )
 
-Told = BalancerState | Odometry | Leds | Battery | Buttons | Uwb | ModuleAnswer | ImuSample
-Command = SetMode | Leds | Stop | ModuleRequest | ImuRequest
+Told = (
+    BalancerState
+    | Odometry
+    | Leds
+    | BalancerFault
+    | Notice
+    | Parameters
+    | Battery
+    | Buttons
+    | Uwb
+    | ModuleAnswer
+    | ImuSample
+    | Display
+)
+"""By the loop."""
+Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop | ModuleRequest | ImuRequest | SetNotes | ScreenText
+"""By the bridge."""
 Message = Told | Command
 
-_KINDS: dict[bytes, type[Message]] = {
-    b"s": BalancerState,
-    b"o": Odometry,
-    b"l": Leds,
-    b"v": Battery,
-    b"b": Buttons,
-    b"u": Uwb,
-    b"a": ModuleAnswer,
-    b"i": ImuSample,
-    b"m": SetMode,
-    b"x": Stop,
-    b"q": ModuleRequest,
-    b"I": ImuRequest,
-}
+_KINDS: dict[bytes, type[Message]] = {bytes((n,)): kind for n, kind in enumerate(get_args(Message))}
+"""Numbered as they stand above: loop and bridge are always of one version, since one starts the other."""
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 
 MAX_DATAGRAM = MAX_PAYLOAD + 1

@@ -19,18 +19,18 @@ from services.balancer.core.body import body_model
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import I2CBus, KernelBus
-from services.balancer.link import Message
+from services.balancer.orders import obey
+from services.balancer.telemetry import Telemetry
 from swarm import clock, log
 from swarm.config import Config, load, who_am_i
-from swarm.errors import LocalError
-from swarm.messages import BalancerState, Leds, Odometry, SetMode, Stop
+from swarm.messages import BalancerState, Leds
 from swarm.process import die_with_parent, notify
 
 TELEMETRY_TICKS = 4
 """25 Hz."""
 SECOND_TICKS = 100
-MAX_REASON = 100
-"""Characters of a stop's reason and origin that are kept."""
+PARAMETERS_TICKS = 1000
+"""Every 10 s."""
 
 _log = logging.getLogger("balancer")
 
@@ -38,14 +38,14 @@ _log = logging.getLogger("balancer")
 class Loop:
     """Ticks until told to stop."""
 
-    def __init__(self, balancer: Balancer, chores: Chores, bridge: Bridge) -> None:
+    def __init__(self, balancer: Balancer, telemetry: Telemetry, chores: Chores, bridge: Bridge) -> None:
         self._balancer = balancer
+        self._telemetry = telemetry
         self._chores = chores
         self._bridge = bridge
         self._lateness = Lateness()
         self._stopping = False
         self._announced = False
-        self._sequence = 0
         self.ticks = 0
         self.missed = 0
 
@@ -60,7 +60,9 @@ class Loop:
         while not self._stopping:
             # time.sleep waits for an absolute time of the monotonic clock (clock_nanosleep, since Python 3.11).
             wait = deadline - now()
-            if wait > 0.0:
+            if wait > 2 * PERIOD_S:  # the clock went back: no reason to sleep until it is there again
+                deadline = now()
+            elif wait > 0.0:
                 sleep(wait)
             started = now()
             self._lateness.add(started - deadline)
@@ -77,14 +79,18 @@ class Loop:
     def _use_slack(self, until: float) -> None:
         """A little at each tick: no tick shall have to do all of it. The next one is at `until`."""
         for message in self._bridge.commands():
-            self._obey(message)
+            now = clock.now()
+            if not (obey(self._balancer, message, now) or self._chores.obey(message, now)):
+                _log.warning("the bridge sent a %s", type(message).__name__)
         if self._balancer.show_leds():
             self._tell_leds()
         part = self.ticks % TELEMETRY_TICKS
         if part == 0:
             self._bridge.send(self._state())
-        elif part == 2 and (odometry := self._odometry()) is not None:
+        elif part == 2 and (odometry := self._telemetry.odometry()) is not None:
             self._bridge.send(odometry)
+        elif part == 3 and (news := self._telemetry.news()) is not None:
+            self._bridge.send(news)
         elif part == 1:
             self._each_second(self.ticks % SECOND_TICKS)
         for message in self._chores.run(until):
@@ -94,72 +100,29 @@ class Loop:
         if tick == 25:
             self._bridge.keep_up(clock.now())
         elif tick == 49:
-            self._tell_leds()  # again, for whoever came to the bus meanwhile
+            self._tell_again()
+        elif tick == 61:
+            self._balancer.watch_battery(clock.now())
         elif tick == 73:
             ready = self._balancer.ready and not self._announced
             self._announced |= ready
             notify("READY=1\nWATCHDOG=1" if ready else "WATCHDOG=1", timeout_s=0.0)
 
-    def _obey(self, message: Message) -> None:
-        match message:
-            case SetMode(mode):
-                try:
-                    self._balancer.command(mode, clock.now())
-                except LocalError as error:
-                    _log.warning("command refused: %s", error)
-                else:
-                    _log.info("commanded mode=%s", mode)
-            case Leds(red, yellow, green):
-                self._balancer.claim_leds((red, yellow, green))
-            case Stop(_, origin, reason):
-                # It comes back in every state message: others' prose must not make those too large to send.
-                why = f"{reason[:MAX_REASON] or 'no reason given'} (by {origin[:MAX_REASON]})"
-                self._balancer.stop(why)
-                _log.warning("stopped: %s", why)
-            case _ if not self._chores.obey(message, clock.now()):
-                _log.warning("the bridge sent a %s", type(message).__name__)
+    def _state(self) -> BalancerState:
+        errors = self._balancer.bus_errors + self._chores.errors
+        return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max())
+
+    def _tell_again(self) -> None:
+        """For whoever came to the bus meanwhile."""
+        self._tell_leds()
+        if self._balancer.fault is not None:
+            self._bridge.send(self._telemetry.fault())
+        if self.ticks % PARAMETERS_TICKS == 49:
+            self._bridge.send(self._telemetry.parameters())
 
     def _tell_leds(self) -> None:
         if self._balancer.leds is not None:
             self._bridge.send(Leds(*self._balancer.leds))
-
-    def _state(self) -> BalancerState:
-        balancer, estimate = self._balancer, self._balancer.estimate
-        late_p99, late_max = self._lateness.p99_and_max()
-        return BalancerState(
-            t=clock.now() if estimate is None else estimate.t,
-            mode=balancer.mode,
-            tilt=0.0 if estimate is None else estimate.tilt,
-            tilt_rate=0.0 if estimate is None else estimate.tilt_rate,
-            speed=0.0 if estimate is None else estimate.speed,
-            duty_left=balancer.duty[0],
-            duty_right=balancer.duty[1],
-            battery=balancer.battery,
-            ticks=self.ticks,
-            late_p99=late_p99,
-            late_max=late_max,
-            fault=balancer.fault,
-            missed=self.missed,
-            bus_errors=balancer.bus_errors + self._chores.errors,
-        )
-
-    def _odometry(self) -> Odometry | None:
-        estimate = self._balancer.estimate
-        if estimate is None:
-            return None
-        self._sequence += 1
-        return Odometry(
-            t=estimate.t,
-            sequence=self._sequence,
-            left=estimate.left,
-            right=estimate.right,
-            x=estimate.x,
-            y=estimate.y,
-            heading=estimate.heading,
-            gyro_heading=estimate.gyro_heading,
-            wheel_heading=estimate.wheel_heading,
-            tilt=estimate.tilt,
-        )
 
 
 def main(
@@ -173,14 +136,15 @@ def main(
     log.setup("balancer")
     config = load()
     robot = who_am_i(config)
-    body = body_model(config.robot(robot).board, config.body)
+    shape, settings = config.body_of(robot), config.balancing_of(robot)
+    body = body_model(config.robot(robot).board, shape)
     bus = open_bus(config, robot)
     try:
-        balancer = Balancer(bus, body, config.body.trim, clock.now, time.sleep, start_mode=start_mode)
+        balancer = Balancer(bus, body, shape.trim, clock.now, time.sleep, start_mode=start_mode, settings=settings)
         try:
             bridge = Bridge(clock.now())
             try:
-                loop = Loop(balancer, Chores(balancer, clock.now), bridge)
+                loop = Loop(balancer, Telemetry(balancer, settings.controller), Chores(balancer, clock.now), bridge)
                 for number in (signal.SIGTERM, signal.SIGINT):
                     signal.signal(number, lambda *_: loop.stop())
                 realtime.enter(_log)

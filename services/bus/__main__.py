@@ -15,6 +15,12 @@ UMASK = 0o007
 """Connecting takes write permission on the socket, which follows the umask: owner and group, nobody else."""
 
 
+ROUTER = "@/*/router"
+"""Where a Zenoh router answers queries about itself."""
+
+LOOK_PERIOD_S = 2.0
+
+
 def main() -> None:
     """Route until SIGTERM or SIGINT."""
     die_with_parent()
@@ -24,7 +30,9 @@ def main() -> None:
     with claim(directory), Router(endpoint), Service("bus") as service:
         service.ready()
         service.log.info("routing endpoint=%s", endpoint)
-        service.stopping.wait()
+        # The watchdog is fed by the router's own answers, so that one that no longer routes is replaced.
+        while not service.stopping.wait(LOOK_PERIOD_S):
+            service.bus.ask(ROUTER, lambda *_: service.watchdog(), timeout_s=LOOK_PERIOD_S)
 
 
 if __name__ == "__main__":

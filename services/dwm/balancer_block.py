@@ -4,8 +4,8 @@ import queue
 
 from services.dwm.core.block import Block
 from services.dwm.core.calls import call_of
-from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.poller import Health
+from services.dwm.localizer import Localizer
 from services.dwm.requests import Requests
 from swarm import clock
 from swarm.errors import FrameError, PayloadError
@@ -34,7 +34,7 @@ def serve(service: Service) -> None:
 
     bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
     requests = Requests(service, lambda: arrived.put(None), repeats=True)
-    block, pipeline = Block(clock.now()), Pipeline(service.config.dwm, service.config.robots_by_module)
+    block, localizer = Block(clock.now()), Localizer(service)
     service.ready()
     while not service.stopping.is_set():
         try:
@@ -52,11 +52,7 @@ def serve(service: Service) -> None:
             elif isinstance(event, Health):
                 service.degraded(event.reason)
             else:
-                ranges, pose = pipeline.report(event.location, now - event.age)
-                service.counters["reports"] += 1
-                service.counters.update(pipeline.dropped())
-                bus.publish(key(robot, "dwm", "ranges"), ranges)
-                bus.publish(key(robot, "dwm", "pose"), pose)
+                localizer.report(event.location, now - event.age)
         service.watchdog()
 
 

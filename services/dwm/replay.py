@@ -63,6 +63,7 @@ def serve(service: Service, recording: Recording) -> None:
     service.log.info("replays %s rows=%d", recording.path, recording.steps)
     service.ready()
     while not service.stopping.is_set():
+        service.watchdog()
         try:
             k = first_asked.get(timeout=0.25)  # a signal does not wake a queue: this bounds the time to stop
         except queue.Empty:

@@ -8,12 +8,11 @@ import select
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.poller import Answered, Health, Poller
+from services.dwm.localizer import Localizer
 from services.dwm.requests import Requests
 from swarm import clock
 from swarm.errors import LocalError
-from swarm.keys import key
 from swarm.service import Service
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def serve(service: Service, path: Path) -> None:
         raise LocalError(
             "[dwm] source is a serial port, which needs pyserial: pip install balboa-swarm[robot]"
         ) from None
-    pipeline = Pipeline(service.config.dwm, service.config.robots_by_module)
+    localizer = Localizer(service)
     wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
     requests = Requests(service, lambda: os.eventfd_write(wake, 1))
     pause = _FIRST_PAUSE
@@ -46,7 +45,7 @@ def serve(service: Service, path: Path) -> None:
         try:
             # exclusive: two processes polling one module would read each other's answers
             with serial.Serial(str(path), BAUD, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True) as port:
-                _poll(service, port, pipeline, requests, wake)
+                _poll(service, port, localizer, requests, wake)
         except OSError as error:  # pyserial's own errors are OSErrors too
             service.counters["port_errors"] += 1
             service.degraded(f"{path}: {error.strerror or error}")
@@ -59,7 +58,7 @@ def serve(service: Service, path: Path) -> None:
         pause = min(pause * 2, _MAX_PAUSE)
 
 
-def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests: Requests, wake: int) -> None:
+def _poll(service: Service, port: "serial.Serial", localizer: Localizer, requests: Requests, wake: int) -> None:
     """Runs the poller until the service is to stop; raises `OSError` when the port goes away."""
     poller = Poller(service.config.dwm.rate, clock.now())
     port.reset_input_buffer()
@@ -88,11 +87,7 @@ def _poll(service: Service, port: "serial.Serial", pipeline: Pipeline, requests:
             elif isinstance(event, Answered):
                 requests.answer(event.ticket, event.answer, event.problem)
             else:
-                ranges, pose = pipeline.report(event.location, now)
-                service.counters["reports"] += 1
-                service.counters.update(pipeline.dropped())
-                service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
-                service.bus.publish(key(service.robot, "dwm", "pose"), pose)
+                localizer.report(event.location, now)
 
 
 def _tell(service: Service, name: str | None, health: Health) -> None:

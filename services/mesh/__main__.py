@@ -139,6 +139,8 @@ def main() -> None:
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):
             mesh.report()
+            if mesh.turned():
+                this.watchdog()
         mesh.stop()
         network.close()
 

@@ -79,6 +79,7 @@ class Runner:
         self._stopping = False
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._deadline = 0.0
+        self._turned = False
         self._thread = threading.Thread(target=self._run, name="mesh")
 
     def start(self) -> None:
@@ -120,6 +121,12 @@ class Runner:
         """The mesh clock now."""
         with self._lock:
             return self._node.clock(clock.now())
+
+    def turned(self) -> bool:
+        """Whether the reading thread has gone round since the last call. Wakes it, so that an idle one will have."""
+        turned, self._turned = self._turned, False
+        self._wake_up()
+        return turned
 
     def stop(self) -> None:
         """Say goodbye to the neighbours and end all threads."""
@@ -223,6 +230,7 @@ class Runner:
                 ended, self._ended = self._ended, []
                 pipes, blocked = list(self._pipes.items()), list(self._blocked.items())
                 deadline = self._deadline
+            self._turned = True
             for pipe in ended:
                 pipe.close()
             self._wait(pipes, blocked, deadline)

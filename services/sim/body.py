@@ -1,17 +1,14 @@
 """`python -m services.sim.body`: the balancer of one simulated robot, the real one but for its I2C bus.
 
-The body moves with the loop's own clock (services/sim/core) and tells its true pose to the world, a datagram to
-RUN/world.sock 25 times a second, where RUN is the parent of this robot's runtime directory.
+The body moves with the loop's own clock (services/sim/core), tells its true pose to the world, and is acted upon by
+people (services/sim/door.py).
 """
 
 import contextlib
 import os
 import random
-import socket
 from collections.abc import Callable
 from pathlib import Path
-
-import msgpack
 
 from services.balancer.core.body import body_model
 from services.balancer.i2c import I2CBus
@@ -19,37 +16,16 @@ from services.balancer.loop import main as balance
 from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import SimulatedRobot, draw_errors
 from services.sim.core.module_line import SOURCE, TTY, ModuleLine
+from services.sim.door import Door
 from services.sim.i2c import SimulatedBus
 from swarm import clock
 from swarm.config import Config
 from swarm.errors import LocalError
-from swarm.paths import runtime_dir, socket_path
+from swarm.paths import runtime_dir
 from swarm.process import run
 
-WORLD_SOCKET = "world.sock"
-REPORT_S = 0.04
 RETRY_S = 1.0
 """Between attempts to find the module."""
-
-
-class Reporter:
-    """Tells the world where the body truly is. A world that is not there (yet) misses it."""
-
-    def __init__(self, name: str, body: BalboaBody, path: Path) -> None:
-        self._name, self._body, self._path = name, body, str(path)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._next = 0.0
-
-    def report(self, now: float) -> None:
-        """Send the pose when it is time; called at every write to the bus."""
-        if now < self._next:
-            return
-        self._next = now + REPORT_S
-        body = self._body
-        pose = {"robot": self._name, "t": now, "x": body.x, "y": body.y, "heading": body.heading, "tilt": body.tilt}
-        with contextlib.suppress(OSError):
-            self._socket.sendto(msgpack.packb(pose), self._path)
 
 
 class ModuleWire:
@@ -88,16 +64,17 @@ class ModuleWire:
 
 
 def simulated_bus(config: Config, robot: str) -> I2CBus:
-    """A robot standing at its place of the config, held upright until its motors start."""
+    """A robot standing at its place of the config, held upright until its motors start, or lying where it fell when an
+    earlier process of its balancer ended."""
     text = os.environ.get("SWARM_SEED", "0")
     if not text.lstrip("-").isdecimal():
         raise LocalError(f"SWARM_SEED={text!r}: expected an integer")
     noise = random.Random(f"{text} {robot}")
+    shape = config.body_of(robot)
     place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
-    body = BalboaBody(body_model(config.robot(robot).board, config.body), clock.now(), place=place)
-    devices = SimulatedRobot(body, noise, errors=draw_errors(noise), trim=config.body.trim)
-    reporter = Reporter(robot, body, socket_path(runtime_dir().parent, WORLD_SOCKET))
-    wires: list[Callable[[float], None]] = [reporter.report]
+    body = BalboaBody(body_model(config.robot(robot).board, shape), clock.now(), place=place)
+    devices = SimulatedRobot(body, noise, errors=draw_errors(noise), trim=shape.trim)
+    wires: list[Callable[[float], None]] = [Door(robot, devices, runtime_dir(), clock.now()).look]
     if config.dwm.source == SOURCE:
         wires.append(ModuleWire(lambda: devices.atmega.line, runtime_dir() / TTY).carry)
 

@@ -86,7 +86,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
             for index, robot in enumerate(base.robots)
         ),
         mesh=replace(base.mesh, insecure=True, key=None, listen=None),
-        dwm=_dwm(base.dwm, options.replay, run_dir),
+        dwm=_dwm(base, options.replay, run_dir),
         simulation=_places(base),
     )
     if app is not None:
@@ -180,7 +180,10 @@ def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
         raise ConfigError(f"--topology {topology}: {error}") from None
 
 
-def _dwm(dwm: Dwm, replay: Path | None, run_dir: Path) -> Dwm:
+def _dwm(base: Config, replay: Path | None, run_dir: Path) -> Dwm:
+    dwm = base.dwm
+    if dwm.calibration is not None:  # the run has its configuration elsewhere
+        dwm = replace(dwm, calibration=str((base.path.parent / dwm.calibration).absolute()))
     if replay is not None:
         return replace(dwm, source=f"replay:{replay.resolve()}")
     if dwm.source == SOURCE:

@@ -18,6 +18,7 @@ from services.sim.module import ModuleBoard
 from swarm import clock
 from swarm.codec import MAX_PAYLOAD, decode
 from swarm.config import Config
+from swarm.core.hands import DOOR, Place, pack
 from swarm.errors import PayloadError
 from swarm.messages import Truth
 from swarm.paths import socket_path
@@ -38,6 +39,15 @@ class BodyReport:
     y: float
     heading: float
     tilt: float
+    held: bool
+    """In the hand that holds it at the start."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodyHello:
+    """What a simulated body sends when its process starts, to learn where it had been."""
+
+    robot: str
 
 
 class World:
@@ -47,6 +57,9 @@ class World:
         """`publish(robot, truth)` is called 10 times a second for each robot, from the world's thread."""
         self._publish = publish
         self._publish_at = dict.fromkeys(config.names, 0.0)
+        self._run_dir = run_dir
+        self._starts = config.simulation.places
+        self._last: dict[str, BodyReport] = {}
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(socket_path(run_dir, SOCKET)))
         self._socket.setblocking(False)
@@ -85,11 +98,27 @@ class World:
                 try:
                     report = decode(BodyReport, data, SOCKET)
                 except PayloadError:
-                    continue  # only our own bodies write here; a torn datagram cannot happen
+                    self._answer(data)
+                    continue
                 if report.robot in self._publish_at:
                     self._place(report)
 
+    def _answer(self, data: bytes) -> None:
+        """Tell a body that starts where it had been: it fell over there when its process ended."""
+        try:
+            robot = decode(BodyHello, data, SOCKET).robot
+        except PayloadError:
+            return  # only our own bodies write here; a torn datagram cannot happen
+        if robot not in self._publish_at:
+            return
+        last = self._last.get(robot)
+        start = self._starts.get(robot, (0.0, 0.0, 0.0))
+        place = Place(*start, 0.0, True) if last is None else Place(last.x, last.y, last.heading, last.tilt, last.held)
+        with contextlib.suppress(OSError):  # it ended again
+            self._socket.sendto(pack(place), str(socket_path(self._run_dir / robot, DOOR)))
+
     def _place(self, report: BodyReport) -> None:
+        self._last[report.robot] = report
         if self._ranging:
             self._modules.update_pose(report.robot, report.x, report.y, report.heading)
         due = self._publish_at[report.robot]

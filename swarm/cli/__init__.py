@@ -16,12 +16,13 @@ from typing import NoReturn
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
-VERBS = ("arm", "config", "key", "kill", "measure", "mesh", "stop")
+VERBS = ("arm", "config", "key", "kill", "lay", "measure", "mesh", "press", "push", "stop")
 """Modules of this package."""
 
 HANDED_ON = {
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
+    "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
 }
 """Verb: its help, and the module and first arguments that it becomes."""

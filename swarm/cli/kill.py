@@ -7,7 +7,7 @@ from pathlib import Path
 
 from swarm.errors import LocalError
 from swarm.keys import is_name
-from swarm.simulations import default_run_dir, is_live, pid_of, robots
+from swarm.simulations import pid_of, runtime_of
 
 HELP = "end one service of one simulated robot; the simulation starts it again"
 
@@ -30,15 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Raises `LocalError` where there is no such simulation, robot or service."""
-    directory = (args.run_dir or default_run_dir()).absolute()
-    if not is_live(directory):
-        raise LocalError(f"no simulation is running in {directory} (--run-dir names another one)")
-    known = robots(directory)
-    if args.robot not in known:
-        raise LocalError(f"no robot {args.robot!r} in the simulation, there are {', '.join(known) or 'none yet'}")
-    service = _service(known[args.robot], args.service)
-    pid = pid_of(directory, args.robot, service)
-    if pid is None or not _send(pid, known[args.robot], getattr(signal, f"SIG{args.signal}")):
+    runtime = runtime_of(args.run_dir, args.robot)
+    service = _service(runtime, args.service)
+    pid = pid_of(runtime.parent, args.robot, service)
+    if pid is None or not _send(pid, runtime, getattr(signal, f"SIG{args.signal}")):
         raise LocalError(f"{service} of {args.robot} is not running at this moment")
     print(f"{service} of {args.robot} (pid {pid}): SIG{args.signal}")
     return 0

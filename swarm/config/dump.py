@@ -17,8 +17,10 @@ def dump(config: Config) -> str:
         raise LocalError("a config whose relay rules do not begin with the default ones cannot be written")
     document: dict[str, Any] = {"network": config.network, "robots": _plain(config.robots)}
     document["topology"] = {"edges": _plain(config.edges)}
-    for name in ("mesh", "anchors", "dwm", "body", "simulation"):
+    for name in ("mesh", "anchors", "dwm", "simulation"):
         document[name] = _plain(getattr(config, name))
+    for name, robots in (("body", config.bodies), ("balancing", config.balancings)):
+        document[name] = {**_plain(getattr(config, name)), "robots": _plain(robots)}
     document["relay"] = _plain(rules)
     document["apps"] = {name: _app(app) for name, app in config.apps.items()}
     text: str = tomli_w.dumps(document)

@@ -102,7 +102,16 @@ y = 1.94
 source = "serial:/dev/serial0"  # serial:PATH, balancer (wired to the ATmega), replay:DIR; {robot}: its name
 target = "C933"            # address of the module that is the target
 rate = 10.0                # Hz, at most 10
-window = 5                 # moving average over so many measurements; 1 = off
+filter = "auto"            # pose by ekf (needs odometry), multilateration or average; auto: ekf or average
+window = 5                 # moving average of ranges over so many measurements; 1 = off
+position_window = 5        # the same for places
+latency = 0.06             # s from a measurement until its report is read
+height = 0.0               # of the robots' antennas in the frame of the anchors, m
+lever = 0.0                # from the axle up to the antenna, m
+# calibration = "calibration/{robot}.toml"   # made by `swarm calibrate`; goes before the two tables below
+
+[dwm.filters]              # of single robots
+r5 = "average"
 
 [dwm.distance]             # calibrated distance = gain * measured + offset
 gain = 0.946976
@@ -117,7 +126,27 @@ offset = [0.046239576, 0.050861534]    # m
 [body]
 wheel_radius = 0.040       # m
 gear_ratio = 110.25        # motor turns for one turn of a wheel
+track = 0.11               # m between the wheels
 trim = 0.0                 # tilt at which it balances, from the upright of the IMU, rad
+# payload = 0.05           # kg of Pi, UWB module and display; without it as the robot's board says
+payload_height = 0.071     # m above the axle: its centre of mass
+
+[body.robots.r4]           # what is different in one robot
+trim = 0.03
+
+# ---- Balancing: controller, limits of driving, and of the battery. Single robots as in [body.robots.NAME].
+
+[balancing]
+controller = "lqr"         # computed from the body above; or "pololu" or "thesis": Pololu's algorithm
+max_speed = 0.5            # m/s, at most 0.6
+max_turn_rate = 3.0        # rad/s, at most 6
+acceleration = 0.5         # m/s^2, at most 1
+turn_acceleration = 6.0    # rad/s^2, at most 20
+battery_warning = 6.6      # V: a warning,
+battery_limit = 6.0        # V: and the robot lies down
+
+[balancing.robots.r5]
+controller = "pololu"
 
 # ---- Apps: parameters by name, for all robots and for single ones on top. Numbers, true or false, texts, and
 # lists of numbers. A parameter named like a field of the app's state sets its starting value.

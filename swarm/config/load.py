@@ -22,7 +22,8 @@ from swarm.paths import MAX_SOCKET_PATH
 DEFAULT_PATH = Path("/etc/swarm/swarm.toml")
 
 _TABLES = (
-    "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "apps", "simulation",
+    "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "balancing", "apps",
+    "simulation",
 )  # fmt: skip
 
 _NAME = "a name: a lower-case letter, then up to 15 lower-case letters, digits, _ or -"
@@ -63,6 +64,8 @@ def parse(text: str, path: Path) -> Config:
     robots = _robots(top)
     names = tuple(robot.name for robot in robots)
     graph = _topology(top, robots)
+    body, bodies = sections.bodies(top, names)
+    balancing, balancings = sections.balancings(top, names)
     return Config(
         path=path,
         network=network,
@@ -71,8 +74,11 @@ def parse(text: str, path: Path) -> Config:
         relay=_relay(top),
         anchors=sections.anchors(top),
         mesh=sections.mesh(top),
-        body=sections.body(top),
-        dwm=sections.dwm(top),
+        body=body,
+        bodies=bodies,
+        balancing=balancing,
+        balancings=balancings,
+        dwm=sections.dwm(top, names),
         apps=sections.apps(top, names),
         simulation=sections.simulation(top, names),
     )

@@ -1,20 +1,32 @@
-"""The tables of `swarm.toml` that speak of one concern each: mesh, anchors, dwm, body, apps, simulation."""
+"""The tables of `swarm.toml` that speak of one concern each: mesh, anchors, dwm, body,
+balancing, apps, simulation."""
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from typing import Any
 
 from swarm.codec import Value
 from swarm.config.reader import Table, finite, vector
-from swarm.config.types import Affine, Anchor, App, Body, Dwm, Linear, Mesh, Simulation
+from swarm.config.types import Affine, Anchor, App, Balancing, Body, Dwm, Linear, Mesh, Simulation
 from swarm.keys import is_name
 
 HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
 """A host name, an IPv4 address or an IPv6 address in brackets, then a port."""
 
+FILTERS = ("auto", "ekf", "multilateration", "average")
+"""What may make a robot's pose."""
+
 _PATH = re.compile(r"/.*")
 MAX_CHANNEL = 30
 """RFCOMM has 30 server channels (Bluetooth RFCOMM specification, section 5.4)."""
+
+CONTROLLERS = ("lqr", "pololu", "thesis")
+MAX_SPEED = 0.6
+MAX_TURN_RATE = 6.0
+MAX_ACCELERATION = 1.0
+MAX_TURN_ACCELERATION = 20.0
+"""What the tests of driving reach: beyond, a robot may fall (m/s, rad/s, and these a second)."""
 
 _UWB_ADDRESS = re.compile(r"[0-9A-Fa-f]{4}")
 _PARAMETER = "a finite number, a 64-bit whole number, true or false, a text or a list of finite numbers"
@@ -71,9 +83,13 @@ def anchors(top: Table) -> tuple[Anchor, ...]:
     return tuple(found)
 
 
-def dwm(top: Table) -> Dwm:
+def dwm(top: Table, robots: Sequence[str]) -> Dwm:
     """The table [dwm]."""
-    table = top.table("dwm", ("source", "target", "rate", "window", "distance", "position"))
+    table = top.table(
+        "dwm",
+        ("source", "target", "rate", "filter", "filters", "window", "position_window", "latency", "height", "lever",
+         "calibration", "distance", "position"),
+    )  # fmt: skip
     normal = Dwm()
     expected = "serial:PATH, balancer or replay:DIR, {robot} in it standing for the robot's name"
     source = table.text("source", normal.source, expected=expected)
@@ -81,6 +97,11 @@ def dwm(top: Table) -> Dwm:
     named = kind in ("serial", "replay") and place and not set("{}") & set(place.replace("{robot}", ""))
     if source != "balancer" and not named:
         raise table.wrong("source", expected)
+    calibration = table.text("calibration", None, expected="the path of a file, {robot} standing for the robot's name")
+    if calibration is not None and set("{}") & set(calibration.replace("{robot}", "")):
+        raise table.wrong("calibration", "the path of a file, {robot} standing for the robot's name")
+    filters = table.table("filters", robots)
+    metres = "a finite number, in m"
     distance = table.table("distance", ("gain", "offset"))
     gain = distance.number("gain", normal.distance.gain, above=0, expected="a number above 0")
     offset = distance.number("offset", normal.distance.offset, expected="a finite number, in m")
@@ -89,7 +110,14 @@ def dwm(top: Table) -> Dwm:
         source=source,
         target=uwb_address(table, "target") if "target" in table else None,
         rate=table.number("rate", normal.rate, above=0, up_to=10, expected="a number above 0 up to 10, in Hz"),
+        filter=table.choice("filter", normal.filter, FILTERS),
+        filters={robot: filters.choice(robot, "", FILTERS) for robot in filters.data},
         window=table.count("window", normal.window, low=1),
+        position_window=table.count("position_window", 1, low=1) if "position_window" in table else None,
+        latency=table.number("latency", normal.latency, above=-1e-9, up_to=0.4, expected="0 to 0.4, in s"),
+        height=table.number("height", normal.height, expected=metres),
+        lever=table.number("lever", normal.lever, expected=metres),
+        calibration=calibration,
         distance=Linear(gain, offset),
         position=Affine(
             _matrix(position, normal.position.matrix),
@@ -98,18 +126,60 @@ def dwm(top: Table) -> Dwm:
     )
 
 
-def body(top: Table) -> Body:
-    """The table [body]."""
-    table = top.table("body", ("wheel_radius", "gear_ratio", "trim"))
-    normal = Body()
+def bodies(top: Table, robots: Sequence[str]) -> tuple[Body, dict[str, Body]]:
+    """The table [body] and, on top of it, [body.robots.ROBOT]."""
+    names = [field.name for field in dataclasses.fields(Body)]
+    table = top.table("body", (*names, "robots"))
+    common = _body(table, Body())
+    single = table.table("robots", robots)
+    return common, {robot: _body(single.table(robot, names), common) for robot in single.data}
+
+
+def _body(table: Table, normal: Body) -> Body:
     trim = table.number("trim", normal.trim, expected="an angle within 0.5 of 0, in rad")
     if abs(trim) > 0.5:
         raise table.wrong("trim", "an angle within 0.5 of 0, in rad")
+    length, weight = "a number above 0, in m", "a number above 0 up to 1, in kg"
     return Body(
-        wheel_radius=table.number("wheel_radius", normal.wheel_radius, above=0, expected="a number above 0, in m"),
+        wheel_radius=table.number("wheel_radius", normal.wheel_radius, above=0, expected=length),
         gear_ratio=table.number("gear_ratio", normal.gear_ratio, above=0, expected="a number above 0"),
+        track=table.number("track", normal.track, above=0, expected=length),
         trim=trim,
+        payload=table.number("payload", normal.payload, above=0, up_to=1, expected=weight),
+        payload_height=table.number("payload_height", normal.payload_height, above=0, expected=length),
     )
+
+
+def balancings(top: Table, robots: Sequence[str]) -> tuple[Balancing, dict[str, Balancing]]:
+    """The table [balancing] and, on top of it, [balancing.robots.ROBOT]."""
+    names = [field.name for field in dataclasses.fields(Balancing)]
+    table = top.table("balancing", (*names, "robots"))
+    common = _balancing(table, Balancing())
+    single = table.table("robots", robots)
+    return common, {robot: _balancing(single.table(robot, names), common) for robot in single.data}
+
+
+def _balancing(table: Table, normal: Balancing) -> Balancing:
+    def up_to(name: str, limit: float, unit: str) -> float:
+        expected = f"a number above 0 up to {limit:g}, in {unit}"
+        number: float = table.number(name, getattr(normal, name), above=0, up_to=limit, expected=expected)
+        return number
+
+    found = Balancing(
+        controller=table.choice("controller", normal.controller, CONTROLLERS),
+        max_speed=up_to("max_speed", MAX_SPEED, "m/s"),
+        max_turn_rate=up_to("max_turn_rate", MAX_TURN_RATE, "rad/s"),
+        acceleration=up_to("acceleration", MAX_ACCELERATION, "m/s^2"),
+        turn_acceleration=up_to("turn_acceleration", MAX_TURN_ACCELERATION, "rad/s^2"),
+        battery_warning=up_to("battery_warning", 20.0, "V"),
+        battery_limit=up_to("battery_limit", 20.0, "V"),
+    )
+    if not found.battery_limit < found.battery_warning:
+        raise table.error(
+            "battery_limit",
+            f"expected less than battery_warning, got {found.battery_limit:g} and {found.battery_warning:g} V",
+        )
+    return found
 
 
 def apps(top: Table, robots: Sequence[str]) -> dict[str, App]:

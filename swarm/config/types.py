@@ -102,8 +102,34 @@ class Body:
     wheel_radius: float = 0.040
     gear_ratio: float = 110.25
     """Motor turns for one wheel turn: 50:1 motor (51.45) with 45:21 gears."""
+    track: float = 0.11
+    """Between the wheels, m."""
     trim: float = 0.0
     """Tilt of the balance point from the IMU's upright, rad."""
+    payload: float | None = None
+    """kg on top of the robot as sold: Pi, UWB module, display; None = what the robot's board says."""
+    payload_height: float = 0.071
+    """m above the axle: that payload's centre of mass."""
+
+
+@dataclass(frozen=True)
+class Balancing:
+    """How the balancer works with that body."""
+
+    controller: str = "lqr"
+    """lqr, or pololu (its algorithm and constants), or thesis (the same with the thesis' constants)."""
+    max_speed: float = 0.5
+    """m/s."""
+    max_turn_rate: float = 3.0
+    """rad/s."""
+    acceleration: float = 0.5
+    """m/s^2, of driving."""
+    turn_acceleration: float = 6.0
+    """rad/s^2."""
+    battery_warning: float = 6.6
+    """V: 1.1 a cell of six."""
+    battery_limit: float = 6.0
+    """V: below it lies down; NiMH cells below 1 V suffer."""
 
 
 @dataclass(frozen=True)
@@ -135,10 +161,28 @@ class Dwm:
     """Address of the module that is the target."""
     rate: float = 10.0
     """Hz; the module's maximum is 10."""
+    filter: str = "auto"
+    """What makes the pose: ekf, multilateration or average; auto = ekf while there is odometry, else average."""
+    filters: Mapping[str, str] = field(default_factory=dict)
+    """The same for single robots, by name."""
     window: int = 5
-    """Length of the moving average; 1 = off."""
+    """Length of the moving average of ranges; 1 = off."""
+    position_window: int | None = None
+    """The same for places; None = as `window`."""
+    latency: float = 0.06
+    """s from a measurement until its report is read."""
+    height: float = 0.0
+    """Of the robots' antennas in the frame of the anchors, m."""
+    lever: float = 0.0
+    """From a robot's axle up to its antenna, m: so far it swings as the body leans."""
+    calibration: str | None = None
+    """File made by `swarm calibrate`, `{robot}` = the own name; its models go before `distance` and `position`."""
     distance: Linear = field(default_factory=Linear)
     position: Affine = field(default_factory=Affine)
+
+    def filter_of(self, robot: str) -> str:
+        """What makes the pose of `robot`."""
+        return self.filters.get(robot, self.filter)
 
 
 @dataclass(frozen=True)
@@ -177,6 +221,11 @@ class Config:
     anchors: tuple[Anchor, ...] = ()
     mesh: Mesh = field(default_factory=Mesh)
     body: Body = field(default_factory=Body)
+    bodies: Mapping[str, Body] = field(default_factory=dict)
+    """Of the robots that differ from `body`."""
+    balancing: Balancing = field(default_factory=Balancing)
+    balancings: Mapping[str, Balancing] = field(default_factory=dict)
+    """Of the robots that differ from `balancing`."""
     dwm: Dwm = field(default_factory=Dwm)
     apps: Mapping[str, App] = field(default_factory=dict)
     simulation: Simulation = field(default_factory=Simulation)
@@ -192,6 +241,14 @@ class Config:
             if robot.name == name:
                 return robot
         raise KeyError(name)
+
+    def body_of(self, name: str) -> Body:
+        """The body of a robot."""
+        return self.bodies.get(name, self.body)
+
+    def balancing_of(self, name: str) -> Balancing:
+        """How a robot balances."""
+        return self.balancings.get(name, self.balancing)
 
     @property
     def robots_by_module(self) -> dict[str, str]:

@@ -9,7 +9,7 @@ class BalancerState:
 
     t: float
     mode: str
-    """starting, idle, standing_up, balancing or fault."""
+    """starting, calibrating, idle, standing_up, balancing, lying_down or fault."""
     tilt: float
     """From upright, rad; positive = falling forward."""
     tilt_rate: float
@@ -27,11 +27,21 @@ class BalancerState:
     """99th percentile of the loop's lateness over the last second, s."""
     late_max: float
     fault: str
-    """Why the motors are off; empty when there is no fault."""
+    """Why the motors are off; empty when there is no fault. `balancer/fault` says more."""
     missed: int = 0
     """Ticks left out since the start because the loop was late by a period or more."""
     bus_errors: int = 0
     """Failed I2C transfers since the start."""
+    posture: str = "unknown"
+    """upright, front (lying on it), back, leaning, or unknown before the first estimate: by the tilt alone."""
+    demanded_speed: float = 0.0
+    """m/s it drives with at this moment: the command's, after limits and ramps."""
+    demanded_turn_rate: float = 0.0
+    """rad/s, to the left."""
+    battery_level: str = "ok"
+    """ok, low (a warning) or empty (it lies down, and does not stand up)."""
+    battery_left: float | None = None
+    """s until it lies down, a rough estimate; None before the battery was read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +73,41 @@ class Odometry:
 
 
 @dataclass(frozen=True, slots=True)
+class BalancerFault:
+    """Why the motors are off, on `balancer/fault`: on change, and each second while there is a fault."""
+
+    t: float
+    name: str
+    """fell, lifted, cannot_stand, bus, device, estimate, clock, battery or stopped; empty: there is none (any more)."""
+    reason: str
+    """In words."""
+    recovery: str
+    """What to do about it: no fault goes by itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """What is no fault, but should be known, on `balancer/notice`: a command refused or cut, a low battery."""
+
+    t: float
+    about: str
+    """mode, velocity, parameters, leds, calibrate or battery."""
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """What `set/parameters` may change, on `balancer/parameters`: on change and every ten seconds."""
+
+    t: float
+    controller: str
+    """lqr, pololu or thesis."""
+    parameters: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Leds:
-    """LEDs as they are (`balancer/leds`) or shall be (`balancer/set/leds`)."""
+    """LEDs as they are, on `balancer/leds`."""
 
     red: bool
     yellow: bool
@@ -72,18 +115,53 @@ class Leds:
 
 
 @dataclass(frozen=True, slots=True)
+class SetLeds:
+    """Command on `balancer/set/leds`: the sender has the LEDs for a while."""
+
+    red: bool
+    yellow: bool
+    green: bool
+    seconds: float = 3.0
+    """After which they show the balancer's own state again; at most 60."""
+
+
+@dataclass(frozen=True, slots=True)
 class SetMode:
     """Command on `balancer/set/mode`."""
 
     mode: str
-    """stand (stand up and balance) or rest (motors off)."""
+    """stand (stand up and balance), rest (motors off), lie (lie down gently) or calibrate (the gyro, at rest)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetVelocity:
+    """Command on `balancer/set/velocity`: drive for a while. Without another one the robot stops and stands."""
+
+    speed: float
+    """Forward, m/s."""
+    turn_rate: float
+    """To the left, rad/s."""
+    seconds: float
+    """How long it holds, at most 10."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetParameters:
+    """Command on `balancer/set/parameters`: change some, all or none of them."""
+
+    parameters: dict[str, float]
 
 
 TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "state"): BalancerState,
     ("balancer", "odometry"): Odometry,
     ("balancer", "leds"): Leds,
-    ("balancer", "set/leds"): Leds,
+    ("balancer", "fault"): BalancerFault,
+    ("balancer", "notice"): Notice,
+    ("balancer", "parameters"): Parameters,
+    ("balancer", "set/leds"): SetLeds,
     ("balancer", "set/mode"): SetMode,
+    ("balancer", "set/parameters"): SetParameters,
+    ("balancer", "set/velocity"): SetVelocity,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -120,6 +120,45 @@ class ImuSample:
     """Specific force, m/s^2, three axes."""
 
 
+@dataclass(frozen=True, slots=True)
+class Note:
+    """One note of a melody."""
+
+    frequency: float
+    """Hz, 16 to 8000, played as the nearest semitone; 0 = a rest."""
+    duration: float
+    """s, 0.01 to 2.55."""
+    volume: float
+    """0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetNotes:
+    """Command on `balancer/set/notes`: play this instead of whatever plays; nothing = silence."""
+
+    notes: tuple[Note, ...]
+    """64 at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetDisplay:
+    """Command on `balancer/set/display`: text in place of the app's values."""
+
+    text: str
+    """Four lines of 21 letters (ASCII) are shown, longer ones are wrapped; empty = the app's values again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Display:
+    """What is to be seen on the robot, on `balancer/display`: on change, when it is drawn."""
+
+    t: float
+    present: bool
+    """Whether there is a display; without one the lines are what it would show."""
+    lines: tuple[str, ...]
+    """The first one is large."""
+
+
 TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "uwb"): Uwb,
     ("balancer", "module"): ModuleAnswer,
@@ -128,5 +167,8 @@ TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "buttons"): Buttons,
     ("balancer", "imu"): ImuSample,
     ("balancer", "set/imu"): ImuRequest,
+    ("balancer", "set/notes"): SetNotes,
+    ("balancer", "set/display"): SetDisplay,
+    ("balancer", "display"): Display,
 }
 """Message type of each key, by (service, topic)."""

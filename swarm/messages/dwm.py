@@ -41,7 +41,7 @@ class Pose:
     """Where the robot is, on `swarm/<robot>/dwm/pose` at 10 Hz."""
 
     t: float
-    """When it was measured: a repeat of the module keeps time and sequence."""
+    """What time it is for. Of an average, when it was measured: a repeat of the module keeps time and sequence."""
     sequence: int
     """The number of the module report it comes from, as in `Ranges`."""
     x: float
@@ -52,7 +52,17 @@ class Pose:
     quality: int
     """0-100; 0 = no fix, the numbers are not to be used."""
     source: str
-    """Which filter made it."""
+    """Which filter made it: ekf, multilateration, average, module or recording."""
+    deviation_x: float | None = None
+    """Standard deviation, m; None where the filter does not estimate it."""
+    deviation_y: float | None = None
+    correlation: float | None = None
+    """Of the errors in x and y, -1 to 1."""
+    deviation_heading: float | None = None
+    """Standard deviation, rad; None where the heading is."""
+    raw_x: float | None = None
+    """The place as the module reported it, m; None without a fix."""
+    raw_y: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

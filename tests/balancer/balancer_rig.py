@@ -10,7 +10,7 @@ from services.balancer.core.lqr import PERIOD_S
 from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import NO_ERRORS, ImuErrors, SimulatedRobot, draw_errors
 from services.sim.i2c import SimulatedBus
-from swarm.config.types import Body
+from swarm.config.types import Balancing, Body
 
 CONFIGURED = body_model("zero2w", Body())
 """The body the balancer believes in."""
@@ -59,14 +59,24 @@ class Rig:
         trim: float = 0.0,
         lateness: Callable[[int], float] = lambda _tick: 0.0,
         errors: ImuErrors | None = None,
+        place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        **settings: object,
     ) -> None:
         noise = random.Random(seed)
         self.now = self.deadline = 100.0
-        self.body = BalboaBody(plant, self.now, tilt=tilt, held=held)
+        self.body = BalboaBody(plant, self.now, place=place, tilt=tilt, held=held)
         drawn = draw_errors(noise) if errors is None else errors
         self.robot = SimulatedRobot(self.body, noise, errors=drawn, trim=trim)
         self.bus = SimulatedBus(self.robot, self.clock)
-        self.balancer = Balancer(self.bus, believed, trim, self.clock, self._sleep, start_mode=start_mode)
+        self.balancer = Balancer(
+            self.bus,
+            believed,
+            trim,
+            self.clock,
+            self._sleep,
+            start_mode=start_mode,
+            settings=Balancing(**settings),
+        )
         self.lateness = lateness
         self.tick = 0
         self.worst_tilt = 0.0

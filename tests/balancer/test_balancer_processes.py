@@ -15,7 +15,7 @@ import pytest
 from conftest import Processes, stop, wait_until
 
 from swarm.bus import Bus
-from swarm.messages import BalancerState, Leds, SetMode, Stop, read
+from swarm.messages import BalancerState, Leds, SetLeds, SetMode, Stop, read
 
 RECORDING = str(Path(__file__).with_name("recording_body.py"))
 
@@ -75,7 +75,7 @@ def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Wat
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
     assert watcher.last("status").state == "ready"
 
-    watcher.command("leds", Leds(True, True, False))
+    watcher.command("leds", SetLeds(True, True, False))
     wait_until(lambda: watcher.last("leds") == Leds(True, True, False))
 
     watcher.command("mode", SetMode("dance"))
@@ -128,8 +128,10 @@ def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
         world.bind(str(runtime / "world.sock"))
         world.settimeout(20)
         body = processes.start_ready("-m", "services.sim.body", SWARM_RUNTIME=str(robot), SWARM_SEED="3")
+        # A world that does not answer costs it half a second, no more.
+        assert msgpack.unpackb(world.recv(4096)) == {"robot": "r0"}
         report = msgpack.unpackb(world.recv(4096))
-        assert report.keys() == {"robot", "t", "x", "y", "heading", "tilt"}
+        assert report.keys() == {"robot", "t", "x", "y", "heading", "tilt", "held"}
         assert report["robot"] == "r0"
     (bridge,) = children(body.pid)
     assert stop(body) == 0
@@ -138,7 +140,7 @@ def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
 
 def test_the_bridge_dies_with_the_loop(processes: Processes, watcher: Watcher) -> None:
     body = processes.start("-m", "services.sim.body")
-    watcher.wait_mode("starting")
+    watcher.wait_mode("calibrating")
     (bridge,) = children(body.pid)
     body.kill()
     wait_until(lambda: not alive(bridge))

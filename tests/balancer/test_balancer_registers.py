@@ -132,7 +132,7 @@ def test_another_layout_is_refused() -> None:
 
 def test_an_address_without_a_device_is_a_remote_io_error() -> None:
     with pytest.raises(OSError, match="Remote I/O") as failure:
-        Bench().bus.read(0x3C, 1)
+        Bench().bus.read(0x3D, 1)
     assert failure.value.errno == 121
 
 

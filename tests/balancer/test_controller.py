@@ -8,10 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer.core import controller as c
+from services.balancer.core import stand_up as su
+from services.balancer.core.choice import make_controller
+from services.balancer.core.drive import TURN_LIMIT
 from services.balancer.core.estimator import Estimate
+from services.balancer.core.faults import FELL, STOPPED, Fault
 from services.balancer.core.lateness import Lateness
-from services.balancer.core.leds import shown
-from services.balancer.core.lqr import gains
+from services.balancer.core.regulator import DUTY_LIMIT
+from swarm.config.types import Balancing
 from swarm.errors import LocalError
 
 LYING = math.radians(110)
@@ -20,8 +24,8 @@ LYING = math.radians(110)
 class Steps:
     """A controller and the time."""
 
-    def __init__(self, trim: float = 0.0) -> None:
-        self.controller = c.Controller(c.Regulator(gains(CONFIGURED)), trim)
+    def __init__(self, trim: float = 0.0, **settings: object) -> None:
+        self.controller = make_controller(CONFIGURED, trim, Balancing(**settings))
         self.now = 0.0
 
     def step(self, tilt: float = 0.0, *, rate: float = 0.0, way: float = 0.0, ticks: int = 1, **more: float):
@@ -34,7 +38,7 @@ class Steps:
 
     def balancing(self) -> "Steps":
         self.controller.command("stand", self.now)
-        self.step(ticks=c.UPRIGHT_TICKS)
+        self.step(ticks=su.UPRIGHT_TICKS)
         assert self.controller.mode == "balancing"
         return self
 
@@ -48,7 +52,7 @@ def test_idle_does_nothing() -> None:
 def test_held_upright_it_balances_after_a_moment() -> None:
     steps = Steps()
     steps.controller.command("stand", 0.0)
-    steps.step(ticks=c.UPRIGHT_TICKS - 1)
+    steps.step(ticks=su.UPRIGHT_TICKS - 1)
     assert steps.controller.mode == "standing_up"
     steps.step()
     assert steps.controller.mode == "balancing"
@@ -66,8 +70,8 @@ def test_turned_to_the_left_it_turns_back() -> None:
 
 def test_commands_stay_within_the_limit() -> None:
     left, right = Steps().balancing().step(0.9, rate=9.0, heading=2.0)
-    assert left == c.DUTY_LIMIT + c.HEADING_LIMIT
-    assert right == c.DUTY_LIMIT - c.HEADING_LIMIT
+    assert left == DUTY_LIMIT + TURN_LIMIT
+    assert right == DUTY_LIMIT - TURN_LIMIT
 
 
 def test_fallen_is_a_fault_until_commanded() -> None:
@@ -75,12 +79,12 @@ def test_fallen_is_a_fault_until_commanded() -> None:
     steps.step(1.3, ticks=c.FALLEN_TICKS - 1)
     assert steps.controller.mode == "balancing"
     assert steps.step(1.3) == (0.0, 0.0)
-    assert (steps.controller.mode, steps.controller.fault) == ("fault", "fell")
+    assert (steps.controller.mode, steps.controller.fault) == ("fault", Fault(FELL, "fell"))
     assert steps.step(0.0, ticks=100) == (0.0, 0.0)
     steps.controller.command("stand", steps.now)
-    steps.step(0.0, ticks=c.UPRIGHT_TICKS)
+    steps.step(0.0, ticks=su.UPRIGHT_TICKS)
     assert steps.controller.mode == "balancing"
-    assert steps.controller.fault == ""
+    assert steps.controller.fault is None
 
 
 def test_full_power_for_long_means_wheels_in_the_air() -> None:
@@ -88,27 +92,27 @@ def test_full_power_for_long_means_wheels_in_the_air() -> None:
     steps.step(0.6, ticks=round(c.FULL_POWER_S * 100) - 2)
     assert steps.controller.mode == "balancing"
     steps.step(0.6, ticks=5)
-    assert "wheels in the air" in steps.controller.fault
+    assert "wheels in the air" in steps.controller.fault.reason
 
 
 def test_rest_from_anywhere() -> None:
     for prepare in (
         lambda s: s.balancing(),
         lambda s: s.controller.command("stand", 0.0),
-        lambda s: s.controller.fail("x"),
+        lambda s: s.controller.fail(Fault(FELL, "x")),
     ):
         steps = Steps()
         prepare(steps)
         steps.controller.command("rest", steps.now)
         assert steps.step(0.1) == (0.0, 0.0)
-        assert (steps.controller.mode, steps.controller.fault) == ("idle", "")
+        assert (steps.controller.mode, steps.controller.fault) == ("idle", None)
 
 
 def test_the_first_reason_of_a_fault_stays() -> None:
     steps = Steps().balancing()
-    steps.controller.fail("stopped")
-    steps.controller.fail("fell")
-    assert steps.controller.fault == "stopped"
+    assert steps.controller.fail(Fault(STOPPED, "enough"))
+    assert not steps.controller.fail(Fault(FELL, "fell"))
+    assert steps.controller.fault == Fault(STOPPED, "enough")
 
 
 @pytest.mark.parametrize("mode", ["", "Stand", "balancing", "dance"])
@@ -131,11 +135,11 @@ def test_stand_again_while_balancing_changes_nothing() -> None:
 def test_lying_still_it_runs_up_and_swings_to_its_other_side(side: int) -> None:
     steps = Steps()
     steps.controller.command("stand", 0.0)
-    assert steps.step(side * LYING, ticks=round(c.LYING_S * 100) - 1) == (0.0, 0.0)
+    assert steps.step(side * LYING, ticks=round(su.LYING_S * 100) - 1) == (0.0, 0.0)
     duties = steps.step(side * LYING, ticks=4)
-    assert duties == (-side * c.SWING_DUTIES[0],) * 2
-    duties = steps.step(side * LYING, ticks=round(c.RUN_UP_S * 100))
-    assert duties == (side * c.SWING_DUTIES[0],) * 2
+    assert duties == (-side * su.SWING_DUTIES[0],) * 2
+    duties = steps.step(side * LYING, ticks=round(su.RUN_UP_S * 100))
+    assert duties == (side * su.SWING_DUTIES[0],) * 2
     steps.step(side * 0.4, rate=-side * 6.0)
     assert steps.controller.mode == "balancing"
 
@@ -148,17 +152,17 @@ def test_it_gives_up_after_its_tries_and_each_is_stronger() -> None:
         duty = abs(steps.step(LYING)[0])
         if duty and (not strongest or duty != strongest[-1]):
             strongest.append(duty)
-    assert tuple(strongest) == c.SWING_DUTIES
-    assert steps.controller.fault == "cannot stand up: 3 tries failed"
+    assert tuple(strongest) == su.SWING_DUTIES
+    assert steps.controller.fault == Fault("cannot_stand", "cannot stand up: 3 tries failed")
 
 
 @pytest.mark.parametrize("tilt", [math.pi, -math.radians(150), math.radians(60), 0.7])
 def test_on_its_back_or_leaning_it_neither_stands_nor_swings(tilt: float) -> None:
     steps = Steps()
     steps.controller.command("stand", 0.0)
-    for _ in range(round(c.PATIENCE_S * 100) + 5):
+    for _ in range(round(su.PATIENCE_S * 100) + 5):
         assert steps.step(tilt) == (0.0, 0.0)
-    assert "neither lies still nor is held upright" in steps.controller.fault
+    assert "neither lies still nor is held upright" in steps.controller.fault.reason
 
 
 def test_being_carried_is_not_lying() -> None:
@@ -171,7 +175,7 @@ def test_being_carried_is_not_lying() -> None:
 def test_a_fall_right_after_the_swing_is_a_failed_try() -> None:
     steps = Steps()
     steps.controller.command("stand", 0.0)
-    steps.step(LYING, ticks=round((c.LYING_S + c.RUN_UP_S) * 100) + 4)
+    steps.step(LYING, ticks=round((su.LYING_S + su.RUN_UP_S) * 100) + 4)
     steps.step(0.4)
     assert steps.controller.mode == "balancing"
     steps.step(-1.4, ticks=c.FALLEN_TICKS)
@@ -194,21 +198,13 @@ def test_no_estimate_makes_a_command_that_is_no_number(states) -> None:
             assert steps.controller.mode == "fault"
         if steps.controller.mode == "fault":
             assert duties == (0.0, 0.0)
-        assert all(abs(duty) <= c.DUTY_LIMIT + c.HEADING_LIMIT for duty in duties)
+        assert all(abs(duty) <= DUTY_LIMIT + TURN_LIMIT for duty in duties)
 
 
 def test_a_heading_that_is_no_number_is_a_fault() -> None:
     steps = Steps().balancing()
     assert steps.step(0.0, heading=math.nan) == (0.0, 0.0)
     assert steps.controller.mode == "fault"
-
-
-def test_leds_show_the_mode_unless_claimed() -> None:
-    assert shown("starting", None) == shown("standing_up", None) == (False, True, False)
-    assert shown("balancing", None) == (False, False, True)
-    assert shown("idle", None) == (False, False, False)
-    assert shown("balancing", (True, True, False)) == (True, True, False)
-    assert shown("fault", (False, True, True)) == (True, False, False)
 
 
 def test_lateness_of_the_last_hundred() -> None:

@@ -5,16 +5,20 @@ import signal
 import statistics
 import threading
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 from conftest import CONFIG, stop, wait_until
 
+from services.dwm.core.calibration import RangeModel
+from services.dwm.core.calibration_file import CalibrationFile, Evidence, layout_of, text_of
 from services.sim.module import ModuleBoard
+from swarm import clock
 from swarm import config as configuration
 from swarm.bus import Bus
 from swarm.codec import decode
-from swarm.messages import Measurement, read
+from swarm.messages import Measurement, Odometry, read
 
 LIVE = """
 [[anchors]]
@@ -105,6 +109,70 @@ def test_ranges_and_pose_come_calibrated_at_10_hz(processes, board, ear):
     assert statistics.median(pose.x for pose in fixes) == pytest.approx(0.5, abs=0.12)
     assert statistics.median(pose.y for pose in fixes) == pytest.approx(1.5, abs=0.12)
     assert stop(process) == 0
+
+
+class Wheels:
+    """Odometry as the balancer publishes it, of a robot that drives and sends its true place to the module."""
+
+    def __init__(self, bus, board):
+        self.bus, self.board = bus, board
+        self.x, self.y, self.t0 = 0.5, 1.5, clock.now()
+        self.sequence, self.rolled, self.t = 0, 0.0, self.t0
+
+    def step(self, speed):
+        now = clock.now()
+        self.rolled += speed * (now - self.t)
+        self.x, self.t = 0.5 + self.rolled, now
+        self.sequence += 1
+        self.board.update_pose("r0", self.x, self.y, 0.0)
+        self.bus.publish(
+            "swarm/r0/balancer/odometry",
+            Odometry(now, self.sequence, self.rolled, self.rolled, self.rolled, 0.0, 0.0, 0.0, 0.0, 0.0),
+        )
+
+
+def test_with_odometry_the_pose_is_the_kalman_filters(processes, board, ear, bus):
+    processes.start_ready("-m", "services.dwm")
+    wheels = Wheels(bus, board)
+
+    def driven(speed, condition):
+        wheels.step(speed)
+        time.sleep(0.03)
+        return condition()
+
+    def tracked():
+        return [pose for pose in ear.poses if pose.source == "ekf"]
+
+    wait_until(lambda: driven(0.0, lambda: len(tracked()) >= 10), 20, "poses of a standing robot")
+    assert tracked()[-1].heading is None
+    wait_until(lambda: driven(0.25, lambda: wheels.rolled > 0.9), 20, "0.9 m")
+    last = tracked()[-1]
+    assert (last.x, last.y) == pytest.approx((wheels.x, wheels.y), abs=0.15)
+    assert last.heading == pytest.approx(0.0, abs=0.5)
+    assert 0 < last.deviation_x < 0.15
+
+
+def test_a_calibration_is_loaded_and_one_of_other_anchors_refused(processes, board, ear, runtime):
+    anchors = configuration.load(processes.config).anchors
+    text = processes.config.read_text()
+    processes.config.write_text(text.replace("window = 10", 'window = 10\ncalibration = "{robot}.toml"', 1))
+    process = processes.start("-m", "services.dwm")
+    assert process.wait(20) == 2
+    assert "swarm calibrate distance --robot r0" in process.stderr.read()
+    evidence = Evidence("linear", "2026-11-21T06:00:00", 3, 9, "00", {}, 0.0, ())
+    file = CalibrationFile("r0", layout_of(anchors), (), (RangeModel(1.0, 5.0), evidence))
+    (runtime / "r0.toml").write_text(text_of(file))
+    process = processes.start_ready("-m", "services.dwm")
+    wait_until(lambda: ear.ranges and ear.ranges[-1].ranges, 20, "a range")
+    item = ear.ranges[-1].ranges[0]
+    assert item.distance > 5.0 + item.raw - 1.0
+    assert stop(process) == 0
+    (runtime / "r0.toml").write_text(text_of(replace(file, layout="0" * 16)))
+    process = processes.start("-m", "services.dwm")
+    assert process.wait(20) == 2
+    error = process.stderr.read()
+    assert "was made with other anchors" in error
+    assert "Traceback" not in error
 
 
 def test_a_module_that_vanishes_and_comes_back(processes, board, ear):

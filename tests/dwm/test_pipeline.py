@@ -22,10 +22,11 @@ def location(*distances, x=1.0, y=1.0, quality=100):
 
 def test_the_distance_model_of_the_thesis():
     # eq. 2.8 undoes eq. 2.4, m = 1.056 d + 6.299 cm, within the digits of its constants
+    model = calibration.RangeModel.of(DISTANCE)
     for true in (0.25, 0.5, 1.0, 1.5):
-        assert calibration.distance(DISTANCE, 1.056 * true + 0.06299) == pytest.approx(true, abs=1e-4)
-    assert calibration.distance(DISTANCE, 0.624) == pytest.approx(0.624 * 0.946976 - 0.05964849)
-    assert calibration.distance(DISTANCE, 0.02) == 0.0
+        assert model.distance(1.056 * true + 0.06299) == pytest.approx(true, abs=1e-4)
+    assert model.distance(0.624) == pytest.approx(0.624 * 0.946976 - 0.05964849)
+    assert model.distance(0.02) == 0.0
 
 
 def test_the_position_model_of_the_thesis():

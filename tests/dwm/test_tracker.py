@@ -3,7 +3,7 @@ import random
 
 import pytest
 
-from services.dwm.core.track import KEPT, Track
+from services.dwm.core.motion import KEPT, Motion
 from services.dwm.core.tracker import LATENCY, SILENCE, Tracker
 
 ANCHORS = {"D001": (0.0, 0.0, 0.0), "D002": (1.94, 0.0, 0.0), "D003": (1.0, 1.94, 0.0), "C933": (0.5, 1.0, 0.0)}
@@ -141,14 +141,14 @@ def test_odometry_from_the_past_is_left_out():
 
 
 def test_track_gives_the_robot_at_any_time():
-    track = Track(10.0)
+    motion = Motion(10.0)
     for i in range(1, 6):
-        track.add(10.0 + 0.04 * i, 0.02, 0.0, 0.1 * i)
-    node = track.at(10.10)
+        motion.add(10.0 + 0.04 * i, 0.02, 0.0, 0.1 * i)
+    node = motion.at(10.10)
     assert (node.u, node.v, node.tilt) == pytest.approx((0.05, 0.0, 0.25))
-    assert track.at(9.0).u == 0.0
-    assert track.at(10.22).u == pytest.approx(0.11)  # on at the last speed
-    assert track.at(99.0).u == pytest.approx(0.15)  # not for long
+    assert motion.at(9.0).u == 0.0
+    assert motion.at(10.22).u == pytest.approx(0.11)  # on at the last speed
+    assert motion.at(99.0).u == pytest.approx(0.15)  # not for long
     for i in range(1, 100):
-        track.add(10.2 + 0.04 * i, 0.0, 0.0, 0.0)
-    assert track.newest.t - track._nodes[0].t <= KEPT + 0.04 + 1e-9
+        motion.add(10.2 + 0.04 * i, 0.0, 0.0, 0.0)
+    assert motion.newest.t - motion._nodes[0].t <= KEPT + 0.04 + 1e-9

@@ -12,10 +12,11 @@ from services.balancer.core import balboa
 from services.balancer.core.health import Health
 from services.balancer.core.mailbox import Mailbox
 from services.balancer.core.transfers import LONGEST
+from services.balancer.core.tune import Player
 from services.balancer.core.uwb import UwbReader
 from services.balancer.drivers import Balboa
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
-from swarm.messages import ModuleRequest
+from swarm.messages import ModuleRequest, Note, SetNotes
 
 pytest_plugins = ("firmware_fixtures",)
 
@@ -249,6 +250,21 @@ def test_health_is_read_twice_a_second_and_told_each(driven: Driven) -> None:
     told = [driven.until_news(health) for _ in range(3)]
     assert [each.voltage for each in told] == pytest.approx([7.4] * 3, abs=0.05)
     assert [b.t - a.t for a, b in itertools.pairwise(told)] == pytest.approx([1.0, 1.0], abs=0.02)
+
+
+def test_a_tune_is_played_note_by_note(driven: Driven) -> None:
+    player = Player()
+    player.play(SetNotes((Note(440.0, 0.05, 1.0), Note(880.0, 0.05, 1.0), Note(0.0, 0.1, 1.0))), driven.now())
+    reader = UwbReader(driven.now())
+    left = []
+    for _ in range(30):
+        driven.tick(player, reader)
+        if reader.progress is not None:
+            left.append(reader.progress.notes_left)
+    assert sorted(set(left), reverse=True) == [3, 2, 1, 0]
+    assert left == sorted(left, reverse=True)
+    refused = driven.balboa.read_housekeeping().refused
+    assert refused == 0
 
 
 # What is acknowledged, refused and read back: the firmware is the reference for the simulated device.

@@ -74,7 +74,7 @@ def test_rules_flood_and_command_across_the_swarm(build: Build) -> None:
     bus = swarm["r0"].bus
     for key in ("swarm/r0/dwm/pose", "swarm/r3/balancer/set/leds", "swarm/r3/balancer/set/mode", "swarm/r1/dwm/pose"):
         bus.publish(key, b"x")
-    wait_until(lambda: len(seen["r3"]) == 2)
+    wait_until(lambda: [len(seen[name]) for name in ("r1", "r2", "r3")] == [1, 1, 2])
     assert sorted(seen["r3"]) == [("swarm/r0/dwm/pose", b"x"), ("swarm/r3/balancer/set/leds", b"x")]
     assert seen["r1"] == seen["r2"] == [("swarm/r0/dwm/pose", b"x")]
     # Who comes later gets the latest value.

@@ -16,12 +16,10 @@ from services.mesh.core import probe
 from services.mesh.core.frames import SYNC
 from services.mesh.core.probe import Prober
 from swarm.bus import Router
-from swarm.cli import mesh
-from swarm.cli.mesh import View
 from swarm.codec import decode
 from swarm.config.types import RelayRule
 from swarm.errors import FrameError
-from swarm.messages import Clock, Echo, EchoRequest, Links, LinkState
+from swarm.messages import Echo, EchoRequest
 from swarm.paths import bus_endpoint
 
 
@@ -141,40 +139,7 @@ def test_a_link_tells_its_round_trips_rates_and_losses() -> None:
     assert down.sent_bytes >= link.sent_bytes
 
 
-# -- swarm mesh --
-
-
-def link(peer: str, state: str = "up", rtt: float | None = 0.06) -> LinkState:
-    return LinkState(peer, state, 1, rtt, 5, 5, "" if state == "up" else "host is down", rtt, rtt, rtt)
-
-
-def test_the_table_and_the_graph() -> None:
-    views = {
-        "r0": View(Links(1.0, (link("r1"),)), Clock(1.0, 0.0, 0.0, "r0", 0, 0.0)),
-        "r1": View(Links(1.0, (link("r0"), link("r2", "down", None))), Clock(1.0, 0.0, 0.0, "r0", 1, 0.0012)),
-        "r2": View(),
-    }
-    text = "\n".join(mesh.table(views))
-    assert "r0+1 ±1.2 ms" in text
-    assert "host is down" in text
-    assert "silent" in text
-    graph = mesh.graph(views)
-    assert graph[1].split() == ["r0", ".", "60.0", "-"]
-    assert graph[2].split() == ["r1", "60.0", ".", "x"]
-    assert graph[3].split() == ["r2", "-", "x", "."]
-    assert graph[-1] == "3 robots, 1 of 2 links up, median round trip 60.0 ms; 2 parts: r0 r1; r2"
-    assert mesh.as_json(views)["parts"] == [["r0", "r1"], ["r2"]]
-
-
-def test_a_large_swarm_is_a_list() -> None:
-    names = [f"r{number:02}" for number in range(20)]
-    views = {
-        name: View(Links(1.0, tuple(link(peer) for peer in names if abs(int(peer[1:]) - int(name[1:])) == 1)), None)
-        for name in names
-    }
-    graph = mesh.graph(views)
-    assert graph[1] == "r01: r00 60.0, r02 60.0"
-    assert graph[-1].endswith("19 of 19 links up, median round trip 60.0 ms, diameter 19")
+# -- the commands --
 
 
 def test_commands_ask_running_meshes(processes: Processes) -> None:

@@ -15,9 +15,9 @@ STOCK_GEAR_RATIO = 110.25
 
 _BARE_MASS, _BARE_LEVER, _BARE_INERTIA = 0.316, 0.023, 4.44e-4
 _PAYLOAD_MASS = {"zero2w": 0.050, "pi4": 0.085}
-"""kg of Pi, headers, UWB module and display; a Pi 4 weighs 35 g more than a Zero 2 W."""
-_PAYLOAD_HEIGHT = 0.071
-"""m above the axle: it lifts the centre of mass by 6.5 mm with a Zero 2 W, in the middle of the estimate of 5..8 mm."""
+"""kg of Pi, headers, UWB module and display; a Pi 4 weighs 35 g more than a Zero 2 W. At the
+configured 71 mm above the axle it lifts the centre of mass by 6.5 mm with a Zero 2 W, in the middle of the estimate of
+5..8 mm."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class BodyModel:
 
 def body_model(board: str, body: Body, *, battery: float = 7.4) -> BodyModel:
     """The body of a robot with `board` (zero2w or pi4) as configured; `battery` in V."""
-    payload = _PAYLOAD_MASS[board]
+    payload = _PAYLOAD_MASS[board] if body.payload is None else body.payload
     mass = _BARE_MASS + payload
-    lever = (_BARE_MASS * _BARE_LEVER + payload * _PAYLOAD_HEIGHT) / mass
+    lever = (_BARE_MASS * _BARE_LEVER + payload * body.payload_height) / mass
     # Steiner: the two parts lie apart on the body's long axis.
-    inertia = _BARE_INERTIA + _BARE_MASS * payload / mass * (_PAYLOAD_HEIGHT - _BARE_LEVER) ** 2
+    inertia = _BARE_INERTIA + _BARE_MASS * payload / mass * (body.payload_height - _BARE_LEVER) ** 2
     return _assembled(mass, lever, inertia, body, battery)
 
 
@@ -81,4 +81,5 @@ def _assembled(mass: float, lever: float, inertia: float, body: Body, battery: f
         stall_torque=2 * 0.14 * gearing * battery / 6.0,
         free_speed=31.8 / gearing * battery / 6.0,
         friction=4e-3,
+        track=body.track,
     )

@@ -1,51 +1,43 @@
-"""What the motors shall do: the modes of the balancer, the way to stand up, and what ends it.
+"""What the motors shall do: the modes of the balancer, and what ends them.
 
-    idle --stand--> standing_up --upright--> balancing        rest: to idle from anywhere
-                        |  gave up               |  fell, full power too long
-                        +-------> fault <--------+            stop and failures: to fault from anywhere
+    idle --stand--> standing_up --upright--> balancing --lie--> lying_down --down--> idle
+                        |  gave up               |  fell, full power too long         (or fault: battery)
+                        +-------> fault <--------+
+    rest: to idle from anywhere          stop and failures: to fault from anywhere
 
-A fault keeps the motors off until the next command. Balancing needs no commands to go on.
+A fault keeps the motors off until the next command. Balancing needs no commands to go on. `starting` and `calibrating`
+are the balancer's (services/balancer/balancer.py): the controller idles meanwhile.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 
+from services.balancer.core import faults
+from services.balancer.core.drive import LONGEST_S, Drive
 from services.balancer.core.estimator import Estimate
+from services.balancer.core.faults import Fault
+from services.balancer.core.lie_down import LieDown
+from services.balancer.core.parameters import Parameter, Parameters
+from services.balancer.core.regulator import DUTY_LIMIT, Deviation, Regulator, limited
+from services.balancer.core.stand_up import StandUp
 from swarm.errors import LocalError
 
 STARTING = "starting"
-"""Before the controller has an estimate to work on; it is never in this mode itself."""
+CALIBRATING = "calibrating"
 IDLE = "idle"
 STANDING_UP = "standing_up"
 BALANCING = "balancing"
+LYING_DOWN = "lying_down"
 FAULT = "fault"
 
-COMMANDS = ("stand", "rest")
+COMMANDS = ("stand", "rest", "lie", "calibrate")
 
-DUTY_LIMIT = 0.75
-"""300 of 400, Pololu's limit for the sake of the motors."""
-
-UPRIGHT = math.radians(20)
-"""Held within this angle it starts to balance."""
-UPRIGHT_TICKS = 5
 FALLEN = math.radians(70)
 FALLEN_TICKS = 5
 FULL_POWER_S = 1.0
 """Full power for longer than a push ever takes means wheels in the air."""
-
-LYING = (math.radians(85), math.radians(135))
-"""Tilt of a robot that lies on its front or back, both near 110 degrees."""
-LYING_S = 0.3
-LYING_RATE = math.radians(10)
-RUN_UP_S = 0.4
-"""Full power towards the side it lies on, so that turning round swings it up."""
-SWING_S = 0.6
-"""Longest swing; then the try has failed."""
-CATCH = math.radians(30)
-SWING_DUTIES = (DUTY_LIMIT, 0.9, 1.0)
-"""Power of the first try and of the next ones: spares the motors where little is enough."""
-PATIENCE_S = 10.0
-"""How long it looks for a position it can stand up from."""
+STUCK_TICKS = 20
+"""A clock that does not advance for so many ticks is a fault: without time there is no speed and no rate."""
 PROVEN_S = 1.5
 """A fall within this time after the swing is a failed try, not a fall."""
 
@@ -56,52 +48,51 @@ TRIM_RANGE = math.radians(6)
 """The tilt at which it balances is learned from the way (the accelerometer's zero is uncertain by a degree or two):
 without it the robot would settle beside its place, where the pull of the way makes up for the wrong upright."""
 
-HEADING_GAIN = 0.15
-"""Duty a radian, added right and taken left."""
-HEADING_LIMIT = 0.1
-
-
-class Regulator:
-    """State feedback u = k . (x, x', th, th', previous u) with its limit; gains from `lqr.gains`."""
-
-    def __init__(self, gains: Sequence[float]) -> None:
-        self._gains = tuple(gains)
-        self.tilt_per_way = self._gains[0] / self._gains[2]
-        """rad a metre: this error of upright is made up for by standing a metre off."""
-        self._last = 0.0
-
-    def reset(self, duty: float) -> None:
-        """Begin after `duty` was commanded."""
-        self._last = duty
-
-    def duty(self, way: float, speed: float, tilt: float, tilt_rate: float) -> float:
-        """The next command of both motors, -DUTY_LIMIT..DUTY_LIMIT."""
-        k_x, k_v, k_th, k_rate, k_u = self._gains
-        duty = k_x * way + k_v * speed + k_th * tilt + k_rate * tilt_rate + k_u * self._last
-        self._last = min(DUTY_LIMIT, max(-DUTY_LIMIT, duty))
-        return self._last
-
 
 class Controller:
     """Modes and motor commands; one `step` a tick."""
 
-    def __init__(self, regulator: Regulator, trim: float) -> None:
+    def __init__(self, regulator: Regulator, drive: Drive, trim: float) -> None:
         """`trim` as in the config's [body], rad."""
         self._regulator = regulator
-        self._configured_trim = trim
+        self._drive = drive
+        limits = drive.limits
+        self._parameters = Parameters(
+            {
+                "trim": Parameter(trim, -0.5, 0.5),
+                "heading_gain": Parameter(drive.heading_gain, 0.0, 1.0),
+                "max_speed": Parameter(limits.speed, 0.0, limits.speed),
+                "max_turn_rate": Parameter(limits.turn_rate, 0.0, limits.turn_rate),
+                "acceleration": Parameter(limits.acceleration, 0.05, limits.acceleration),
+                "turn_acceleration": Parameter(limits.turn_acceleration, 0.5, limits.turn_acceleration),
+                **regulator.parameters,
+            }
+        )
         self.mode = IDLE
-        self.fault = ""
-        self._phase = ""
+        self.fault: Fault | None = None
+        self._stand_up: StandUp | None = None
+        self._lie_down: LieDown | None = None
+        self._then: Fault | None = None
         self._since = 0.0
-        self._phase_since = 0.0
-        self._tries = 0
-        self._power = 0.0
-        self._swung = False
         self._count = 0
         self._full_power_s = 0.0
+        self._stuck = 0
         self._trim = trim
-        self._place = 0.0
-        self._heading = 0.0
+
+    @property
+    def configured_trim(self) -> float:
+        """Balance point from the IMU's upright, rad, as configured or changed by parameter."""
+        return self._parameters.values["trim"]
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """In force."""
+        return self._parameters.values
+
+    @property
+    def demand(self) -> tuple[float, float]:
+        """Speed and turn rate it drives with, m/s and rad/s."""
+        return (self._drive.speed, self._drive.turn_rate) if self.mode == BALANCING else (0.0, 0.0)
 
     @staticmethod
     def check(mode: str) -> None:
@@ -110,115 +101,146 @@ class Controller:
             raise LocalError(f"mode {mode!r}: expected one of {', '.join(COMMANDS)}")
 
     def command(self, mode: str, now: float) -> None:
-        """`stand` or `rest`; a new command also leaves a fault. Raises `LocalError` for another one."""
-        self.check(mode)
-        self.fault = ""
+        """`stand`, `rest` or `lie`; the first two also leave a fault. Raises `LocalError` for what cannot be now."""
         if mode == "rest":
-            self.mode = IDLE
-        elif self.mode not in (STANDING_UP, BALANCING):
-            self._tries = 0
-            self._look(now)
+            self.mode, self.fault = IDLE, None
+        elif mode == "stand":
+            self.fault = None
+            if self.mode not in (STANDING_UP, BALANCING):
+                self.mode, self._stand_up = STANDING_UP, StandUp(self.configured_trim, now)
+        elif mode == "lie":
+            if self.mode not in (BALANCING, LYING_DOWN):
+                raise LocalError(f"mode lie: only a balancing robot can lie down, this one is {self.mode}")
+            self._lie(now, None)
+        else:
+            self.check(mode)
 
-    def fail(self, reason: str) -> None:
-        """Motors off until the next command. The first reason stays: what follows it is mostly its consequence."""
-        if self.mode != FAULT:
-            self.mode, self.fault = FAULT, reason
+    def lie_down(self, now: float, fault: Fault) -> None:
+        """Lie down if it stands, and be in fault at the end."""
+        if self.mode == BALANCING:
+            self._lie(now, fault)
+        elif self.mode == LYING_DOWN:
+            self._then = fault
+        else:
+            self.fail(fault)
+
+    def fail(self, fault: Fault) -> bool:
+        """Motors off until the next command. The first reason stays: what follows it is mostly its consequence.
+
+        True where this is the first.
+        """
+        if self.mode == FAULT:
+            return False
+        self.mode, self.fault = FAULT, fault
+        return True
+
+    def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> str:
+        """Drive for a time. Returns what was cut to the limits, or ""; `LocalError` where it cannot be done."""
+        if not (math.isfinite(speed) and math.isfinite(turn_rate)):
+            raise LocalError(f"velocity ({speed}, {turn_rate}) is not finite")
+        if not 0.0 < seconds <= LONGEST_S:
+            raise LocalError(f"velocity: seconds: expected a time above 0 up to {LONGEST_S:g} s, got {seconds:.6g}")
+        if self.mode != BALANCING:
+            raise LocalError(f"velocity: only a balancing robot drives, this one is {self.mode}")
+        return self._drive.command(speed, turn_rate, now + seconds)
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Change parameters; raises `LocalError` and changes none where one is unknown or out of range."""
+        self._parameters.change(values)
+        now = self._parameters.values
+        self._regulator.tune(now)
+        self._drive.heading_gain = now["heading_gain"]
+        self._drive.limits = self._drive.limits._replace(
+            speed=now["max_speed"],
+            turn_rate=now["max_turn_rate"],
+            acceleration=now["acceleration"],
+            turn_acceleration=now["turn_acceleration"],
+        )
+        if "trim" in values:
+            self._trim = values["trim"]
 
     def step(self, estimate: Estimate) -> tuple[float, float]:
         """Duties of the left and right motor for this tick."""
         if not math.isfinite(sum(estimate)):  # one that is not spoils the sum
-            self.fail("the estimate is not a number")
+            self.fail(Fault(faults.ESTIMATE, "the estimate is not a number"))
+        self._stuck = self._stuck + 1 if estimate.dt <= 0.0 else 0
+        if self._stuck >= STUCK_TICKS:
+            self.fail(Fault(faults.CLOCK, f"the clock has not advanced for {self._stuck} ticks"))
+        duty = turn = 0.0
         if self.mode == STANDING_UP:
-            duty = self._stand_up(estimate)
-        elif self.mode == BALANCING:
+            duty = self._standing_up(estimate)
+        elif self.mode == LYING_DOWN:
+            duty = self._lying_down(estimate)
+        if self.mode == BALANCING:  # since now, too
+            self._drive.step(estimate.way, estimate.heading, estimate.t, estimate.dt)
             duty = self._balance(estimate)
-        else:
+            turn = self._drive.turn(estimate.heading, estimate.dt)
+        if self.mode not in (STANDING_UP, BALANCING, LYING_DOWN):
             return 0.0, 0.0
-        if self.mode not in (STANDING_UP, BALANCING):
-            return 0.0, 0.0
-        turn = 0.0
-        if self.mode == BALANCING:
-            error = math.remainder(self._heading - estimate.heading, math.tau)
-            turn = min(HEADING_LIMIT, max(-HEADING_LIMIT, HEADING_GAIN * error))
+        if self.mode != BALANCING:
+            turn = 0.0
         return duty - turn, duty + turn
 
-    # Standing up: look -> (run_up -> swing ->) balancing
+    def _standing_up(self, estimate: Estimate) -> float:
+        assert self._stand_up is not None  # of this mode
+        duty = self._stand_up.step(estimate)
+        if self._stand_up.failure:
+            self.fail(Fault(faults.CANNOT_STAND, self._stand_up.failure))
+        elif self._stand_up.caught:
+            self.mode = BALANCING
+            self._since = estimate.t
+            self._count, self._full_power_s = 0, 0.0
+            self._trim = self.configured_trim
+            self._drive.begin(estimate.way, estimate.heading)
+            self._regulator.reset(self._stand_up.last_duty, estimate.tilt - self._trim)
+        return duty
 
-    def _look(self, now: float) -> None:
-        self.mode, self._phase = STANDING_UP, "look"
-        self._since = self._phase_since = now
-        self._count = 0
+    def _lie(self, now: float, then: Fault | None) -> None:
+        if self.mode != LYING_DOWN:
+            self.mode, self._lie_down = LYING_DOWN, LieDown(now)
+        self._then = then
 
-    def _stand_up(self, estimate: Estimate) -> float:
-        now, tilt = estimate.t, estimate.tilt - self._configured_trim
-        if self._phase == "look":
-            return self._looking(estimate, tilt)
-        if self._phase == "run_up":
-            if now - self._phase_since < RUN_UP_S:
-                return -self._power
-            self._phase, self._phase_since = "swing", now
-        if abs(tilt) < CATCH:
-            self._catch(estimate, math.copysign(DUTY_LIMIT, self._power), swung=True)
-            return self._balance(estimate)
-        if now - self._phase_since > SWING_S:
-            self._try_again(now)
-            return 0.0
-        return self._power
-
-    def _looking(self, estimate: Estimate, tilt: float) -> float:
-        now = estimate.t
-        self._count = self._count + 1 if abs(tilt) < UPRIGHT else 0
-        if self._count >= UPRIGHT_TICKS:
-            self._catch(estimate, 0.0, swung=False)
-            return self._balance(estimate)
-        lying = LYING[0] < abs(estimate.tilt) < LYING[1] and abs(estimate.tilt_rate) < LYING_RATE
-        if not lying:
-            self._phase_since = now
-        elif now - self._phase_since > LYING_S:
-            self._power = math.copysign(SWING_DUTIES[self._tries], estimate.tilt)
-            self._tries += 1
-            self._phase, self._phase_since = "run_up", now
-            return -self._power
-        if now - self._since > PATIENCE_S:
-            self.fail("cannot stand up: it neither lies still nor is held upright")
-        return 0.0
-
-    def _try_again(self, now: float) -> None:
-        if self._tries >= len(SWING_DUTIES):
-            self.fail(f"cannot stand up: {self._tries} tries failed")
-        else:
-            self._look(now)
-
-    # Balancing
-
-    def _catch(self, estimate: Estimate, duty: float, *, swung: bool) -> None:
-        self.mode = BALANCING
-        self._since, self._swung = estimate.t, swung
-        self._count, self._full_power_s = 0, 0.0
-        self._trim = self._configured_trim
-        self._place, self._heading = estimate.way, estimate.heading
-        self._regulator.reset(duty)
+    def _lying_down(self, estimate: Estimate) -> float:
+        assert self._lie_down is not None  # of this mode
+        duty = self._lie_down.step(estimate)
+        if self._lie_down.done:
+            self.mode = IDLE
+            if self._then is not None:
+                self.fail(self._then)
+        return duty
 
     def _balance(self, estimate: Estimate) -> float:
         tilt = estimate.tilt - self._trim
         self._count = self._count + 1 if abs(tilt) > FALLEN else 0
         if self._count >= FALLEN_TICKS:
-            if self._swung and estimate.t - self._since < PROVEN_S:
-                self._try_again(estimate.t)
-            else:
-                self.fail("fell")
+            self._fallen(estimate.t)
             return 0.0
-        way = min(WAY_LIMIT, max(-WAY_LIMIT, estimate.way - self._place))
-        duty = self._regulator.duty(way, estimate.speed, tilt, estimate.tilt_rate)
+        demand = self._drive.demand
+        way = limited(estimate.way - self._drive.way, WAY_LIMIT)
+        off = Deviation(way, estimate.speed - demand.speed, tilt, estimate.tilt_rate, estimate.dt)
+        duty = self._regulator.duty(off, demand)
         if abs(duty) < DUTY_LIMIT:
             self._full_power_s = 0.0
-            self._learn_trim(way, estimate.dt)
+            if demand.speed == 0.0:
+                self._learn_trim(way, estimate.dt)
         else:
             self._full_power_s += estimate.dt
             if self._full_power_s > FULL_POWER_S:
-                self.fail("full power for too long: are the wheels in the air?")
+                self.fail(Fault(faults.LIFTED, "full power for too long: are the wheels in the air?"))
         return duty
+
+    def _fallen(self, now: float) -> None:
+        attempt = self._stand_up
+        if attempt is None or not attempt.swung or now - self._since >= PROVEN_S:
+            self.fail(Fault(faults.FELL, "fell"))
+            return
+        attempt.try_again(now)
+        if attempt.failure:
+            self.fail(Fault(faults.CANNOT_STAND, attempt.failure))
+        else:
+            self.mode = STANDING_UP
 
     def _learn_trim(self, way: float, dt: float) -> None:
         trim = self._trim - self._regulator.tilt_per_way * way * dt / TRIM_TIME_S
-        self._trim = min(self._configured_trim + TRIM_RANGE, max(self._configured_trim - TRIM_RANGE, trim))
+        configured = self.configured_trim
+        self._trim = min(configured + TRIM_RANGE, max(configured - TRIM_RANGE, trim))

@@ -50,6 +50,17 @@ def linear_model(body: BodyModel) -> tuple[Matrix, Matrix]:
     return a, b
 
 
+def feed_forward(body: BodyModel) -> tuple[float, float, float]:
+    """What goes with steady motion: duty a speed (1/(m/s)), tilt (rad) and duty an acceleration (1/(m/s^2)).
+
+    From the model above with th'' = 0: the lean that holds an acceleration, and the torque that holds the lean.
+    """
+    a, b = linear_model(body)
+    duty_per_tilt = -a[3][2] / b[3][0]
+    tilt = 1.0 / (a[1][2] + b[1][0] * duty_per_tilt)
+    return 1.0 / (body.wheel_radius * body.free_speed), tilt, tilt * duty_per_tilt
+
+
 def gains(body: BodyModel) -> tuple[float, ...]:
     """Feedback (k_x, k_v, k_th, k_rate, k_u): u = k . (x, x', th, th', previous u)."""
     a, before, after = delayed(*linear_model(body), PERIOD_S, DELAY_S)
@@ -117,7 +128,7 @@ def dare(a: Matrix, b: Matrix, q: Matrix, r: Matrix) -> Matrix:
             break
         if change <= 1e-13 * size:
             return h
-    raise LocalError("no balancing gains exist for the configured body: check wheel_radius and gear_ratio in [body]")
+    raise LocalError("no balancing gains exist for the configured body: check [body]")
 
 
 def identity(size: int) -> Matrix:

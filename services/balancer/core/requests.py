@@ -1,12 +1,15 @@
 """What commands to the devices must keep to. The bridge refuses what does not; the loop need not check again."""
 
 from services.balancer.core.mailbox import check_request
+from services.balancer.core.tune import check_notes
 from swarm.errors import LocalError
-from swarm.messages import ImuRequest, ModuleRequest
+from swarm.messages import ImuRequest, ModuleRequest, SetDisplay, SetNotes
 
 IMU_RATE = 100.0
 """Hz: the control loop's own."""
 IMU_DURATION_S = 60.0
+TEXT_LIMIT = 200
+"""Letters of a text for the display: more than it can show."""
 
 
 def check(command: object) -> None:
@@ -14,6 +17,11 @@ def check(command: object) -> None:
     match command:
         case ModuleRequest():
             check_request(command)
+        case SetNotes():
+            check_notes(command)
+        case SetDisplay(text):
+            if len(text) > TEXT_LIMIT:
+                raise LocalError(f"text: {len(text)} letters, at most {TEXT_LIMIT}")
         case ImuRequest(rate, duration):
             _in_range("rate", rate, 0.01, IMU_RATE, "Hz")
             _in_range("duration", duration, 0.0, IMU_DURATION_S, "s")

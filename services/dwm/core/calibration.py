@@ -1,11 +1,55 @@
-"""From what the module reports to what is true: the linear maps of the thesis (eqs 2.8 and 2.10)."""
+"""From what the module reports to what is true: the models of ranges and places.
+
+A range: distance = gain m + offset + log ln(m / 1 m) - robot. The thesis' model (eq. 2.8) is gain and offset;
+the logarithm stands for what physics says: no scale error, but a bias that grows with the distance, for a weaker signal
+is timed later (Decawave APS011). Below the shortest range of the fit the curve goes on as its tangent.
+
+A place: matrix m + offset (eq. 2.10).
+"""
+
+from dataclasses import dataclass, field
+from math import log as ln
 
 from swarm.config.types import Affine, Linear
 
 
-def distance(model: Linear, measured: float) -> float:
-    """Eq. 2.8, in m: the inverse of the sensor model m = 1.056 d + 6.3 cm; never below zero."""
-    return max(0.0, model.gain * measured + model.offset)
+@dataclass(frozen=True, slots=True)
+class RangeModel:
+    """From a reported range to the distance; lengths in m."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+    log: float = 0.0
+    """m; 0 = the model is linear."""
+    low: float = 0.0
+    """Shortest range of the fit; only where `log` is not 0."""
+    robot: float = 0.0
+    """By how much this robot's ranges are too long after all the rest."""
+    antenna: tuple[float, float] = (0.0, 0.0)
+    """(a, b): ranges are longer by a cos(heading) + b sin(heading)."""
+
+    @classmethod
+    def of(cls, model: Linear) -> "RangeModel":
+        """The model that swarm.toml holds."""
+        return cls(model.gain, model.offset)
+
+    def distance(self, measured: float) -> float:
+        """The distance for a reported range, the antenna's part left in; never below zero."""
+        value = self.gain * measured + self.offset - self.robot
+        if self.log:
+            if measured >= self.low:
+                value += self.log * ln(measured)
+            else:
+                value += self.log * (ln(self.low) + (measured - self.low) / self.low)
+        return max(0.0, value)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Both models of one robot."""
+
+    ranges: RangeModel = field(default_factory=RangeModel)
+    position: Affine = field(default_factory=Affine)
 
 
 def position(model: Affine, x: float, y: float) -> tuple[float, float]:

@@ -72,6 +72,8 @@ class Poller:
         self._out = bytearray()
         self._events: list[Report | Health | Answered] = []
         self._failures = 0
+        self._leaving = 0
+        """How often it shall still be told to leave its shell."""
         self._trouble: str | None = None  # kind of the trouble last told; None before anything was
 
     def next_deadline(self) -> float:
@@ -129,8 +131,9 @@ class Poller:
             self._ticket, call = self._waiting.popleft()
             self._answer_by = now + SLOW_TIMEOUT
         else:
-            lost = self._failures > 0 and self._failures % FAILURES == 0
-            self._ticket, call = None, _LEAVE if lost else LOC_GET
+            if self._failures > 0 and self._failures % FAILURES == 0 and not self._leaving:
+                self._leaving = shell.LEAVE_TIMES
+            self._ticket, call = None, _LEAVE if self._leaving else LOC_GET
             self._answer_by = now + TIMEOUT
             self._due += self._pause
             if self._due <= now:  # we were late: keep the distance instead of catching up
@@ -147,7 +150,7 @@ class Poller:
         elif isinstance(outcome.result, Location):
             self._worked(outcome.result)
         else:
-            self._failures += 1  # a late answer, taken for that to `_LEAVE`: ask for a location again
+            self._failures, self._leaving = self._failures + 1, 0  # a late answer, taken for that to `_LEAVE`
 
     def _answered(self, exchange: Exchange[object], outcome: Answer[object] | Trouble, now: float) -> None:
         assert self._ticket is not None
@@ -164,7 +167,11 @@ class Poller:
         self._events.append(Report(location))
 
     def _failed(self, now: float, trouble: Trouble, asked: Call[object]) -> None:
-        self._failures += 1
+        if asked is _LEAVE:
+            # Only a module in its shell has to be told again.
+            self._leaving = self._leaving - 1 if trouble.kind == "shell" else 0
+        if not self._leaving:
+            self._failures += 1
         if not (asked is _LEAVE and trouble.kind == "refused"):  # so says a module that is not in its shell
             self.counters[trouble.kind] += 1
             self._tell(trouble)

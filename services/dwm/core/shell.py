@@ -22,6 +22,8 @@ from swarm.errors import FrameError
 
 ENTER = b"\r\r"
 LEAVE = b"quit\r"
+LEAVE_TIMES = 2
+"""Binary requests that it took for typing stand before the first one, which is an unknown command then."""
 PROMPT = b"dwm>"
 
 MAX_LINE = 1024

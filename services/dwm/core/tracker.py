@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import cos, exp, hypot, log, pi, sin
 
 from services.dwm.core.ekf import GATE, HEADING, Ekf, Innovation, Noise, Point, X, Y
+from services.dwm.core.motion import Motion, Node
 from services.dwm.core.multilateration import NoFix, multilaterate
-from services.dwm.core.track import Node, Track
 
 LATENCY = 0.060
 """s from a measurement until its report is read: half a period, computing in the module, transfer."""
@@ -87,7 +87,7 @@ class Tracker:
         self._lever = lever
         self._antenna = antenna
         self._noise = noise or Noise()
-        self._track: Track | None = None
+        self._motion: Motion | None = None
         self._filters: list[_Hypothesis] = []
         self._stood: Node | None = None  # where it stands; None once it has moved and hypotheses run
         self._known = False  # the heading
@@ -100,13 +100,13 @@ class Tracker:
 
     def odometry(self, t: float, distance: float, turn: float, tilt: float = 0.0) -> None:
         """The robot rolled `distance` (m) and turned by `turn` (rad) since the last call, and leans by `tilt`."""
-        if self._track is None:
-            self._track = Track(t)
+        if self._motion is None:
+            self._motion = Motion(t)
             return
-        dt = t - self._track.newest.t
+        dt = t - self._motion.newest.t
         if dt <= 0.0:
             return
-        self._track.add(t, distance, turn, tilt)
+        self._motion.add(t, distance, turn, tilt)
         if self._stood is None:
             self._rolled += abs(distance)
             for hypothesis in self._filters:
@@ -115,7 +115,7 @@ class Tracker:
             ekf = self._filters[0].ekf
             ekf.predict(0.0, 0.0, dt)
             ekf.spread(_LOOSE**2 * dt)
-            newest = self._track.newest
+            newest = self._motion.newest
             if hypot(newest.u - self._stood.u, newest.v - self._stood.v) > _MOVED:
                 self._branch(ekf)
             elif newest.t - self._stood.t > _STANDING:
@@ -123,7 +123,7 @@ class Tracker:
 
     def has_odometry(self, now: float) -> bool:
         """Whether odometry is there and recent."""
-        return self._track is not None and now - self._track.newest.t <= SILENCE
+        return self._motion is not None and now - self._motion.newest.t <= SILENCE
 
     def ranges(self, now: float, ranges: Sequence[tuple[str, float]]) -> list[Innovation]:
         """Take the calibrated ranges (address, m) of a report read at `now`; those to unknown modules are left out.
@@ -131,8 +131,8 @@ class Tracker:
         Gives what each told, of the best hypothesis; nothing while the filter is being started.
         """
         heard = [(self._index[name], distance) for name, distance in ranges if name in self._index]
-        if self._track is None or not heard:
-            self.problem = "no odometry" if self._track is None else "no range to a configured anchor"
+        if self._motion is None or not heard:
+            self.problem = "no odometry" if self._motion is None else "no range to a configured anchor"
             return []
         if self._doubt > _DOUBT:
             self.restarts += 1
@@ -155,19 +155,19 @@ class Tracker:
 
     def estimate(self, now: float) -> Estimate | None:
         """The pose at `now`; None before there is one."""
-        if self._track is None or not self._filters:
+        if self._motion is None or not self._filters:
             return None
         x, y, covariance = self._mixture()
         best = self._filters[0].ekf
         if not self._known:
             return Estimate(now, x, y, covariance, None, None)
-        dx, dy = self._way(best.state[HEADING], self._track.newest, self._track.at(now))
-        turn = self._track.at(now).heading - self._track.newest.heading
+        dx, dy = self._way(best.state[HEADING], self._motion.newest, self._motion.at(now))
+        turn = self._motion.at(now).heading - self._motion.newest.heading
         heading = (best.state[HEADING] + turn + pi) % (2 * pi) - pi
         return Estimate(now, x + dx, y + dy, covariance, heading, best.covariance[HEADING][HEADING] ** 0.5)
 
     def _start(self, heard: Sequence[tuple[int, float]]) -> None:
-        assert self._track is not None
+        assert self._motion is not None
         fix = multilaterate(
             [self._anchors[index] for index, _ in heard], [d for _, d in heard], self._height, self._noise.range
         )
@@ -176,7 +176,7 @@ class Tracker:
             return
         self.problem = ""
         self._filters = [_Hypothesis(Ekf(self._anchors, self._height, (fix.x, fix.y), 0.0, 0.0, self._noise))]
-        self._stood, self._known, self._doubt = self._track.newest, False, 0.0
+        self._stood, self._known, self._doubt = self._motion.newest, False, 0.0
 
     def _branch(self, ekf: Ekf) -> None:
         """One filter for each heading there may be."""
@@ -200,8 +200,8 @@ class Tracker:
             self._known = True
 
     def _update(self, ekf: Ekf, heard: Sequence[tuple[int, float]], now: float) -> list[Innovation]:
-        assert self._track is not None
-        newest, then = self._track.newest, self._track.at(now - self._latency)
+        assert self._motion is not None
+        newest, then = self._motion.newest, self._motion.at(now - self._latency)
         told = []
         for index, distance in heard:
             if self._stood is not None:
@@ -217,7 +217,7 @@ class Tracker:
 
     @staticmethod
     def _way(heading: float, start: Node, end: Node) -> tuple[float, float]:
-        """From one node of the track to another in the anchors' frame, the robot at `start` heading so."""
+        """From one node of the motion to another in the anchors' frame, the robot at `start` heading so."""
         c, s = cos(heading - start.heading), sin(heading - start.heading)
         u, v = end.u - start.u, end.v - start.v
         return c * u - s * v, s * u + c * v

@@ -19,6 +19,8 @@ STEP_S = 0.001
 """Integration step: semi-implicit Euler; the fastest pole is near -56 per second."""
 LONGEST_S = 2.0
 """What is integrated at most in one go. A body left alone for longer lies on the floor."""
+LAYING_RATE = math.radians(180)
+"""rad/s with which a hand lays the robot down."""
 REST_TILT = math.radians(110)
 """Where the body touches the floor, to the front and to the back."""
 
@@ -45,6 +47,7 @@ class BalboaBody:
         self.held = held
         self.now = now
         self._left = self._right = 0.0
+        self._hand = 0
         self._prepare()
 
     def _prepare(self) -> None:
@@ -61,6 +64,18 @@ class BalboaBody:
         self._left, self._right = left, right
         if left or right:
             self.held = False
+
+    def lay(self, side: int) -> None:
+        """Take the body and turn it, wheels on their place, until it lies: on its front (1) or back (-1)."""
+        self.held = False
+        self._hand = side
+
+    def put_down(self, x: float, y: float, heading: float, tilt: float) -> None:
+        """Lie where it fell over: at this place (m), to the side it leaned to."""
+        self.held = False
+        self.x, self.y, self.heading = x, y, heading
+        self.tilt = tilt
+        self._lie_down()
 
     def push(self, momentum: float) -> None:
         """Hit the body at the height of its centre of mass, forward positive, N s. A hand that held it lets go."""
@@ -86,11 +101,29 @@ class BalboaBody:
         if self.held:
             self.now += steps * STEP_S
             return
+        if self._hand:
+            self._turn_by_hand(steps * STEP_S)
+            self.now += steps * STEP_S
+            return
         limit = int(LONGEST_S / STEP_S)
         self._integrate(min(steps, limit))
         if steps > limit and not (self._left or self._right):
             self._lie_down()
         self.now += steps * STEP_S
+
+    def _turn_by_hand(self, seconds: float) -> None:
+        """The motors may run meanwhile: the wheels are held, too."""
+        self.speed = self.turn_rate = 0.0
+        self.acceleration = self.tilt_acceleration = 0.0
+        target = self._hand * REST_TILT
+        way = target - self.tilt
+        step = math.copysign(min(abs(way), LAYING_RATE * seconds), way)
+        self.tilt += step
+        self.tilt_rate = math.copysign(LAYING_RATE, way)
+        if self.tilt == target or abs(way) <= LAYING_RATE * seconds:
+            self._hand = 0
+            self.tilt = target
+            self._lie_down()
 
     def _lie_down(self) -> None:
         if abs(self.tilt) < REST_TILT:

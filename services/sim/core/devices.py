@@ -12,10 +12,11 @@ import os
 import struct
 from typing import NamedTuple, Protocol
 
-from services.balancer.core import balboa, imu
+from services.balancer.core import balboa, display, imu
 from services.balancer.core.transfers import BIT_S, BITS_PER_BYTE, BITS_PER_TRANSFER, HOLD_S
 from services.sim.core.atmega import AtmegaDevice
 from services.sim.core.balboa import BalboaBody
+from services.sim.core.display import DisplayDevice
 
 NOBODY = 0x7F
 """An address that no device has."""
@@ -165,7 +166,12 @@ class SimulatedRobot:
         self.body = body
         self.imu = ImuDevice(body, noise, errors, trim)
         self.atmega = AtmegaDevice(body, battery)
-        self.devices: dict[int, Device] = {imu.ADDRESS: self.imu, balboa.ADDRESS: self.atmega}
+        self.display = DisplayDevice()
+        self.devices: dict[int, Device] = {
+            imu.ADDRESS: self.imu,
+            balboa.ADDRESS: self.atmega,
+            display.ADDRESS: self.display,
+        }
         """By address; what is taken out is absent."""
         self.sda_held = False
         """A device holds SDA low in the middle of a byte: nothing goes until nine clock pulses have come."""

@@ -24,7 +24,7 @@ class Node(NamedTuple):
     """rad, forward positive."""
 
 
-class Track:
+class Motion:
     """Dead reckoning from increments of way and heading."""
 
     def __init__(self, t: float) -> None:

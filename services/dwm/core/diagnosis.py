@@ -1,0 +1,287 @@
+"""What is wrong with a module, its settings or its anchors, each with a name and what to do about it.
+
+`swarm dwm check` shows all of it; the service logs what its reports tell.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import dist, sqrt
+from statistics import median
+
+from services.dwm.core.calls import RATE_UNIT, UWB_ACTIVE, ModuleStatus, Settings, UpdateRate, Version
+from services.dwm.core.exchange import Trouble
+from services.dwm.core.multilateration import Fix, degenerate, multilaterate
+from services.dwm.core.ranges import MAX_DISTANCE
+from services.dwm.core.tlv import AnchorRange, Location
+from swarm.config.types import Anchor
+
+FIRMWARE = (1, 3)
+"""PANS R2, whose calls are spoken here."""
+
+ENOUGH = 3
+"""Anchors that a place in the plane needs."""
+
+MOVED = 0.02
+"""m: an anchor that says it is farther than this from where swarm.toml has it was set up otherwise."""
+
+MISFIT = 0.25
+"""m: root of the mean squared residual of the medians of many ranges, beyond which the anchors are not where swarm.toml
+has them. Uncalibrated ranges leave up to 0.1 m, a hidden anchor some 0.3 m on one range."""
+
+MEND = 0.4
+"""Leaving an anchor out that is in a wrong place brings the misfit down to less than this part."""
+
+CONTRADICTION = 0.5
+"""m by which two ranges may miss the triangle with the distance of their anchors: noise and no line of sight."""
+
+TWO_PLACES = 0.6
+"""m between the two halves of the ranges to one address, beyond which there are two modules of that address."""
+
+FEW = 0.5
+"""Part of the answers in which a thing must be so to be told."""
+
+SIGMA = 0.05
+"""m: standard deviation of a good range."""
+
+_ADVICE = {
+    "silent": "check power and the wires (module TX to our RX, 3.3 V), and the port's name",
+    "garbled": "115200 baud, 8N1; a common ground; a short wire",
+    "shell": "it is sent quit; ask again. Programs that use its shell must be ended",
+    "layout": "flash PANS R2 (DWM1001 firmware 1.3) with the maker's J-Flash or RTLS manager",
+    "refused": "see `swarm dwm info`; a busy module is asked again by itself",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong."""
+
+    code: str
+    """Its name."""
+    text: str
+    """What is wrong, with the numbers."""
+    remedy: str
+    """What to do."""
+    fatal: bool = True
+    """False where localization works all the same."""
+
+
+def of_trouble(trouble: Trouble) -> Finding:
+    """The module gives no proper answer."""
+    codes = {"silent": "no-module", "garbled": "garbled", "shell": "shell-mode", "layout": "layout"}
+    return Finding(codes.get(trouble.kind, trouble.kind), trouble.reason, _ADVICE[trouble.kind])
+
+
+def of_version(version: Version) -> list[Finding]:
+    """The module's firmware."""
+    if version.firmware[:2] == FIRMWARE:
+        return []
+    return [Finding("firmware", f"its firmware is {version.text}, 1.3 is spoken here", _ADVICE["layout"], fatal=False)]
+
+
+def of_settings(settings: Settings, rate: UpdateRate, status: ModuleStatus, *, anchor: bool) -> list[Finding]:
+    """How the module is set up, against what it shall be: an `anchor` or a tag."""
+    found = []
+    configure = "`swarm dwm configure`"
+    if settings.anchor != anchor:
+        is_, shall = ("an anchor", "a tag") if settings.anchor else ("a tag", "an anchor")
+        found.append(Finding("role", f"it is {is_} and shall be {shall}", configure))
+    if settings.uwb != UWB_ACTIVE:
+        found.append(Finding("uwb-off", f"its radio is {('off', 'passive')[settings.uwb == 1]}", configure))
+    if settings.anchor:
+        if not status.joined:
+            found.append(_no_network())
+        return found
+    if rate.moving > 1:
+        found.append(Finding("slow", f"it measures every {rate.moving * RATE_UNIT:g} s", configure))
+    if settings.stationary and rate.still > rate.moving:
+        period = rate.still * RATE_UNIT
+        found.append(Finding("still", f"standing still, as balanced, it measures every {period:g} s only", configure))
+    if settings.low_power:
+        found.append(Finding("low-power", "it sleeps between measurements and misses requests", configure))
+    if not settings.engine:
+        found.append(Finding("no-engine", "its location engine is off: ranges, but no place", configure, fatal=False))
+    if not status.joined:
+        found.append(_no_network())
+    return found
+
+
+def _no_network() -> Finding:
+    return Finding(
+        "no-network",
+        "it belongs to no network",
+        "one anchor in reach must be initiator: `swarm dwm configure --anchor --initiator`; one network id for all",
+    )
+
+
+def of_anchors(anchors: Sequence[Anchor]) -> list[Finding]:
+    """The anchors as swarm.toml has them."""
+    if not anchors:
+        return [Finding("no-anchors", "swarm.toml lists no [[anchors]]", "`swarm dwm anchors --auto`, or a ruler")]
+    if len(anchors) < ENOUGH:
+        text = f"swarm.toml lists {len(anchors)} anchors, a place needs {ENOUGH}"
+        return [Finding("few-anchors", text, "put up more anchors")]
+    if (problem := degenerate([(a.x, a.y, a.z) for a in anchors])) is not None:
+        return [Finding("collinear", f"swarm.toml: {problem}", "move one anchor well off the line of the others")]
+    return []
+
+
+def of_locations(
+    locations: Sequence[Location],
+    anchors: Sequence[Anchor],
+    *,
+    known: Mapping[str, str] | None = None,
+    own: str | None = None,
+    height: float = 0.0,
+    calibrate: Callable[[str, float], float] = lambda _, distance: distance,
+) -> list[Finding]:
+    """A few seconds of a standing tag's answers, against swarm.toml.
+
+    `known`: other modules (robots, target) by address; `own`: the tag's address. `calibrate(anchor, measured)` in m.
+    """
+    if not locations:
+        return []
+    placed = {anchor.address: anchor for anchor in anchors}
+    found = [*_of_single_answers(locations, own), *_seen(locations, placed, known or {})]
+    ranges: dict[str, list[float]] = {}
+    for location in locations:
+        for item in location.ranges:
+            if item.distance <= MAX_DISTANCE:
+                ranges.setdefault(item.anchor, []).append(calibrate(item.anchor, item.distance))
+    split = {address for address, values in ranges.items() if _two_places(values)}
+    for address in sorted(split):
+        low, high = (median(half) for half in _halves(ranges[address]))
+        found.append(
+            Finding(
+                "duplicate-address",
+                f"ranges to {address} are at {low:.2f} m and at {high:.2f} m in turn: two modules of one address?",
+                "read the addresses by `swarm dwm info --port ...` on each module and take one away",
+            )
+        )
+    medians = {address: median(values) for address, values in ranges.items() if address in placed}
+    found += _said_elsewhere(locations[-1].ranges, placed)
+    found += _misplaced({a: d for a, d in medians.items() if a not in split}, placed, height)
+    return found
+
+
+def _of_single_answers(locations: Sequence[Location], own: str | None) -> list[Finding]:
+    found = []
+    twice: set[str] = set()
+    far: dict[str, float] = {}
+    for location in locations:
+        seen = Counter(item.anchor for item in location.ranges)
+        twice |= {address for address, count in seen.items() if count > 1}
+        far |= {item.anchor: item.distance for item in location.ranges if item.distance > MAX_DISTANCE}
+        if own is not None and own in seen:
+            twice.add(own)
+    for address in sorted(twice):
+        text = f"{address} is there twice" + (", and is the address of this module" if address == own else "")
+        found.append(Finding("duplicate-address", text, "take one of the two modules away, or reset its address"))
+    for address, distance in sorted(far.items()):
+        text = f"{distance:.1f} m to {address}: no UWB reaches so far"
+        found.append(Finding("impossible-range", text, "power that anchor anew; replace it if it goes on"))
+    return found
+
+
+def _seen(locations: Sequence[Location], placed: Mapping[str, Anchor], known: Mapping[str, str]) -> list[Finding]:
+    """Which anchors the answers hold, and whether the module makes a place of them."""
+    times = Counter(item.anchor for location in locations for item in {r.anchor: r for r in location.ranges}.values())
+    often = {address for address, count in times.items() if count >= FEW * len(locations)}
+    found = []
+    for address in sorted(times.keys() - placed.keys() - known.keys()):
+        text = f"{address} gives ranges and is not in swarm.toml"
+        found.append(Finding("unknown-anchor", text, "add it to [[anchors]], or to a robot as uwb", fatal=False))
+    for address in sorted(placed.keys() - times.keys()):
+        text = f"anchor {address} of swarm.toml gives no range"
+        remedy = "is it powered, an anchor (`swarm dwm configure --anchor`), in reach? A tag ranges to four at most"
+        found.append(Finding("missing-anchor", text, remedy, fatal=False))
+    good = often & placed.keys()
+    if not times:
+        remedy = "are anchors powered, is one of them the initiator, is the network id the same for all?"
+        return [*found, Finding("no-ranges", "no anchor gives any range", remedy)]
+    if len(good) < ENOUGH:
+        text = f"{len(good)} anchors give ranges ({', '.join(sorted(good)) or 'none'}), a place needs {ENOUGH}"
+        return [*found, Finding("few-anchors", text, "put up more anchors, or bring them into sight")]
+    places = [(placed[a].x, placed[a].y, placed[a].z) for a in sorted(good)]
+    if (problem := degenerate(places)) is not None:
+        text = f"the anchors in sight ({', '.join(sorted(good))}): {problem}"
+        found.append(Finding("collinear", text, "move one anchor well off the line of the others"))
+    if sum(location.position.quality > 0 for location in locations) < FEW * len(locations):
+        text = "the module makes no place of its ranges (quality 0)"
+        remedy = "set the anchors' places on them: `swarm dwm configure --anchor --port ...` on each"
+        found.append(Finding("no-fix", text, remedy, fatal=False))
+    return found
+
+
+def _said_elsewhere(ranges: Sequence[AnchorRange], placed: Mapping[str, Anchor]) -> list[Finding]:
+    """Anchors that were set up to be elsewhere than swarm.toml has them."""
+    found = []
+    for item in ranges:
+        anchor, said = placed.get(item.anchor), item.position
+        if anchor is None or said.quality == 0:
+            continue
+        if dist((anchor.x, anchor.y, anchor.z), (said.x, said.y, said.z)) > MOVED:
+            text = (
+                f"anchor {item.anchor} says it is at ({said.x:.2f}, {said.y:.2f}, {said.z:.2f}) m, "
+                f"swarm.toml has ({anchor.x:.2f}, {anchor.y:.2f}, {anchor.z:.2f}) m"
+            )
+            remedy = (
+                "the module's own places are off: `swarm dwm configure --anchor --port ...` on it, or mend swarm.toml"
+            )
+            found.append(Finding("anchor-setup", text, remedy, fatal=False))
+    return found
+
+
+def _misplaced(medians: Mapping[str, float], placed: Mapping[str, Anchor], height: float) -> list[Finding]:
+    """Ranges that no place fits: an anchor was moved since, or is hidden."""
+    found = []
+    names = sorted(medians)
+    for number, one in enumerate(names):
+        for other in names[number + 1 :]:
+            a, b = placed[one], placed[other]
+            apart = dist((a.x, a.y, a.z), (b.x, b.y, b.z))
+            beyond = abs(medians[one] - medians[other]) - apart, apart - medians[one] - medians[other]
+            if max(beyond) > CONTRADICTION:
+                text = (
+                    f"{medians[one]:.2f} m to {one} and {medians[other]:.2f} m to {other}, "
+                    f"which are {apart:.2f} m apart in swarm.toml: impossible"
+                )
+                found.append(Finding("impossible-range", text, "is one of them elsewhere than swarm.toml has it?"))
+    misfit = _misfit(names, medians, placed, height)
+    if misfit is None or misfit <= MISFIT:
+        return found
+    text = f"no place fits the ranges: {misfit:.2f} m rms"
+    remedy = "measure the anchors' places anew (`swarm dwm anchors --auto`) and calibrate anew"
+    if len(names) > ENOUGH:
+        without = {name: _misfit([n for n in names if n != name], medians, placed, height) for name in names}
+        fitting = [name for name, rest in without.items() if rest is not None and rest < MEND * misfit]
+        if len(fitting) == 1:
+            text += f", {without[fitting[0]]:.2f} m without {fitting[0]}: it was moved, or is hidden"
+    return [*found, Finding("anchor-moved", text, remedy)]
+
+
+def _misfit(
+    names: Sequence[str], medians: Mapping[str, float], placed: Mapping[str, Anchor], height: float
+) -> float | None:
+    """Root of the mean squared residual of the best place, m; None where there is none."""
+    places = [(placed[name].x, placed[name].y, placed[name].z) for name in names]
+    fix = multilaterate(places, [medians[name] for name in names], height, SIGMA)
+    if not isinstance(fix, Fix):
+        return None
+    return sqrt(sum(residual**2 for residual in fix.residuals) / len(names))
+
+
+def _halves(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
+    """The values split at their widest gap."""
+    ordered = sorted(values)
+    at = max(range(1, len(ordered)), key=lambda i: ordered[i] - ordered[i - 1])
+    return ordered[:at], ordered[at:]
+
+
+def _two_places(values: Sequence[float]) -> bool:
+    """Whether they come from two distances in turn: each in a fifth of them or more."""
+    if len(values) < 5:
+        return False
+    low, high = _halves(values)
+    return min(len(low), len(high)) >= 0.2 * len(values) and median(high) - median(low) > TWO_PLACES

@@ -1,0 +1,180 @@
+"""Ways to speak with one module from a command: a serial port of this machine, or a robot's dwm service.
+
+The service owns its port, so that requests to a robot's module go over its bus, each named by a ticket.
+"""
+
+import os
+import queue
+import select
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from services.dwm.core import calls, shell
+from services.dwm.core.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, Exchange, Trouble
+from services.dwm.core.tlv import Call
+from swarm import clock
+from swarm.bus import Bus
+from swarm.codec import decode
+from swarm.errors import LocalError, PayloadError, RemoteError
+from swarm.keys import key
+from swarm.messages import ModuleAnswer, ModuleRequest
+
+if TYPE_CHECKING:
+    pass
+
+T = TypeVar("T")
+
+BAUD = 115200
+
+_ATTEMPTS = 3
+"""On the wire: a byte may get lost."""
+
+_REPEAT = 1.0
+"""s after which a request over the bus is published again; longer than any answer takes."""
+
+_PATIENCE = 4.0
+"""s to wait for an answer over the bus."""
+
+
+class NoAnswerError(RemoteError):
+    """The module, or the way to it, gave no proper answer."""
+
+    def __init__(self, trouble: Trouble) -> None:
+        super().__init__(trouble.reason)
+        self.trouble = trouble
+
+
+class Line(Protocol):
+    """Something a module hangs on."""
+
+    name: str
+
+    def ask(self, call: Call[T]) -> T:
+        """The answer; raises `NoAnswerError`."""
+
+    def close(self) -> None:
+        """Let it go."""
+
+
+class PortLine:
+    """A module at a serial port of this machine. A module in shell mode is told to leave it."""
+
+    def __init__(self, path: str) -> None:
+        """Raises `LocalError` where the port cannot be opened."""
+        try:
+            import serial
+        except ImportError:
+            raise LocalError("a serial port needs pyserial: pip install balboa-swarm[lab]") from None
+        self.name = path
+        try:
+            # exclusive: two processes at one module would read each other's answers
+            self._port: serial.Serial = serial.Serial(path, BAUD, timeout=0, write_timeout=1.0, exclusive=True)
+        except OSError as error:
+            hint = "; a service owns it: ask the robot, without --port" if "lock" in str(error) else ""
+            # pyserial's own text repeats the path and the number
+            raise LocalError(f"{path}: {os.strerror(error.errno) if error.errno else error}{hint}") from None
+        self._port.reset_input_buffer()
+
+    def ask(self, call: Call[T]) -> T:
+        """See `Line`."""
+        outcome = self._exchange(call)
+        for _ in range(_ATTEMPTS - 1):
+            if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
+                break
+            if outcome.kind != "layout":
+                for _ in range(shell.LEAVE_TIMES):
+                    self._exchange(Call("leave the shell", shell.LEAVE, (), lambda _: None), TIMEOUT)
+            outcome = self._exchange(call)
+        if isinstance(outcome, Trouble):
+            raise NoAnswerError(outcome)
+        return outcome.result
+
+    def close(self) -> None:
+        """See `Line`."""
+        self._port.close()
+
+    def _exchange(self, call: Call[T], timeout: float = SLOW_TIMEOUT) -> Answer[T] | Trouble:
+        exchange = Exchange(call)
+        end = clock.now() + timeout
+        try:
+            self._port.reset_input_buffer()
+            self._port.write(call.request)
+            while (left := end - clock.now()) > 0:
+                if select.select([self._port.fileno()], [], [], left)[0]:
+                    outcome = exchange.receive(self._port.read(4096))
+                    if outcome is not None:
+                        return outcome
+        except OSError as error:
+            return Trouble("silent", f"{self.name}: {error.strerror or error}")
+        return exchange.expire()
+
+
+class BusLine:
+    """A robot's module, through its dwm service."""
+
+    def __init__(self, robot: str, directory: Path) -> None:
+        self.name = robot
+        self._answers: queue.SimpleQueue[ModuleAnswer] = queue.SimpleQueue()
+        self._prefix = os.urandom(6).hex()
+        self._count = 0
+        self._key = key(robot, "dwm", "set", "module")
+        self.bus = Bus.of(directory)
+        self.bus.subscribe(key(robot, "dwm", "module"), self._take)
+
+    def ask(self, call: Call[T]) -> T:
+        """See `Line`."""
+        self._count += 1
+        request = ModuleRequest(f"{self._prefix}-{self._count}", call.request)
+        end = clock.now() + _PATIENCE
+        if not self.bus.wait_connected(_PATIENCE):
+            raise NoAnswerError(Trouble("silent", f"{self.name}: its bus does not answer: does it run?"))
+        while clock.now() < end:
+            self.bus.publish(self._key, request, urgent=True)
+            answer = self._wait(request.ticket, min(end, clock.now() + _REPEAT))
+            if answer is not None:
+                return _read(call, answer)
+        reason = f"{self.name}: its dwm service does not answer: does it run, and is its source no recording?"
+        raise NoAnswerError(Trouble("silent", reason))
+
+    def close(self) -> None:
+        """See `Line`."""
+        self.bus.close()
+
+    def _wait(self, ticket: str, end: float) -> ModuleAnswer | None:
+        while (left := end - clock.now()) > 0:
+            try:
+                answer = self._answers.get(timeout=left)
+            except queue.Empty:
+                return None
+            if answer.ticket == ticket:
+                return answer
+        return None
+
+    def _take(self, name: str, payload: bytes) -> None:
+        try:
+            self._answers.put(decode(ModuleAnswer, payload, name))
+        except PayloadError:
+            return  # only a broken service could have sent it
+
+
+def _read(call: Call[T], answer: ModuleAnswer) -> T:
+    exchange = Exchange(call)
+    outcome = exchange.receive(answer.answer) or exchange.expire()
+    if isinstance(outcome, Answer):
+        return outcome.result
+    if not answer.answer or outcome.kind == "silent":
+        outcome = Trouble("silent", answer.problem or outcome.reason)
+    raise NoAnswerError(outcome)
+
+
+def restart(line: Line, patience: float = 6.0) -> None:
+    """Reset the module and wait until it is there again; raises `NoAnswerError` where it is not."""
+    line.ask(calls.RESET)
+    end = clock.now() + patience
+    while True:
+        try:
+            if line.ask(calls.STATUS_GET) is not None:
+                return
+        except NoAnswerError:
+            if clock.now() >= end:
+                raise

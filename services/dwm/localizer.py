@@ -1,0 +1,98 @@
+"""What all live sources do with a module's answers: pipeline, odometry from the balancer, messages on the bus."""
+
+import queue
+from pathlib import Path
+
+from services.dwm.core import calibration_file
+from services.dwm.core.calibration import Calibration, RangeModel
+from services.dwm.core.pipeline import Pipeline
+from services.dwm.core.tlv import Location
+from swarm.codec import decode
+from swarm.config import Config
+from swarm.errors import ConfigError, PayloadError
+from swarm.keys import key
+from swarm.messages import Odometry
+from swarm.service import Service
+
+_MAX_WAITING = 250
+"""Odometry messages that wait for a report of the module: ten seconds of them. Then the oldest go."""
+
+
+def calibration_path(config: Config, robot: str) -> Path | None:
+    """The calibration file of `robot`; None where the config names none."""
+    if config.dwm.calibration is None:
+        return None
+    return config.path.parent / config.dwm.calibration.replace("{robot}", robot)
+
+
+def load_calibration(config: Config, robot: str) -> Calibration:
+    """The models in force for `robot`: of its file, else of swarm.toml. Raises `ConfigError`."""
+    normal = Calibration(RangeModel.of(config.dwm.distance), config.dwm.position)
+    path = calibration_path(config, robot)
+    if path is None:
+        return normal
+    try:
+        text = path.read_text("utf-8")
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: the calibration of {robot} cannot be read ({error.strerror}); make it with "
+            f"swarm calibrate distance --robot {robot}, or take `calibration` out of [dwm]"
+        ) from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is no text") from None
+    file = calibration_file.parse(text, str(path))
+    calibration_file.check(file, str(path), robot, config.anchors)
+    return file.over(normal)
+
+
+class Localizer:
+    """Turns a module's answers into `dwm/ranges` and `dwm/pose`."""
+
+    def __init__(self, service: Service) -> None:
+        """Raises `ConfigError` where the robot's calibration does not fit."""
+        config, robot = service.config, service.robot
+        self._service = service
+        kind = config.dwm.filter_of(robot)
+        self._pipeline = Pipeline(
+            config.dwm,
+            config.robots_by_module,
+            kind=kind,
+            calibration=load_calibration(config, robot),
+            anchors=config.anchors,
+        )
+        self._odometry: queue.SimpleQueue[Odometry] = queue.SimpleQueue()
+        self._last: Odometry | None = None
+        if kind in ("auto", "ekf"):
+            service.bus.subscribe(key(robot, "balancer", "odometry"), self._take)
+
+    def report(self, location: Location, when: float) -> None:
+        """Publish what follows from an answer that the module gave at `when`."""
+        self._move()
+        ranges, pose = self._pipeline.report(location, when)
+        service = self._service
+        service.counters["reports"] += 1
+        service.counters.update(self._pipeline.dropped())
+        service.counters["filter_restarts"] = self._pipeline.tracker.restarts
+        service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
+        service.bus.publish(key(service.robot, "dwm", "pose"), pose)
+
+    def _take(self, name: str, payload: bytes) -> None:
+        """Runs on Zenoh's thread."""
+        try:
+            self._odometry.put(decode(Odometry, payload, name))
+        except PayloadError as error:
+            self._service.counters["refused_payloads"] += 1
+            self._service.log.debug("%s", error)
+        if self._odometry.qsize() > _MAX_WAITING:
+            self._odometry.get_nowait()
+
+    def _move(self) -> None:
+        """Give the filter the motion since the last report. Messages hold sums: a lost one costs nothing."""
+        for _ in range(self._odometry.qsize()):
+            new, last = self._odometry.get_nowait(), self._last
+            self._last = new
+            if last is None or new.sequence <= last.sequence:  # the balancer began anew, and its sums with it
+                self._pipeline.tracker.odometry(new.t, 0.0, 0.0, new.tilt)
+                continue
+            distance = 0.5 * (new.left + new.right - last.left - last.right)
+            self._pipeline.tracker.odometry(new.t, distance, new.gyro_heading - last.gyro_heading, new.tilt)

@@ -1,0 +1,322 @@
+"""`swarm dwm info|configure|anchors|check`: a robot's UWB module, or one at a serial port of this machine.
+
+Robots are asked over their buses (of a simulation, or the robot this runs on); their dwm service has the port. Exit
+codes: 0 all is well, 1 something is wrong or a module did not answer, 2 the command or swarm.toml is wrong.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from services.dwm import configure, survey
+from services.dwm.configure import ModuleInfo, Wish
+from services.dwm.core import calls, diagnosis
+from services.dwm.core.diagnosis import Finding
+from services.dwm.core.tlv import Location, Position
+from services.dwm.line import BusLine, Line, NoAnswerError, PortLine
+from swarm.cli import buses
+from swarm.config import Config, load
+from swarm.config.load import DEFAULT_PATH
+from swarm.errors import ConfigError, LocalError, SwarmError
+from swarm.simulations import CONFIG
+
+SECONDS = 3.0
+"""s that `check` and `anchors` listen to ranges."""
+
+
+def main() -> None:
+    """Our own errors are one line and exit code 2, never a traceback."""
+    try:
+        code = _run(_options())
+    except SwarmError as error:
+        sys.stderr.write(f"swarm: {error}\n")
+        code = 2
+    except KeyboardInterrupt:
+        code = 130
+    sys.exit(code)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="swarm dwm", description="UWB modules: look, set up, find what is wrong.")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for name, (text, _) in VERBS.items():
+        verb = verbs.add_parser(name, help=text, description=text)
+        buses.add_arguments(verb)
+        verb.add_argument("--port", action="append", metavar="PATH", help="a module at a serial port of this machine")
+        verb.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml (the simulation's, or the usual one)")
+        verb.add_argument("--json", action="store_true", help="one JSON object")
+        if name == "configure":
+            role = verb.add_mutually_exclusive_group()
+            role.add_argument("--tag", action="store_true", help="make it a tag (else: as swarm.toml says)")
+            role.add_argument("--anchor", action="store_true", help="make it an anchor")
+            verb.add_argument("--initiator", action="store_true", help="an anchor that starts the network; one must")
+            verb.add_argument("--at", nargs=3, type=float, metavar=("X", "Y", "Z"), help="where the anchor is, m")
+        if name == "anchors":
+            verb.add_argument("--auto", action="store_true", help="find the anchors' places from their distances")
+            verb.add_argument("--ranges", type=Path, metavar="FILE", help="with --auto: lines `D001 D002 1.94` (m)")
+        if name in ("anchors", "check"):
+            verb.add_argument("--seconds", type=float, metavar="S", help="s of listening (3; with --auto 5 at a place)")
+    return parser.parse_args()
+
+
+def _run(args: argparse.Namespace) -> int:
+    config = _config(args)
+    with contextlib.ExitStack() as stack:
+        lines = [] if getattr(args, "ranges", None) else list(_lines(args, stack))
+        code: int = VERBS[args.verb][1](args, config, lines)
+        return code
+
+
+def _config(args: argparse.Namespace) -> Config | None:
+    """The swarm.toml that goes with what is asked; None on a laptop without one."""
+    path: Path | None = args.config
+    if path is None and args.port is None and not getattr(args, "ranges", None):
+        directories = buses.find(args)
+        simulated = next(iter(directories.values())).parent / CONFIG
+        path = simulated if simulated.is_file() and "SWARM_CONFIG" not in os.environ else None
+    if path is not None:
+        return load(path)
+    try:
+        return load()
+    except ConfigError:
+        if Path(os.environ.get("SWARM_CONFIG", DEFAULT_PATH)).is_file():
+            raise  # there is one, and it is wrong
+        return None
+
+
+def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[Line]:
+    if args.port and (args.robot or args.run_dir):
+        raise LocalError("--port is a module of this machine, --robot and --run-dir are others': use one of them")
+    found: Iterator[Line] = (
+        (PortLine(path) for path in args.port)
+        if args.port
+        else (BusLine(robot, directory) for robot, directory in buses.find(args).items())
+    )
+    for line in found:
+        stack.callback(line.close)
+        yield line
+
+
+# -- info --------------------------------------------------------------------------------------------------------
+
+
+def _info(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+    del config
+    told: dict[str, Any] = {}
+    for line in lines:
+        try:
+            told[line.name] = _as_json(configure.inspect(line))
+        except NoAnswerError as error:
+            told[line.name] = {"problem": str(error)}
+    if args.json:
+        _out(json.dumps(told))
+    else:
+        for name, fields in told.items():
+            _out("\n".join([name, *(f"  {field:<12} {value}" for field, value in _flat(fields))]))
+    return 1 if any("problem" in fields for fields in told.values()) else 0
+
+
+def _as_json(info: ModuleInfo) -> dict[str, Any]:
+    return {
+        "address": info.address,
+        "id": f"{info.identity:016X}",
+        "firmware": info.version.text,
+        "role": "anchor" if info.settings.anchor else "tag",
+        "settings": asdict(info.settings),
+        "moving": info.rate.moving * calls.RATE_UNIT,
+        "still": info.rate.still * calls.RATE_UNIT,
+        "place": asdict(info.place),
+        "joined": info.status.joined,
+    }
+
+
+def _flat(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for name, value in fields.items():
+        if name == "settings":
+            on = [word for word, is_on in value.items() if is_on is True and word != "anchor"]
+            yield name, ", ".join(on) or "-"
+        elif name == "place":
+            yield name, f"({value['x']:g}, {value['y']:g}, {value['z']:g}) m, quality {value['quality']}"
+        elif name in ("moving", "still"):
+            yield name, f"a measurement every {value:g} s"
+        else:
+            yield name, str(value)
+
+
+# -- configure ---------------------------------------------------------------------------------------------------
+
+
+def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+    if (args.initiator or args.at) and args.tag:
+        raise LocalError("--initiator and --at are for anchors")
+    told: dict[str, dict[str, Any]] = {}
+    for line in lines:
+        try:
+            info = configure.inspect(line)
+            wish = _wish(args, config, line, info)
+            changes = configure.apply(line, wish)
+            missing = configure.unfulfilled(configure.inspect(line), wish) if changes else []
+            told[line.name] = {"address": info.address, "changes": changes, "missing": missing}
+        except NoAnswerError as error:
+            told[line.name] = {"problem": str(error)}
+    if args.json:
+        _out(json.dumps(told))
+    else:
+        for name, fields in told.items():
+            words = fields.get("problem") or "; ".join(fields["changes"]) or "is as it shall be"
+            _out(
+                f"{name} {fields.get('address', '')}: {words}" + "".join(f"\n  {m}" for m in fields.get("missing", []))
+            )
+    return 1 if any("problem" in fields or fields["missing"] for fields in told.values()) else 0
+
+
+def _wish(args: argparse.Namespace, config: Config | None, line: Line, info: ModuleInfo) -> Wish:
+    place = None
+    if args.at:
+        x, y, z = args.at
+        place = Position(x, y, z, 100)
+    known = configure.wish_of(config, info.address)
+    if args.anchor or args.initiator or args.at:
+        return Wish(True, True if args.initiator else None, place=place or (known.place if known else None))
+    if args.tag:
+        return Wish(False)
+    if known is not None:
+        return known
+    if isinstance(line, BusLine) and config is not None:
+        return Wish(config.robot(line.name).uwb_role == "anchor")
+    raise LocalError(f"{line.name}: swarm.toml does not know module {info.address}: say --tag or --anchor")
+
+
+# -- check -------------------------------------------------------------------------------------------------------
+
+
+def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+    told = {line.name: findings_of(line, config, args.seconds or SECONDS) for line in lines}
+    if args.json:
+        _out(json.dumps({name: [asdict(finding) for finding in found] for name, found in told.items()}))
+    else:
+        for name, found in told.items():
+            _out(f"{name}: {'all is well' if not found else ''}".rstrip())
+            for finding in found:
+                mark = "wrong" if finding.fatal else "note"
+                _out(f"  {mark:<5}  {finding.code}: {finding.text}\n         {finding.remedy}")
+    return 1 if any(finding.fatal for found in told.values() for finding in found) else 0
+
+
+def findings_of(line: Line, config: Config | None, seconds: float) -> list[Finding]:
+    """Everything that is wrong with a module and what it sees."""
+    try:
+        info = configure.inspect(line)
+        wish = configure.wish_of(config, info.address)
+        if wish is not None:
+            anchor = wish.anchor
+        elif isinstance(line, BusLine) and config is not None:
+            anchor = config.robot(line.name).uwb_role == "anchor"
+        else:
+            anchor = info.settings.anchor
+        found = diagnosis.of_version(info.version)
+        found += diagnosis.of_settings(info.settings, info.rate, info.status, anchor=anchor)
+        if config is not None:
+            found += diagnosis.of_anchors(config.anchors)
+        if info.settings.anchor or info.settings.uwb != calls.UWB_ACTIVE or config is None:
+            return found
+        locations = survey.sample(line, seconds, _wait)
+    except NoAnswerError as error:
+        return [diagnosis.of_trouble(error.trouble)]
+    known = dict(config.robots_by_module)
+    if config.dwm.target is not None:
+        known[config.dwm.target] = "target"
+    return found + diagnosis.of_locations(
+        locations, config.anchors, known=known, own=info.address, calibrate=_calibrate(config)
+    )
+
+
+# -- anchors -----------------------------------------------------------------------------------------------------
+
+
+def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+    if args.auto:
+        from services.dwm.layout import lay_out  # needs numpy, which no robot has
+
+        return lay_out(args, config, lines, _calibrate(config), _wait)
+    if args.ranges:
+        raise LocalError("--ranges goes with --auto")
+    told: dict[str, Any] = {}
+    for line in lines:
+        try:
+            told[line.name] = _seen(survey.sample(line, args.seconds or SECONDS, _wait), config)
+        except NoAnswerError as error:
+            told[line.name] = {"problem": str(error)}
+    if args.json:
+        _out(json.dumps(told))
+    else:
+        for name, rows in told.items():
+            _out(f"{name}: {rows['problem']}" if "problem" in rows else "\n".join([name, *_table(rows)]))
+    return 1 if any("problem" in rows or len(rows) < diagnosis.ENOUGH for rows in told.values()) else 0
+
+
+def _seen(locations: Sequence[Location], config: Config | None) -> dict[str, dict[str, Any]]:
+    """By address: distance, how often, where it says it is, where swarm.toml has it."""
+    calibrate = _calibrate(config)
+    listed = {anchor.address: anchor for anchor in config.anchors} if config else {}
+    robots = config.robots_by_module if config else {}
+    rows: dict[str, dict[str, Any]] = {}
+    for address in sorted({item.anchor for location in locations for item in location.ranges} | listed.keys()):
+        items = [item for location in locations for item in location.ranges if item.anchor == address]
+        values = sorted(calibrate(address, item.distance) for item in items)
+        said = items[-1].position if items else None
+        place = listed.get(address)
+        rows[address] = {
+            "answers": len(items),
+            "of": len(locations),
+            "distance": values[len(values) // 2] if values else None,
+            "spread": values[-1 - len(values) // 10] - values[len(values) // 10] if values else None,
+            "said": [said.x, said.y, said.z] if said is not None and said.quality else None,
+            "listed": [place.x, place.y, place.z] if place is not None else None,
+            "robot": robots.get(address),
+        }
+    return rows
+
+
+def _table(rows: dict[str, dict[str, Any]]) -> Iterator[str]:
+    yield f"  {'address':<8} {'distance':>9} {'spread':>7} {'answers':>8}  {'it says':<20} {'swarm.toml':<20} robot"
+    for address, row in rows.items():
+        distance, spread = (f"{row[k]:.2f} m" if row[k] is not None else "-" for k in ("distance", "spread"))
+        places = ("-" if row[k] is None else "({:.2f}, {:.2f}, {:.2f})".format(*row[k]) for k in ("said", "listed"))
+        answers = f"{row['answers']}/{row['of']}"
+        yield "  {:<8} {:>9} {:>7} {:>8}  {:<20} {:<20} {}".format(
+            address, distance, spread, answers, *places, row["robot"] or ""
+        ).rstrip()
+
+
+def _calibrate(config: Config | None) -> survey.Calibrate:
+    model = config.dwm.distance if config else None
+    return lambda _, measured: measured if model is None else max(0.0, model.gain * measured + model.offset)
+
+
+def _wait(seconds: float) -> None:
+    time.sleep(max(0.0, seconds))
+
+
+def _out(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+Verb = Callable[[argparse.Namespace, Config | None, Sequence[Line]], int]
+
+VERBS: dict[str, tuple[str, Verb]] = {
+    "info": ("what a module tells of itself: address, firmware, role, rates, place", _info),
+    "configure": ("set a module up as swarm.toml says: tag or anchor, 10 Hz also when it stands still", _configure),
+    "anchors": ("the modules that are ranged to, and --auto: where they are", _anchors),
+    "check": ("what is wrong, and what to do", _check),
+}
+
+if __name__ == "__main__":
+    main()

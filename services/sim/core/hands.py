@@ -1,0 +1,31 @@
+"""What a person's acts do to the simulated robot."""
+
+from services.sim.core.devices import SimulatedRobot
+from swarm.core.hands import BUTTONS, Act, Lay, Place, Press, Push
+
+
+class Hands:
+    """Acts on one robot; `handle_timer` lets buttons go again."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+        self._until = [0.0] * len(BUTTONS)
+
+    def do(self, act: Act, now: float) -> None:
+        """Do it now."""
+        body = self._robot.body
+        match act:
+            case Press(button, seconds):
+                self._until[BUTTONS.index(button)] = now + seconds
+                self.handle_timer(now)
+            case Push(impulse):
+                body.push(impulse)
+            case Lay(side):
+                body.lay(1 if side == "front" else -1)
+            case Place(x, y, heading, tilt, held):
+                if not held:
+                    body.put_down(x, y, heading, tilt)
+
+    def handle_timer(self, now: float) -> None:
+        """Let go what was held long enough."""
+        self._robot.atmega.press(sum(1 << bit for bit, until in enumerate(self._until) if now < until))

@@ -1,0 +1,96 @@
+"""The simulated body's link with what is around it: its pose to the world, and whoever acts on it.
+
+The pose goes to RUN/world.sock 25 times a second; acts (`swarm.core.hands`) come to the door, RUN/<robot>/body.sock.
+A body that starts asks the world, which may know from an earlier process where it had been.
+"""
+
+import contextlib
+import logging
+import os
+import socket
+from pathlib import Path
+
+import msgpack
+
+from services.sim.core.devices import SimulatedRobot
+from services.sim.core.hands import Hands
+from swarm.core.hands import DOOR, unpack
+from swarm.errors import LocalError, RemoteError
+from swarm.paths import socket_path
+
+WORLD_SOCKET = "world.sock"
+REPORT_S = 0.04
+ANSWER_S = 0.5
+"""How long a world may take to say where the body had been."""
+_ACTS_AT_ONCE = 4
+_MAX_DATAGRAM = 4096
+
+_log = logging.getLogger("body")
+
+
+class Door:
+    """See the module. Nothing here waits, but for the world's answer before the first tick."""
+
+    def __init__(self, name: str, robot: SimulatedRobot, runtime: Path, now: float) -> None:
+        """`runtime` is the robot's runtime directory."""
+        self._name, self._body = name, robot.body
+        self._hands = Hands(robot)
+        self._world = str(socket_path(runtime.parent, WORLD_SOCKET))
+        self._next = 0.0
+        path = socket_path(runtime, DOOR)
+        with contextlib.suppress(FileNotFoundError):
+            path.unlink()  # of the process before
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind(str(path))
+        except OSError as error:
+            raise LocalError(f"{path}: {os.strerror(error.errno or 0)}") from None
+        self._ask(now)
+        self._socket.setblocking(False)
+
+    def look(self, now: float) -> None:
+        """Report and take acts when it is time; called at every write to the bus."""
+        if now < self._next:
+            return
+        self._next = now + REPORT_S
+        body = self._body
+        self._tell(
+            {
+                "robot": self._name,
+                "t": now,
+                "x": body.x,
+                "y": body.y,
+                "heading": body.heading,
+                "tilt": body.tilt,
+                "held": body.held,
+            }
+        )
+        for _ in range(_ACTS_AT_ONCE):
+            if not self._take(now):
+                break
+        self._hands.handle_timer(now)
+
+    def _ask(self, now: float) -> None:
+        self._socket.settimeout(ANSWER_S)
+        if self._tell({"robot": self._name}) and not self._take(now):
+            _log.warning("the world does not say where the body had been: it begins at its place")
+
+    def _tell(self, message: dict[str, object]) -> bool:
+        """False where there is no world (yet), which misses it."""
+        try:
+            self._socket.sendto(msgpack.packb(message), self._world)
+        except OSError:
+            return False
+        return True
+
+    def _take(self, now: float) -> bool:
+        """Do one act; False where there is none."""
+        try:
+            datagram = self._socket.recv(_MAX_DATAGRAM)
+        except OSError:
+            return False
+        try:
+            self._hands.do(unpack(datagram), now)
+        except (LocalError, RemoteError) as error:
+            _log.warning("an act that is none: %s", error)
+        return True

@@ -1,0 +1,29 @@
+"""Pictures of commands: matplotlib is there where the `lab` extra is, and only imported when it is used."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from swarm.errors import LocalError
+
+
+@contextlib.contextmanager
+def figure(path: Path, **options: Any) -> Iterator[Any]:
+    """A matplotlib figure that is written to `path` in the end; its ending says in which format. Raises `LocalError`
+    where that cannot be done."""
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise LocalError('--plot needs matplotlib: pip install "balboa-swarm[lab]"') from None
+    mpl.use("Agg")  # no display is needed
+    from matplotlib import pyplot as plt
+
+    made = plt.figure(**options)
+    try:
+        yield made
+        made.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        raise LocalError(f"{path}: {error}") from None
+    finally:
+        plt.close(made)

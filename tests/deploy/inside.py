@@ -1,0 +1,359 @@
+"""Runs inside the booted container, as root, with Debian's own Python and nothing else: installs, breaks, looks.
+
+Each check is a line of JSON in /rig/report: its name, what went wrong (empty where nothing did), what was measured.
+`inside.py install` is the first boot, `inside.py reboot` the second. The host asserts (test_boot.py).
+"""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+RIG = Path("/rig")
+RUN = Path("/run/rig")
+PYTHON = "/opt/swarm/current/bin/python"
+SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
+APP = "swarm-app@consensus"
+PORTS = {"r0": 5501, "r1": 5502}
+
+CONFIG = """network = "rig"
+[topology]
+edges = [["r0", "r1"]]
+[[robots]]
+name = "r0"
+link = "tcp:127.0.0.1:5501"
+[[robots]]
+name = "r1"
+link = "tcp:127.0.0.1:5502"
+[mesh]
+key = "/etc/swarm/swarm.key"
+listen = "127.0.0.1:{port}"
+[dwm]
+source = "serial:/run/rig/r0/dwm.tty"
+[[anchors]]
+address = "C933"
+x = 0.0
+y = 0.0
+z = 0.0
+[[anchors]]
+address = "C584"
+x = 3.0
+y = 0.0
+z = 0.0
+[[anchors]]
+address = "D32F"
+x = 0.0
+y = 3.0
+z = 0.0
+[[anchors]]
+address = "0C1D"
+x = 3.0
+y = 3.0
+z = 0.0
+"""
+
+MODULE = """
+import shutil, sys
+from pathlib import Path
+from typing import Any
+from services.sim.module import ModuleBoard
+from swarm.config import load
+
+board = ModuleBoard(Path("/run/rig"), load(), 1)
+board.add("r0")
+board.update_pose("r0", 1.0, 1.0, 0.0)
+shutil.chown(Path("/run/rig/r0/dwm.tty").resolve(), "swarm-dwm")
+print("ready", flush=True)
+while True:
+    board.poll(0.5)
+"""
+"""The simulated DWM1001 of r0, at a pseudo-terminal that belongs to the dwm service, as udev gives it the real one."""
+
+
+class CheckFailed(Exception):
+    """What a check expected is not so."""
+
+
+def expect(condition: object, problem: str) -> None:
+    if not condition:
+        raise CheckFailed(problem)
+
+
+def sh(*command: str, code: int = 0) -> str:
+    """Run a command; its output; `CheckFailed` where its exit code is another."""
+    done = subprocess.run(command, capture_output=True, text=True)
+    said = done.stdout + done.stderr
+    expect(done.returncode == code, f"{' '.join(command)}: exit code {done.returncode}, not {code}: {said[-1500:]}")
+    return said
+
+
+def show(unit: str, *names: str) -> dict[str, str]:
+    text = sh("systemctl", "show", unit, *(f"--property={name}" for name in names))
+    return dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+
+
+def pid(unit: str) -> int:
+    return int(show(unit, "MainPID")["MainPID"])
+
+
+def wait(condition: Callable[[], object], what: str, seconds: float = 30.0) -> float:
+    """s until it was so."""
+    began = time.monotonic()
+    while not condition():
+        expect(time.monotonic() - began < seconds, f"not within {seconds:g} s: {what}")
+        time.sleep(0.02)
+    return time.monotonic() - began
+
+
+def ready(unit: str) -> bool:
+    return show(unit, "ActiveState")["ActiveState"] == "active"
+
+
+def ask(program: str) -> str:
+    """A few lines of Python on r0's bus."""
+    return sh(PYTHON, "-c", program)
+
+
+def state(topic: str) -> dict[str, Any]:
+    """The newest message under a key of r0, as z_sub shows it."""
+    lines = sh(
+        "/opt/swarm/current/bin/z_sub", f"swarm/r0/{topic}", "--count", "1", "--seconds", "10", "--json"
+    ).splitlines()
+    expect(lines, f"nothing under swarm/r0/{topic} within 10 s")
+    return dict(json.loads(lines[-1])["value"])
+
+
+def iteration() -> int:
+    return int(state("app/consensus/progress")["k"])
+
+
+# -- the robot's surroundings ------------------------------------------------------------------------------------
+
+
+def surroundings() -> None:
+    """Simulated body and module, and the neighbour r1 as plain processes; /run is empty after a boot."""
+    for robot in PORTS:
+        (RUN / robot).mkdir(parents=True, exist_ok=True)
+    drop_in = Path("/etc/systemd/system/swarm-balancer.service.d/90-rig.conf")
+    drop_in.parent.mkdir(exist_ok=True)
+    drop_in.write_text(f"[Service]\nExecStart=\nExecStart={PYTHON} -m services.sim.body\n")
+    apps = Path("/etc/swarm/apps")
+    apps.mkdir(parents=True, exist_ok=True)
+    (apps / "consensus.env").write_text("ARGUMENTS=--run 1\n")
+    for robot, port in PORTS.items():
+        (RIG / f"{robot}.toml").write_text(CONFIG.format(port=port))
+
+
+def neighbour() -> list[subprocess.Popen[str]]:
+    """Start r0's module, and r1's bus, mesh and app."""
+    environment = {**os.environ, "SWARM_CONFIG": "/rig/r1.toml"}
+    module = subprocess.Popen(
+        [PYTHON, "-c", MODULE], env={**environment, "SWARM_ROBOT": "r0"}, stdout=subprocess.PIPE, text=True
+    )
+    assert module.stdout is not None
+    expect(module.stdout.readline() == "ready\n", "the simulated module does not start")
+    own = {**environment, "SWARM_ROBOT": "r1", "SWARM_RUNTIME": str(RUN / "r1")}
+    commands = (["services.bus"], ["services.mesh"], ["services.apps", "consensus", "--run", "1"])
+    return [module, *(subprocess.Popen([PYTHON, "-m", *command], env=own, text=True) for command in commands)]
+
+
+# -- checks ------------------------------------------------------------------------------------------------------
+
+
+def release() -> Path:
+    return next(RIG.glob("balboa-swarm-*"))
+
+
+def refuses_a_wrong_config() -> dict[str, float]:
+    wrong = RIG / "wrong.toml"
+    wrong.write_text("network = 3\n")
+    sh(str(release() / "install"), "--config", str(wrong), code=2)
+    said = sh(str(release() / "install"), "--config", "/rig/r0.toml", "--name", "r7", code=2)
+    expect("r7 is no robot of the config" in said, said)
+    expect(not Path("/opt/swarm/current").exists(), "something was switched to all the same")
+    return {}
+
+
+def installs() -> dict[str, float]:
+    began = time.monotonic()
+    sh("/rig/install-first")
+    for unit in SERVICES:
+        expect(ready(unit), f"{unit} is not active")
+    return {"install_s": time.monotonic() - began}
+
+
+def again_changes_nothing() -> dict[str, float]:
+    before = {unit: pid(unit) for unit in SERVICES}
+    said = sh(str(release() / "install"), "--config", "/rig/r0.toml", "--name", "r0")
+    expect("nothing to do" in said, said)
+    expect(before == {unit: pid(unit) for unit in SERVICES}, "services were restarted")
+    return {}
+
+
+def runs_an_app() -> dict[str, float]:
+    sh("systemctl", "start", APP)
+    wait(lambda: state("app/consensus/progress")["phase"] == "running", "the app runs")
+    return {}
+
+
+def everything_talks() -> dict[str, float]:
+    """Through the bus, as the services' users: the body stands, the module is heard, the mesh has its link."""
+    wait(lambda: state("balancer/state")["mode"] == "balancing", "the robot stands")
+    wait(lambda: state("dwm/pose")["quality"], "there is a pose")
+    wait(lambda: [link["state"] for link in state("mesh/links")["links"]] == ["up"], "the link to r1 is up")
+    k = iteration()
+    wait(lambda: iteration() > k + 10, "the app goes on")
+    return {}
+
+
+def holds_its_privileges() -> dict[str, float]:
+    """What the units promise is so: own users, real-time priority and locked memory for the loop alone."""
+    users = {unit: Path(f"/proc/{pid(unit)}/status").read_text() for unit in (*SERVICES, APP)}
+    for unit, text in users.items():
+        expect("\nCapEff:\t0000000000000000" in text, f"{unit} has capabilities")
+        uid = int(text.split("\nUid:\t")[1].split()[0])
+        expect(uid != 0, f"{unit} runs as root")
+    # Where the container itself may raise no limits (a host without CAP_SYS_RESOURCE), the loop can have no priority.
+    loop = pid("swarm-balancer")
+    limits = Path(f"/proc/{loop}/limits").read_text()
+    allowed = int(limits.split("Max realtime priority")[1].split()[0]) > 0
+    if allowed:
+        policy = os.sched_getscheduler(loop) & ~os.SCHED_RESET_ON_FORK
+        expect(policy == os.SCHED_FIFO, "the loop has no real-time priority")
+        expect(int(users["swarm-balancer"].split("VmLck:")[1].split()[0]) > 0, "the loop's memory is not locked")
+    mode = Path("/etc/swarm/swarm.key").stat().st_mode & 0o777
+    expect(mode == 0o600, f"the key has mode {mode:o}")
+    return {"realtime": float(allowed)}
+
+
+def killed_and_hung(unit: str, others: tuple[str, ...]) -> dict[str, float]:
+    before = {each: pid(each) for each in others}
+    measured = {}
+    for signal, name, limit in (("KILL", "killed", 10.0), ("STOP", "hung", 40.0)):
+        old = pid(unit)
+        sh("systemctl", "kill", "--kill-whom=main", f"--signal={signal}", unit)
+        measured[f"{name}_s"] = wait(
+            lambda old=old: pid(unit) not in (0, old) and ready(unit), f"{unit} is back after SIG{signal}", limit
+        )
+    expect(before == {each: pid(each) for each in others}, "others were restarted, too")
+    k = iteration()
+    wait(lambda: iteration() > k, "the app goes on")
+    return measured
+
+
+def the_robot_stands_without_a_bus() -> dict[str, float]:
+    old = pid("swarm-balancer")
+    sh("systemctl", "stop", "swarm-bus")
+    time.sleep(1.0)  # the loop's watchdog is fed once a second: three of them would be missed
+    expect(pid("swarm-balancer") == old and ready("swarm-balancer"), "the balancer fell with the bus")
+    sh("systemctl", "start", "swarm-bus")
+    wait(lambda: state("balancer/state")["mode"] == "balancing", "it tells of itself again")
+    k = iteration()
+    wait(lambda: iteration() > k, "the app goes on")
+    return {}
+
+
+def a_release_that_does_not_run_is_taken_back() -> dict[str, float]:
+    good = Path("/opt/swarm/current").resolve()
+    bad = RIG / "bad"
+    sh("cp", "-r", str(release()), str(bad))
+    (bad / "ID").write_text("0.0.0-bad\n")
+    unit = bad / "systemd/swarm-mesh.service"
+    unit.write_text(unit.read_text().replace("services.mesh", "services.no_such_mesh"))
+    said = sh(str(bad / "install"), code=1)
+    expect("did not come up; back to" in said, said)
+    expect(Path("/opt/swarm/current").resolve() == good, "the bad one is still current")
+    for service in SERVICES:
+        wait(lambda service=service: ready(service), f"{service} runs again")
+    return {}
+
+
+def memory() -> dict[str, float]:
+    """MiB, proportional, of all processes of the services and the app."""
+    total = 0
+    groups = {show(unit, "ControlGroup")["ControlGroup"] for unit in (*SERVICES, APP)}
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it may end meanwhile
+            lines = (process / "cgroup").read_text().splitlines()
+            if groups & {line.split(":", 2)[2] for line in lines}:
+                total += int((process / "smaps_rollup").read_text().split("\nPss:")[1].split()[0])
+    expect(total, "no process was found")
+    return {"pss_mib": total / 1024}
+
+
+def is_up_after_a_reboot() -> dict[str, float]:
+    wait(lambda: all(ready(unit) for unit in (*SERVICES, APP)), "all services are up", 60)
+    stamps = [int(show(unit, "ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"]) for unit in SERVICES]
+    first = int(show("basic.target", "ActiveEnterTimestampMonotonic")["ActiveEnterTimestampMonotonic"])
+    return {"boot_s": (max(stamps) - first) / 1e6}
+
+
+def uninstalls() -> dict[str, float]:
+    sh("systemctl", "disable", "--quiet", APP)
+    Path("/etc/systemd/system/swarm-balancer.service.d/90-rig.conf").unlink()
+    sh(str(release() / "uninstall"))
+    units = [path.name for path in Path("/etc/systemd/system").glob("swarm*")]
+    expect(not units, f"still there: {units}")
+    expect(not Path("/opt/swarm").exists() and not Path("/run/swarm").exists(), "files are left")
+    expect(Path("/etc/swarm/swarm.toml").exists(), "the config is gone")
+    sh(str(release() / "uninstall"), "--purge")
+    expect(not Path("/etc/swarm").exists(), "the config is still there")
+    return {}
+
+
+def report(name: str, check: Callable[[], dict[str, float]]) -> None:
+    problem, measured = "", {}
+    try:
+        measured = check()
+    except CheckFailed as error:
+        problem = str(error)
+    except (OSError, LookupError, ValueError, TypeError):  # a check of ours is wrong: the host must hear of it, too
+        problem = traceback.format_exc()
+    if problem:
+        with contextlib.suppress(CheckFailed):
+            problem += "\n" + sh("journalctl", "--no-pager", "--lines=60", "--unit=swarm-*", "--output=short-monotonic")
+    with (RIG / "report").open("a") as file:
+        file.write(json.dumps({"check": name, "problem": problem, **measured}) + "\n")
+
+
+def main() -> None:
+    """One boot."""
+    surroundings()
+    others = {unit: tuple(each for each in (*SERVICES, APP) if each != unit) for unit in (*SERVICES, APP)}
+    if sys.argv[1] == "install":
+        report("refuses a wrong config", refuses_a_wrong_config)
+        (RIG / "install-first").write_text(
+            "#!/bin/sh\nexec /rig/balboa-swarm-*/install --name r0 --config /rig/r0.toml --key /rig/swarm.key\n"
+        )
+        (RIG / "install-first").chmod(0o755)
+        report("installs", installs)
+        processes = neighbour()
+        report("runs an app", runs_an_app)
+        report("everything talks", everything_talks)
+        report("again changes nothing", again_changes_nothing)
+        report("holds its privileges", holds_its_privileges)
+        for unit in (*SERVICES, APP):
+            report(f"{unit} killed and hung", lambda unit=unit: killed_and_hung(unit, others[unit]))
+        report("stands without a bus", the_robot_stands_without_a_bus)
+        report("memory", memory)
+        report("a release that does not run", a_release_that_does_not_run_is_taken_back)
+        sh("systemctl", "enable", "--quiet", APP)
+    else:
+        processes = neighbour()
+        report("is up after a reboot", is_up_after_a_reboot)
+        report("everything talks after it", everything_talks)
+        report("uninstalls", uninstalls)
+    for process in processes:
+        process.kill()
+        process.wait()
+    subprocess.run(["systemctl", "poweroff", "--no-block"], check=False)
+
+
+if __name__ == "__main__":
+    main()

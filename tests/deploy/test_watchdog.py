@@ -1,0 +1,76 @@
+"""What feeds systemd's watchdog: real progress of each service, as the units expect it."""
+
+import contextlib
+import queue
+import signal
+import socket
+from pathlib import Path
+
+import pytest
+from conftest import Processes
+
+from swarm.bus import Bus
+
+FED = "WATCHDOG=1"
+
+
+@pytest.mark.parametrize("module", ["services.bus", "services.mesh"])
+def test_it_is_fed_by_a_service_that_works(processes: Processes, module: str) -> None:
+    if module != "services.bus":
+        processes.router()
+    process = processes.start_ready("-m", module, until=FED)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == 0
+
+
+def test_it_is_fed_by_an_app_that_waits_for_its_neighbours(processes: Processes) -> None:
+    processes.router()
+    process = processes.start_ready("-m", "services.apps", "consensus", until=FED)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == 0
+
+
+HUNG = """
+import threading
+from services.apps import host
+from swarm import SyncApp
+
+host.STUCK = 0.0
+
+class Hung(SyncApp):
+    value: float
+
+    def step(self, neighbours):
+        threading.Event().wait()
+"""
+
+
+def test_it_is_not_fed_by_an_app_whose_step_hangs(processes: Processes, runtime: Path) -> None:
+    (runtime / "hung.py").write_text(HUNG)
+    (runtime / "alone.toml").write_text(
+        'network = "test"\n[mesh]\ninsecure = true\n[topology]\nedges = []\n[[robots]]\nname = "r0"\n'
+    )
+    processes.router()
+    progress: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd, Bus.of(runtime) as bus:
+        systemd.bind(str(runtime / "systemd"))
+        systemd.setblocking(False)
+        bus.subscribe("swarm/r0/app/hung/progress", lambda _, payload: progress.put(payload))
+        processes.start(
+            "-m", "services.apps", str(runtime / "hung.py"),
+            SWARM_CONFIG=str(runtime / "alone.toml"), NOTIFY_SOCKET=str(runtime / "systemd"),
+        )  # fmt: skip
+
+        def heard() -> list[bytes]:
+            messages = []
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    messages.append(systemd.recv(4096))
+            return messages
+
+        for _ in range(3):  # by the third, a second apart each, the step of iteration 0 has begun
+            progress.get(timeout=10)
+        heard()
+        for _ in range(2):
+            progress.get(timeout=10)
+        assert heard() == []

@@ -1,0 +1,210 @@
+"""`swarm dwm` as a user runs it: over a robot's bus, and at a serial port."""
+
+import json
+import math
+import os
+import threading
+import tty
+
+import pytest
+from conftest import CONFIG
+from dwm_rig import ANCHORS, DWM, working
+
+from services.dwm.core.calls import Settings, UpdateRate
+from services.dwm.core.tlv import Position
+from swarm import config as configuration
+
+ROBOTS = CONFIG.replace('name = "r1"', 'name = "r1"\nuwb = "DE01"\nuwb_role = "anchor"')
+
+
+@pytest.fixture
+def config(processes, runtime):
+    processes.config.write_text(ROBOTS.format(runtime=runtime) + ANCHORS + DWM.format(directory=runtime))
+    return configuration.load(processes.config)
+
+
+@pytest.fixture
+def board(runtime, config):
+    with working(runtime, config, "r0", "r1") as board:
+        yield board
+
+
+@pytest.fixture
+def run(processes):
+    """Run `swarm dwm ...`; gives exit code, what it said, and on stderr."""
+
+    def run(*arguments, answer=""):
+        process = processes.start("-m", "swarm.cli", "dwm", *map(str, arguments))
+        said, error = process.communicate(answer, timeout=60)
+        assert "Traceback" not in error
+        return process.returncode, json.loads(said) if "--json" in arguments else said, error
+
+    return run
+
+
+@pytest.fixture
+def service(processes, router, board):
+    return processes.start_ready("-m", "services.dwm")
+
+
+def anchor(runtime, address):
+    return str(runtime / "anchors" / f"{address}.tty")
+
+
+def test_a_robots_module_through_its_service(run, service, board):
+    code, told, _ = run("info", "--json")
+    assert code == 0
+    assert (told["r0"]["address"], told["r0"]["role"], told["r0"]["firmware"]) == ("DE00", "tag", "1.3.0")
+    assert (told["r0"]["moving"], told["r0"]["still"]) == (0.1, 0.1)
+    code, said, _ = run("check", "--seconds", "1")
+    assert (code, said) == (0, "r0: all is well\n")
+    code, told, _ = run("anchors", "--json", "--seconds", "1")
+    assert code == 0
+    assert told["r0"]["D001"]["distance"] == pytest.approx(math.hypot(0.5, 1.5), abs=0.3)
+    assert told["r0"]["D001"]["said"] == [0.0, 0.0, 0.0]
+    assert told["r0"]["C933"]["listed"] is None
+
+
+def test_a_module_as_it_comes_is_set_up_over_the_bus(run, service, board):
+    """Stationary detection and 10 s when still: a balanced robot would get a place every 10 s."""
+    module = board.module("r0")
+    module.settings = module.flash.settings = Settings(anchor=False, stationary=True)
+    module.flash.rate = UpdateRate(1, 100)
+    code, told, _ = run("check", "--json", "--seconds", "1")
+    assert code == 1
+    assert [finding["code"] for finding in told["r0"] if finding["fatal"]] == ["still"]
+    code, told, _ = run("configure", "--json")
+    assert (code, told["r0"]["missing"]) == (0, [])
+    assert len(told["r0"]["changes"]) == 2
+    assert (module.settings, module.flash.rate) == (Settings(anchor=False), UpdateRate(1, 1))
+    code, said, _ = run("configure")
+    assert (code, said) == (0, "r0 DE00: is as it shall be\n")
+
+
+def test_without_a_service_it_says_so(run, router, config):
+    code, told, _ = run("check", "--json")
+    (finding,) = told["r0"]
+    assert (code, finding["code"]) == (1, "no-module")
+    assert "its dwm service does not answer" in finding["text"]
+
+
+def test_a_port_that_a_service_owns_is_not_taken(run, service, runtime):
+    code, _, error = run("info", "--port", runtime / "r0" / "dwm.tty")
+    assert code == 2
+    assert "a service owns it" in error
+
+
+def test_at_a_port_roles_and_places_come_from_swarm_toml(run, board, runtime):
+    module = board.module("D002")
+    module.settings = module.flash.settings = Settings(anchor=False)
+    module.flash.place = Position(9.0, 9.0, 0.0, 100)
+    code, told, _ = run("check", "--port", anchor(runtime, "D002"), "--json", "--seconds", "0.5")
+    assert code == 1
+    assert "role" in [finding["code"] for (findings) in told.values() for finding in findings]
+    code, said, _ = run("configure", "--port", anchor(runtime, "D002"))
+    assert code == 0
+    assert "tag -> anchor" in said
+    assert module.settings.anchor
+    assert module.flash.place == Position(1.94, 0.0, 0.0, 100)
+    code, _, _ = run("configure", "--port", runtime / "r1" / "dwm.tty", "--anchor", "--initiator", "--at", 1, 2, 0.5)
+    assert code == 0
+    assert board.module("r1").settings.initiator
+    assert board.module("r1").flash.place == Position(1.0, 2.0, 0.5, 100)
+
+
+def test_a_module_in_shell_mode_is_found_and_told_to_leave_it(run, board, runtime):
+    board.module("D001").in_shell = True
+    code, told, _ = run("info", "--port", anchor(runtime, "D001"), "--json")
+    assert code == 0
+    assert [fields["address"] for fields in told.values()] == ["D001"]
+    assert not board.module("D001").in_shell
+
+
+class Noise:
+    """A port at which something else than a DWM1001 answers."""
+
+    def __init__(self, answer):
+        self.near, self.far = os.openpty()
+        tty.setraw(self.far)
+        self.path = os.ttyname(self.far)
+        self._answer = answer
+        self._thread = threading.Thread(target=self._work)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        os.write(self.far, b"\xff")
+        self._thread.join()
+        os.close(self.near)
+        os.close(self.far)
+
+    def _work(self):
+        while (data := os.read(self.near, 4096)) and not data.endswith(b"\xff"):
+            os.write(self.near, self._answer)
+
+
+@pytest.mark.parametrize(
+    ("answer", "code", "words"),
+    [
+        (b"", "no-module", "does not answer"),
+        (bytes(range(0x80, 0xF0)), "garbled", "wrong baud rate"),
+        (b"\r\nlogin: ", "shell-mode", "shell mode"),
+        (bytes.fromhex("400100 500c 01000301000000000000000000"), "layout", "layout (ver_get: part 50 of 12 bytes"),
+        (bytes.fromhex("400104"), "refused", "busy"),
+    ],
+)  # fmt: skip
+def test_what_is_no_module_is_named(run, config, answer, code, words):
+    with Noise(answer) as noise:
+        ended, told, _ = run("check", "--port", noise.path, "--json")
+    (finding,) = told[noise.path]
+    assert ended == 1
+    assert finding["code"] == code
+    assert words in finding["text"]
+    assert finding["remedy"]
+
+
+def test_a_port_that_is_not_there(run):
+    code, _, error = run("check", "--port", "/dev/nothing")
+    assert code == 2
+    assert "/dev/nothing: No such file" in error
+
+
+def test_anchors_take_turns_and_are_laid_out(run, board, runtime):
+    ports = [word for address in ("D001", "D002", "D003") for word in ("--port", anchor(runtime, address))]
+    code, told, error = run("anchors", "--auto", "--seconds", "2", "--json", *ports)
+    assert code == 0, error
+    places = {"D001": (0.0, 0.0), "D002": (1.94, 0.0), "D003": (1.0, 1.94)}
+    for address, place in places.items():
+        assert told["anchors"][address] == pytest.approx(place, abs=0.08)
+        assert board.module(address).settings.anchor
+    assert [a for a in places if board.module(a).settings.initiator] == ["D001"]
+    assert told["rms"] < 0.1
+
+
+def test_a_tag_is_carried_from_anchor_to_anchor(run, service, board, processes):
+    process = processes.start("-m", "swarm.cli", "dwm", "anchors", "--auto", "--seconds", "2", "--json")
+    for place in ((0.0, 0.0), (1.94, 0.0), (1.0, 1.94)):
+        assert "beside anchor" in process.stderr.readline()
+        board.update_pose("r0", *place, 0.0)
+        process.stdin.write("\n")
+        process.stdin.flush()
+    told = json.loads(process.communicate(timeout=60)[0])
+    assert process.returncode == 0
+    assert told["anchors"]["D003"] == pytest.approx((1.0, 1.94), abs=0.1)
+    code, _, error = run("anchors", "--auto", "--seconds", "0.8")
+    assert code == 2
+    assert "asks for each anchor" in error
+
+
+def test_distances_from_a_file(run, tmp_path):
+    path = tmp_path / "ranges.txt"
+    path.write_text("# by laser\nA001 A002 2\nA001 A003 2.5\n\nA002 A003 1.5\n")
+    code, said, _ = run("anchors", "--auto", "--ranges", path)
+    assert code == 0
+    assert 'address = "A003"\nx = 2.000\ny = 1.500' in said
+    path.write_text("A001 A002\n")
+    code, _, error = run("anchors", "--auto", "--ranges", path)
+    assert code == 2
+    assert "ranges.txt:1: expected two addresses" in error

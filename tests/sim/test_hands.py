@@ -1,0 +1,238 @@
+"""Acts of a person on simulated robots: the acts, the body's answer under virtual time, and real processes."""
+
+import contextlib
+import math
+import socket
+import sys
+from pathlib import Path
+
+import msgpack
+import pytest
+from conftest import Processes, wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.sim.core.hands import Hands
+from services.sim.world import World
+from swarm import config as configuration
+from swarm.bus import Bus
+from swarm.core.hands import Lay, Place, Press, Push, check, pack, unpack
+from swarm.errors import LocalError, RemoteError
+from swarm.messages import BalancerState, Buttons, SetMode, Truth, read
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "balancer"))
+from balancer_rig import Rig, upright
+
+CLAIM = """
+import sys
+from pathlib import Path
+from swarm.simulations import claim
+with claim(Path(sys.argv[1])):
+    print("claimed", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("act", [Press("B", 0.5), Push(-0.2), Lay("back"), Place(1.0, 2.0, 0.3, -1.9, False)])
+def test_an_act_survives_its_datagram(act) -> None:
+    assert unpack(pack(act)) == act
+
+
+@given(st.binary(max_size=60))
+def test_any_datagram_is_an_act_or_refused(data: bytes) -> None:
+    for prefix in (b"", b"press:", b"push:", b"lay:", b"place:"):
+        with contextlib.suppress(LocalError, RemoteError):
+            act = unpack(prefix + data)
+            assert unpack(pack(act)) == act
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (Press("D", 0.2), "no button 'D', there are A, B, C"),
+        (Press("A", 0.0), "hold: expected a time above 0 up to 60 s, got 0"),
+        (Press("A", math.nan), "hold: expected"),
+        (Push(0.0), "impulse: expected at most 2 N s either way, not 0, got 0"),
+        (Push(9.0), "got 9"),
+        (Push(math.nan), "got nan"),
+        (Lay("side"), "no side 'side', there are back and front"),
+    ],
+)
+def test_what_cannot_be_done_is_named(act, message: str) -> None:
+    with pytest.raises(LocalError, match=message):
+        check(act)
+
+
+def test_a_button_is_held_and_let_go() -> None:
+    rig = Rig(start_mode="rest").run(0.1)
+    hand = Hands(rig.robot)
+    hand.do(Press("A", 0.5), rig.now)
+    hand.do(Press("C", 1.0), rig.now)
+    for seconds, expected in ((0.3, (True, False, True)), (0.5, (False, False, True)), (0.5, (False, False, False))):
+        rig.run(seconds)
+        hand.handle_timer(rig.now)
+        assert rig.run(0.05).balancer.motion.buttons == sum(1 << bit for bit, held in enumerate(expected) if held)
+
+
+@pytest.mark.parametrize(("side", "sign"), [("back", -1), ("front", 1)])
+def test_a_laid_robot_is_down_and_says_so_and_stands_up_on_command(side: str, sign: int) -> None:
+    rig = upright().run(2)
+    Hands(rig.robot).do(Lay(side), rig.now)
+    rig.run(3)
+    assert rig.body.tilt == pytest.approx(sign * math.radians(110))
+    assert (rig.balancer.mode, rig.balancer.posture) == ("fault", side)
+    assert rig.balancer.fault.name == "fell"
+    assert rig.robot.atmega.motors == (0.0, 0.0)
+    rig.run(5)
+    assert rig.balancer.mode == "fault"
+    rig.balancer.command("stand", rig.now)
+    assert rig.run(8).balancer.mode == "balancing"
+
+
+def test_turned_over_from_one_side_to_the_other() -> None:
+    rig = Rig(start_mode="rest", tilt=math.radians(110), held=False).run(4)
+    Hands(rig.robot).do(Lay("back"), rig.now)
+    rig.run(4)
+    assert rig.balancer.posture == "back"
+    rig.balancer.command("stand", rig.now)
+    assert rig.run(8).balancer.mode == "balancing"
+
+
+def test_a_push_is_borne_and_the_robot_returns() -> None:
+    rig = upright().run(3)
+    Hands(rig.robot).do(Push(0.1), rig.now)
+    rig.run(0.5)
+    assert rig.body.x > 0.02
+    rig.run(8)
+    assert rig.balancer.mode == "balancing"
+    assert abs(rig.body.x) < 0.1
+
+
+def test_a_body_that_is_put_down_lies_where_it_was() -> None:
+    rig = Rig(start_mode="stand")
+    Hands(rig.robot).do(Place(1.5, -0.5, 0.7, -0.1, False), rig.now)
+    rig.run(1)
+    assert (rig.body.x, rig.body.y, rig.body.heading) == (1.5, -0.5, 0.7)
+    assert rig.body.tilt == pytest.approx(-math.radians(110))
+    assert rig.run(8).balancer.mode == "balancing"
+    Hands(rig.robot).do(Place(9.0, 9.0, 0.0, 0.0, True), rig.now)
+    assert rig.body.x < 3.0, "a body in its hand begins at its own place"
+
+
+class Robot:
+    """A simulated robot of real processes in a run directory that counts as a running simulation."""
+
+    def __init__(self, processes: Processes, runtime: Path) -> None:
+        self.run, self.robot = runtime / "run", runtime / "run" / "r0"
+        self.processes = processes
+        self.holder = processes.start("-c", CLAIM, str(self.run))
+        assert self.holder.stdout.readline() == "claimed\n"
+        self.robot.mkdir()
+        self.world = World(self.run, configuration.load(processes.config), 1, lambda robot, truth: self.seen(truth))
+        self.truth: Truth | None = None
+        self.states: list[BalancerState] = []
+        self.buttons: list[Buttons] = []
+        processes.start_ready("-m", "services.bus", SWARM_RUNTIME=str(self.robot))
+        self.body = self.start()
+        self.bus = Bus.of(self.robot)
+        self.bus.subscribe(["swarm/r0/balancer/state", "swarm/r0/balancer/buttons"], self.take)
+
+    def start(self):
+        return self.processes.start("-m", "services.sim.body", SWARM_RUNTIME=str(self.robot))
+
+    def seen(self, truth: Truth) -> None:
+        self.truth = truth
+
+    def take(self, key: str, payload: bytes) -> None:
+        message = read(key, payload)
+        (self.states if isinstance(message, BalancerState) else self.buttons).append(message)
+
+    def wait_mode(self, mode: str) -> BalancerState:
+        wait_until(lambda: self.states and self.states[-1].mode == mode, 20, f"mode {mode}")
+        return self.states[-1]
+
+    def hand(self, *words: str) -> str:
+        command = self.processes.start("-m", "swarm.cli", *words, "--run-dir", str(self.run))
+        out, error = command.communicate(timeout=20)
+        assert command.returncode == 0, error
+        return out
+
+
+@pytest.fixture
+def robot(processes: Processes, runtime: Path):
+    robot = Robot(processes, runtime)
+    yield robot
+    robot.bus.close()
+    robot.world.close()
+
+
+def test_hands_on_a_running_robot(robot: Robot) -> None:
+    robot.wait_mode("balancing")
+
+    assert robot.hand("press", "r0", "A", "--hold", "1") == "r0: button A held for 1 s\n"
+    wait_until(lambda: any(buttons.a for buttons in robot.buttons), what="button A is down")
+    wait_until(lambda: not robot.buttons[-1].a, what="and up again")
+    assert not any(buttons.b or buttons.c for buttons in robot.buttons)
+
+    wait_until(lambda: robot.truth is not None)
+    start = robot.truth.x
+    assert robot.hand("push", "r0", "--impulse", "0.15") == "r0: pushed with 0.15 N s\n"
+    wait_until(lambda: robot.truth.x > start + 0.03, what="it is pushed away")
+    wait_until(lambda: abs(robot.truth.x - start) < 0.03, 20, "it comes back")
+    assert robot.states[-1].mode == "balancing"
+
+    assert robot.hand("lay", "r0", "back") == "r0: laid on its back\n"
+    state = robot.wait_mode("fault")
+    assert state.fault == "fell"
+    wait_until(lambda: robot.states[-1].posture == "back")
+    robot.bus.publish("swarm/r0/balancer/set/mode", SetMode("stand"))
+    robot.wait_mode("balancing")  # caught while it swings up
+    wait_until(lambda: robot.states[-1].posture == "upright")
+
+
+def test_a_killed_balancers_body_is_where_it_was_when_it_comes_back(robot: Robot) -> None:
+    robot.wait_mode("balancing")
+    robot.hand("push", "r0", "--impulse", "0.3")
+    robot.wait_mode("balancing")
+    wait_until(lambda: robot.truth is not None and robot.truth.x > 0.1)
+    robot.body.kill()
+    robot.body.wait()
+    last = robot.truth
+    robot.states.clear()
+    robot.start()
+    wait_until(lambda: robot.truth.t > last.t, what="a body again")
+    # The last report is some 100 ms older than the kill at most: it rolled on a little.
+    assert math.dist((robot.truth.x, robot.truth.y), (last.x, last.y)) < 0.15
+    assert abs(robot.truth.tilt) == pytest.approx(math.radians(110), abs=0.01)
+    assert robot.wait_mode("calibrating").mode == "calibrating"
+    robot.wait_mode("balancing")
+
+
+def test_a_world_answers_only_its_own_robots(processes: Processes, runtime: Path) -> None:
+    (runtime / "r0").mkdir()
+    world = World(runtime, configuration.load(processes.config), 1, lambda robot, truth: None)
+    with contextlib.closing(world), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as body:
+        body.bind(str(runtime / "r0" / "body.sock"))
+        body.settimeout(10)
+        for hello in ({"robot": "nobody"}, {"robot": "../r0"}, {"nonsense": 1}, {"robot": "r0"}):
+            body.sendto(msgpack.packb(hello), str(runtime / "world.sock"))
+        assert unpack(body.recv(4096)) == Place(0.0, 0.0, 0.0, 0.0, True)
+        pose = {"robot": "r0", "t": 1.0, "x": 1.0, "y": 2.0, "heading": 3.0, "tilt": 0.1, "held": False}
+        body.sendto(msgpack.packb(pose), str(runtime / "world.sock"))
+        body.sendto(msgpack.packb({"robot": "r0"}), str(runtime / "world.sock"))
+        assert unpack(body.recv(4096)) == Place(1.0, 2.0, 3.0, 0.1, False)
+
+
+@pytest.mark.parametrize("verb", ["press r9 A", "push r9", "lay r9 back"])
+def test_a_robot_that_is_not_there_is_named(processes: Processes, runtime: Path, verb: str) -> None:
+    command = processes.start("-m", "swarm.cli", *verb.split(), "--run-dir", str(runtime / "none"))
+    assert "no simulation is running" in command.communicate(timeout=20)[1]
+    assert command.returncode == 2
+    holder = processes.start("-c", CLAIM, str(runtime / "run"))
+    assert holder.stdout.readline() == "claimed\n"
+    (runtime / "run" / "r0").mkdir()
+    (runtime / "run" / "swarm.toml").write_text('[[robots]]\nname = "r0"\n')
+    for robot, message in (("r9", "no robot 'r9'"), ("r0", "the body of r0 is not running at this moment")):
+        words = verb.replace("r9", robot).split()
+        command = processes.start("-m", "swarm.cli", *words, "--run-dir", str(runtime / "run"))
+        assert message in command.communicate(timeout=20)[1]
