@@ -276,6 +276,23 @@ def test_large_latest_values_are_repaired_and_only_the_newest_one_counts() -> No
     assert idle(world)
 
 
+def test_announcements_without_room_go_round_no_circles(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(full(4))
+    world.settle()
+    for older in (300_000, 301_000):
+        payload = large(older, older)
+        world.step(
+            "r0", lambda each, payload=payload: each.flood("swarm/r0/rule/k", payload, BULK, world.now, latest=True)
+        )
+    monkeypatch.setattr(largefloods, "MAX_BYTES", 100_000)
+    world.run(30.0)
+    assert sum(bot.counters["flood_sent"] for bot in world.bots.values()) < 100
+    monkeypatch.undo()
+    world.run(60.0)
+    for name in world.names[1:]:
+        assert arrived(world, name, "/rule/k") == [large(301_000, 301_000)]
+
+
 def test_too_many_bytes_of_floods_are_refused() -> None:
     world = World(line(2))
     world.settle()

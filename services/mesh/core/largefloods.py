@@ -130,17 +130,20 @@ class LargeFloods:
         if verdict == OLD:
             self._counters["flood_old"] += 1
             return
-        if verdict != NEW or (packet.latest and id in self._coming):
+        if verdict != NEW or (packet.latest and self._newer_comes(key, packet)):
             self._counters["flood_duplicates"] += 1
             self.exchange.add_source(id, peer, now)
             if packet.echo:
                 self._waves.again(wave, key, BULK, peer, now)
             return
-        others = self._pass_on(key, packet, BULK, peer)
         coming = self._coming.get(id)
         there = self._was_delivered(id)
         if coming is None and not there:
             coming = self._begin(id, key, packet, peer, now)
+            if coming is None and packet.latest:
+                # Nothing notes that it was here: passed on it would come back, and again. Neighbours will compare.
+                return
+        others = self._pass_on(key, packet, BULK, peer)
         if packet.echo:
             if coming is not None:
                 coming.waves.append(wave)
@@ -187,6 +190,14 @@ class LargeFloods:
         coming = self._coming[id] = _Coming(key, packet)
         self.exchange.fetch(id, packet.size, peer, now)
         return coming
+
+    def _newer_comes(self, key: str, packet: Spread) -> bool:
+        """Whether this latest value, or a newer one of its key, is on its way here already."""
+        rank = packet.incarnation, packet.sequence
+        return any(
+            each.key == key and each.packet.latest and (each.packet.incarnation, each.packet.sequence) >= rank
+            for each in self._coming.values()
+        )
 
     def _make_room(self, size: int, now: float) -> bool:
         """Forget others' messages, the one first that was not asked for for longest, until there is room."""
