@@ -153,7 +153,7 @@ def test_a_flood_that_finds_a_queue_full_waits_for_it() -> None:
     world.run(10.0)
     assert [payload for _, payload in world.bots["r3"].inbox] == [b"%d" % n for n in range(count)]
     assert all(bot.counters["flood_lost"] == 0 for bot in world.bots.values())
-    for n in range(2 * count):
+    for n in range(5 * count):
         world.publish("r0", key, b"%d" % n, source_of(key))
     assert world.bots["r0"].counters["flood_lost"] > 0
 
