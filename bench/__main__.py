@@ -11,8 +11,10 @@ AREAS = {
     "start": "all robots at once until all links are up, beside the time a radio takes to connect",
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
     "transfer": "a megabyte over three hops of 78 kB/s, by unicast and by flood, beside lockstep",
+    "balancer": "lateness of the 100 Hz loop under load, beside cyclictest (needs the package rt-tests)",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "footprint": "proportional memory of one robot's processes",
+    "dwm": "the UWB service: memory, and CPU time and allocations of an update",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
 }
 

@@ -19,8 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def find(arguments: argparse.Namespace) -> dict[str, Path]:
     """Runtime directory by robot: all simulated ones, or `--robot`, or the own. Raises `LocalError`."""
     wanted: str | None = arguments.robot
-    if os.environ.get("SWARM_RUNTIME") and not (arguments.run_dir or wanted):
-        return {who_am_i(load()): runtime_dir()}
+    if os.environ.get("SWARM_RUNTIME") and arguments.run_dir is None:
+        return {_checked(who_am_i(load()), wanted): runtime_dir()}
     directory = (arguments.run_dir or default_run_dir()).absolute()
     if is_live(directory):
         found = robots(directory)
@@ -32,7 +32,10 @@ def find(arguments: argparse.Namespace) -> dict[str, Path]:
             f"no simulation is running in {directory}"
             + ("" if arguments.run_dir else f", and this is no robot ({DEFAULT_RUNTIME} is not there)")
         )
-    me = who_am_i(load())
+    return {_checked(who_am_i(load()), wanted): DEFAULT_RUNTIME}
+
+
+def _checked(me: str, wanted: str | None) -> str:
     if wanted not in (None, me):
         raise LocalError(f"this is {me}; ask {wanted} itself, for example by ssh")
-    return {me: DEFAULT_RUNTIME}
+    return me

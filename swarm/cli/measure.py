@@ -1,254 +1,154 @@
-"""`swarm measure rtt|throughput LINK`: a running link by payload size, as in section 3.6 of the thesis (figure 3.19).
+"""`swarm measure rtt|throughput|rssi ROBOT [ROBOT]`: links and paths by payload size, as in section 3.6 of the thesis
+(figure 3.19): round trip and goodput, for each overlay.
 
-`rtt` sends one ping at a time and waits for its answer of the same length; the throughput it derives is the thesis'
-2 s / RTT(s) (equation 3.1), which assumes that only one message is ever under way. `throughput` measures what a link
-carries when messages follow each other: pings at once, short answers, from the first to the last of them.
+`rtt` sends one message at a time and waits for its answer. `throughput` measures what is carried when messages follow
+each other. A link is measured by the `neighbours` overlay, a longer path by `unicast`; `--overlay all` compares all of
+them. `rssi` asks the Bluetooth adapter for the signal of a link.
 """
 
 import argparse
-import contextlib
-import itertools
 import json
-import queue
-import statistics
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
-from swarm import clock
 from swarm.bus import Bus
 from swarm.cli import buses
-from swarm.errors import LocalError, PayloadError
-from swarm.keys import is_name, key
-from swarm.messages import Echo, EchoRequest, read
+from swarm.cli.measuring import show
+from swarm.cli.measuring.figures import FLOOD, NEIGHBOURS, OVERLAYS, UNICAST, Series
+from swarm.cli.measuring.senders import Floods, Messages, Pings, Sender
+from swarm.cli.mesh_view import Mesh
+from swarm.cli.survey import PATIENCE, Views, opened
+from swarm.errors import LocalError
+from swarm.keys import is_name
+from swarm.messages import GraphRobot
 
-HELP = "round-trip time or throughput of a link, by payload size"
+HELP = "round trips, throughput or signal of links and paths, by payload size"
 
 SIZES = (50, 200, 500, 750, 1000)
 """Bytes; those of the thesis' figure 3.19."""
 
-HEADER = 5
-"""Bytes before the payload of a message of the neighbours overlay (docs/frames.md)."""
-
-PATIENCE = 5.0
-"""s to wait for an answer."""
-
-_BURST = 64 * 1024
-"""Bytes of a burst that measures throughput; at most 256 messages."""
-
-
-@dataclass(frozen=True)
-class Figures:
-    """What was measured for one size."""
-
-    size: int
-    samples: int
-    lost: int
-    rtt_min: float | None
-    """s; all of them None where no answer came, or where throughput was measured."""
-    rtt_median: float | None
-    rtt_mean: float | None
-    rtt_deviation: float | None
-    rtt_p99: float | None
-    throughput: float | None
-    """bytes/s of payload."""
+ALL = "all"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`rtt|throughput LINK [--sizes ...] [--count N] [--plot FILE]`."""
-    parser.add_argument("what", choices=("rtt", "throughput"))
-    parser.add_argument("link", metavar="LINK", help="r0-r1: from r0 to its neighbour r1; on a robot also just r1")
+    """`rtt|throughput|rssi ROBOT [ROBOT] [--overlay O] [--sizes ...] [--count N] [--plot FILE]`."""
+    parser.add_argument("what", choices=("rtt", "throughput", "rssi"))
+    parser.add_argument("ends", nargs="+", metavar="ROBOT", help="r0 r3: from r0 to r3; on a robot also just r3")
+    parser.add_argument("--overlay", choices=(*OVERLAYS, ALL), help="neighbours for a link, unicast for a path; all")
     parser.add_argument("--sizes", type=_sizes, default=SIZES, metavar="N,N,...", help="payload bytes (50,...,1000)")
-    parser.add_argument("--count", type=_count, default=20, metavar="N", help="pings, or bursts, of each size (20)")
-    parser.add_argument("--priority", choices=("sync", "bulk"), help="class of the pings (rtt sync, throughput bulk)")
+    parser.add_argument("--count", type=_count, default=20, metavar="N", help="messages of each size (20)")
+    parser.add_argument("--priority", choices=("sync", "bulk"), help="class of the messages; sync unless they are many")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it: .png, .pdf or .svg")
     parser.add_argument("--json", action="store_true", help="one JSON object")
     buses.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print."""
-    first, dash, second = args.link.partition("-")
-    # A name may have a dash: then only --robot helps.
-    if args.robot is None and dash and is_name(first):
-        args.robot, peer = first, second
+    """Measure and print; code 1 where something was not answered at all."""
+    robot, peer, directory = _ends(args)
+    if args.what == "rssi":
+        from swarm.cli.measuring import rssi
+
+        return rssi.run(args, robot, peer, directory)
+    with opened({robot: directory}) as opened_buses:
+        series = _measure(opened_buses[robot], robot, peer, args)
+    if args.json:
+        print(json.dumps({"robot": robot, "what": args.what, "series": [asdict(each) for each in series]}))
     else:
-        peer = args.link
+        print("\n".join(show.table(robot, args.what, series)))
+    if args.plot is not None:
+        show.draw(args.plot, robot, args.what, series)
+    return 1 if any(not row.samples for each in series for row in each.figures) else 0
+
+
+def _ends(args: argparse.Namespace) -> tuple[str, str, Path]:
+    """From which robot to which, and the first one's runtime directory."""
+    ends: list[str] = args.ends
+    if len(ends) == 1:
+        first, dash, second = ends[0].partition("-")
+        # A name may have a dash: then the long form helps.
+        ends = [first, second] if args.robot is None and dash and is_name(first) else ends
+    peer = ends[-1]
+    if len(ends) == 2:
+        if args.robot not in (None, ends[0]):
+            raise LocalError(f"--robot {args.robot} is not {ends[0]}, where it is to begin")
+        args.robot = ends[0]
     directories = buses.find(args)
-    if len(directories) != 1:
-        raise LocalError(f"from which robot? write for example {next(iter(directories))}-{peer}")
+    if len(directories) != 1 or len(ends) > 2:
+        raise LocalError(f"from which robot to which? write for example {next(iter(directories))} {peer}")
     ((robot, directory),) = directories.items()
     if not is_name(peer) or peer == robot:
-        raise LocalError(f"link {args.link!r}: expected two robots like r0-r1")
-    with _Pinger(robot, peer, directory) as pinger:
-        figures = list((_rtt if args.what == "rtt" else _throughput)(pinger, args))
-    if args.json:
-        print(
-            json.dumps({"robot": robot, "peer": peer, "what": args.what, "sizes": [asdict(each) for each in figures]})
-        )
-    else:
-        print("\n".join(_table(robot, peer, args.what, figures)))
-    if args.plot is not None:
-        _plot(args.plot, f"{robot} - {peer}", args.what, figures)
-    return 1 if any(each.samples == 0 for each in figures) else 0
+        raise LocalError(f"{' '.join(ends)}: expected two robots like r0 r1")
+    return robot, peer, directory
 
 
-class _Pinger:
-    """Asks one robot's mesh to ping a neighbour."""
-
-    def __init__(self, robot: str, peer: str, directory: Path) -> None:
-        self._peer = peer
-        self._request_key = key(robot, "mesh", "set", "echo")
-        self._echoes: queue.SimpleQueue[Echo] = queue.SimpleQueue()
-        # Who measures at the same time has other numbers.
-        self._sequence = itertools.count(int(clock.wall() * 1e6))
-        self._bus = Bus.of(directory)
-        if not self._bus.wait_connected(PATIENCE):
-            self._bus.close()
-            raise LocalError(f"the bus of {robot} is not there ({directory})")
-        self._bus.subscribe(key(robot, "mesh", "echo"), self._take)
-
-    def __enter__(self) -> "_Pinger":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bus.close()
-
-    def ping(self, size: int, priority: str, *, count: int = 1, short: bool = False) -> list[Echo]:
-        """The answers that came; `LocalError` where the mesh says that it cannot."""
-        sequence = next(self._sequence)
-        request = EchoRequest(self._peer, sequence, size, count, priority, short)
-        self._bus.publish(self._request_key, request)
-        answers: list[Echo] = []
-        end = clock.now() + PATIENCE
-        while len(answers) < count and (left := end - clock.now()) > 0:
-            with contextlib.suppress(queue.Empty):
-                echo = self._echoes.get(timeout=left)
-                if echo.sequence == sequence:
-                    if echo.rtt is None:
-                        raise LocalError(echo.reason)
-                    answers.append(echo)
-                    end = clock.now() + PATIENCE
-        return answers
-
-    def _take(self, text: str, payload: bytes) -> None:
-        with contextlib.suppress(PayloadError):
-            if isinstance(message := read(text, payload), Echo):
-                self._echoes.put(message)
+def _measure(bus: Bus, robot: str, peer: str, args: argparse.Namespace) -> list[Series]:
+    series = []
+    for sender, overlay, to, hops in _ways(bus, robot, peer, args.overlay, args.priority):
+        if args.what == "rtt":
+            figures = sender.rtt(args.sizes, args.count)
+        else:
+            figures = sender.throughput(args.sizes, max(1, args.count // 10))
+        series.append(Series(overlay, to, hops, figures))
+    return series
 
 
-def _rtt(pinger: _Pinger, args: argparse.Namespace) -> Iterator[Figures]:
-    """One ping at a time, the sizes in turn, so that what changes meanwhile changes all alike."""
-    found: dict[int, list[float]] = {size: [] for size in args.sizes}
-    for _ in range(args.count):
-        for size in args.sizes:
-            found[size] += [echo.rtt for echo in pinger.ping(size, args.priority or "sync") if echo.rtt is not None]
-    for size, rtts in found.items():
-        yield _figures(size, rtts, args.count - len(rtts))
+def _ways(
+    bus: Bus, robot: str, peer: str, overlay: str | None, priority: str | None
+) -> list[tuple[Sender, str, str, int]]:
+    """What is to be measured: how, over which overlay, to whom, over how many links."""
+    known = _known(bus, robot)
+    way = path(known, robot, peer)
+    others = [each for each in known.values() if each.hops]
+    ways: list[tuple[Sender, str, str, int]] = []
+    if overlay in (ALL, NEIGHBOURS) or (overlay is None and len(way) == 1):
+        # Of a longer path the first link, to compare; asked for by itself, the mesh says that it is none.
+        to = way[0] if overlay == ALL else peer
+        ways.append((Pings(bus, robot, to, priority), NEIGHBOURS, to, 1))
+    if overlay == ALL:
+        ways += [(Messages(bus, robot, to, priority), UNICAST, to, hops) for hops, to in enumerate(way, 1)]
+    elif overlay == UNICAST or (overlay is None and len(way) > 1):
+        ways.append((Messages(bus, robot, peer, priority), UNICAST, peer, len(way)))
+    if overlay in (ALL, FLOOD):
+        farthest = max(each.hops or 0 for each in others)
+        ways.append((Floods(bus, robot, priority), FLOOD, f"{len(others)} robots", farthest))
+    return ways
 
 
-def _figures(size: int, rtts: Sequence[float], lost: int) -> Figures:
-    if not rtts:
-        return Figures(size, 0, lost, None, None, None, None, None, None)
-    ordered = sorted(rtts)
-    median = statistics.median(ordered)
-    return Figures(
-        size=size,
-        samples=len(ordered),
-        lost=lost,
-        rtt_min=ordered[0],
-        rtt_median=median,
-        rtt_mean=statistics.fmean(ordered),
-        rtt_deviation=statistics.stdev(ordered) if len(ordered) > 1 else 0.0,
-        rtt_p99=ordered[len(ordered) * 99 // 100],
-        throughput=2.0 * size / median,
-    )
+def _known(bus: Bus, robot: str) -> Mapping[str, GraphRobot]:
+    views = Views()
+    views.ask(robot, bus, PATIENCE)
+    with views.changed:
+        if not views.changed.wait_for(lambda: robot in views.robots, PATIENCE):
+            raise LocalError(f"the mesh of {robot} does not answer ({PATIENCE:g} s)")
+    return views.best()
 
 
-def _throughput(pinger: _Pinger, args: argparse.Namespace) -> Iterator[Figures]:
-    """Bursts; the time runs from the first answer to the last, so that the latency is not in it."""
-    for size in args.sizes:
-        count = max(2, min(256, _BURST // size))
-        rates, came = [], 0
-        for _ in range(max(1, args.count // 10)):
-            answers = pinger.ping(size, args.priority or "bulk", count=count, short=True)
-            came += len(answers)
-            times = sorted(echo.t for echo in answers)
-            if len(times) == count and times[-1] > times[0]:
-                rates.append((count - 1) * size / (times[-1] - times[0]))
-        lost = max(1, args.count // 10) * count - came
-        rate = statistics.median(rates) if rates else None
-        yield Figures(size, len(rates), lost, None, None, None, None, None, rate)
-
-
-def _table(robot: str, peer: str, what: str, figures: Sequence[Figures]) -> list[str]:
-    if what == "rtt":
-        lines = [
-            f"{robot} - {peer}: round trip of messages of the neighbours overlay, payload both ways",
-            " bytes     n  lost  min ms  median    mean      sd     p99   2s/RTT B/s",
-        ]
-        for each in figures:
-            times = (each.rtt_min, each.rtt_median, each.rtt_mean, each.rtt_deviation, each.rtt_p99)
-            cells = "".join(f"{'-' if time is None else f'{time * 1e3:.1f}':>8}" for time in times)
-            lines.append(f"{each.size:>6}{each.samples:>6}{each.lost:>6}{cells}{_rate(each):>13}")
-        return lines
-    lines = [f"{robot} - {peer}: payload of messages that follow each other", " bytes  bursts  lost    payload B/s"]
-    return lines + [f"{each.size:>6}{each.samples:>8}{each.lost:>6}{_rate(each):>15}" for each in figures]
-
-
-def _rate(figures: Figures) -> str:
-    return "-" if figures.throughput is None else f"{figures.throughput:.0f}"
-
-
-def _plot(path: Path, title: str, what: str, figures: Sequence[Figures]) -> None:
-    """Figure 3.19: round trip by size, and the rates beside it."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise LocalError('--plot needs matplotlib: pip install "balboa-swarm[lab]"') from None
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    measured = [each for each in figures if each.throughput is not None]
-    sizes = [each.size for each in measured]
-    figure, axes = pyplot.subplots(
-        1, 2 if what == "rtt" else 1, figsize=(10 if what == "rtt" else 5.5, 4), squeeze=False
-    )
-    rates = axes[0][-1]
-    if what == "rtt":
-        times = axes[0][0]
-        times.errorbar(
-            sizes,
-            [(each.rtt_mean or 0.0) * 1e3 for each in measured],
-            yerr=[(each.rtt_deviation or 0.0) * 1e3 for each in measured],
-            fmt="o-",
-            capsize=3,
-            label="mean, standard deviation",
-        )
-        times.plot(sizes, [(each.rtt_p99 or 0.0) * 1e3 for each in measured], "x--", label="99th percentile")
-        times.set(xlabel="payload / bytes", ylabel="round trip / ms", title=title, ylim=(0, None))
-        times.legend()
-    kilobytes = [(each.throughput or 0.0) / 1e3 for each in measured]
-    rates.plot(sizes, kilobytes, "o-", label="payload, 2 s / RTT" if what == "rtt" else "payload, one after the other")
-    if what == "rtt":
-        whole = [(size + HEADER) / size * rate for size, rate in zip(sizes, kilobytes, strict=True)]
-        rates.plot(sizes, whole, "--", label=f"with the header, 2 (s + {HEADER}) / RTT")
-    rates.set(xlabel="payload / bytes", ylabel="kB/s", title=title, ylim=(0, None))
-    rates.legend()
-    figure.tight_layout()
-    try:
-        figure.savefig(path)
-    except (OSError, ValueError) as error:
-        raise LocalError(f"{path}: {error}") from None
-    finally:
-        pyplot.close(figure)
+def path(known: Mapping[str, GraphRobot], robot: str, peer: str) -> list[str]:
+    """The robots from a neighbour of `robot` to `peer`: a shortest way, the one that unicast takes or one as long;
+    `LocalError` where there is none."""
+    end = known.get(peer)
+    if end is None:
+        raise LocalError(f"there is no robot {peer}, there are {' '.join(name for name in known if name != robot)}")
+    if not end.hops:
+        what = {"never": "it was never seen", "left": "it has left"}.get(end.state, f"it is {end.state}")
+        raise LocalError(f"there is no way from {robot} to {peer}: {what}")
+    graph = Mesh({}, known).graph
+    if end.via is None or robot not in (distances := graph.distances(peer)):
+        raise LocalError(f"the way from {robot} to {peer} has just changed, try again")
+    way = [end.via]
+    while way[-1] != peer:
+        way.append(min(graph.neighbours(way[-1]), key=lambda name: (distances.get(name, len(known)), name)))
+    return way
 
 
 def _sizes(text: str) -> tuple[int, ...]:
+    # How long a message may be is the mesh's matter: it refuses, and says why.
     parts = text.split(",")
-    if all(part.isdecimal() and 11 <= int(part) <= 65536 for part in parts):
+    if all(part.isdecimal() and int(part) >= 1 for part in parts):
         return tuple(dict.fromkeys(map(int, parts)))
-    raise argparse.ArgumentTypeError(f"{text!r}: expected sizes from 11 to 65536 bytes, like 50,200,1000")
+    raise argparse.ArgumentTypeError(f"{text!r}: expected numbers of bytes, like 50,200,1000")
 
 
 def _count(text: str) -> int:

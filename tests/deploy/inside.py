@@ -32,7 +32,6 @@ link = "tcp:127.0.0.1:5501"
 name = "r1"
 link = "tcp:127.0.0.1:5502"
 [mesh]
-key = "/etc/swarm/swarm.key"
 listen = "127.0.0.1:{port}"
 [dwm]
 source = "serial:/run/rig/r0/dwm.tty"
@@ -227,7 +226,7 @@ def holds_its_privileges() -> dict[str, float]:
         policy = os.sched_getscheduler(loop) & ~os.SCHED_RESET_ON_FORK
         expect(policy == os.SCHED_FIFO, "the loop has no real-time priority")
         expect(int(users["swarm-balancer"].split("VmLck:")[1].split()[0]) > 0, "the loop's memory is not locked")
-    mode = Path("/etc/swarm/swarm.key").stat().st_mode & 0o777
+    mode = Path("/etc/swarm/key").stat().st_mode & 0o777
     expect(mode == 0o600, f"the key has mode {mode:o}")
     return {"realtime": float(allowed)}
 

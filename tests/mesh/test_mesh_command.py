@@ -29,7 +29,7 @@ def view(*links: LinkState, hop: int = 0) -> View:
 
 
 def known(name: str, links: dict[str, float], state: str = "here", **changes: object) -> GraphRobot:
-    return replace(GraphRobot(name, state, 0.0, 1, "r0", links, None), **changes)
+    return replace(GraphRobot(name, state, 0.0, 1, "r1", links, None), **changes)
 
 
 LINE_OF_FOUR = {
@@ -46,7 +46,7 @@ def test_one_robot_knows_all_and_tells_what_it_measured_from_what_it_heard() -> 
     assert not found.whole
     text = mesh_text.text(found)
     assert text[1].split() == ["r0", "self", "0", "1", "yes", "r0+0", "±1.2", "ms"]
-    assert text[2].split() == ["r1", "here", "1", "r0", "2", "-"]
+    assert text[2].split() == ["r1", "here", "1", "r1", "2", "-"]
     assert text[4].split() == ["r3", "gone", "0", "-"]
     matrix = mesh_text.graph(found)
     assert matrix[1].split() == ["r0", ".", "61.0", "-", "-"]

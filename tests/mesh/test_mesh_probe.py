@@ -1,13 +1,8 @@
-"""Echoes between meshes, what links tell of themselves, and the commands `swarm mesh` and `swarm measure`."""
+"""Echoes between meshes, and what links tell of themselves."""
 
-import json
-import os
-import subprocess
-import sys
 from contextlib import suppress
 
 import pytest
-from conftest import Processes, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
@@ -15,12 +10,10 @@ from mesh_world import World
 from services.mesh.core import probe
 from services.mesh.core.frames import SYNC
 from services.mesh.core.probe import Prober
-from swarm.bus import Router
 from swarm.codec import decode
 from swarm.config.types import RelayRule
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest
-from swarm.paths import bus_endpoint
 
 
 def echoes(world: World, robot: str) -> list[Echo]:
@@ -137,54 +130,3 @@ def test_a_link_tells_its_round_trips_rates_and_losses() -> None:
     down = world.link("r0", "r1")
     assert (down.queue, down.in_flight, down.rtt_median, down.sent_rate) == (0, 0, None, 0.0)
     assert down.sent_bytes >= link.sent_bytes
-
-
-# -- the commands --
-
-
-def test_commands_ask_running_meshes(processes: Processes) -> None:
-    runtime = processes.runtime
-    config = runtime / "swarm.toml"
-    config.write_text(
-        f'network = "test"\n[[robots]]\nname = "r0"\nlink = "sim:{runtime}/r0/mesh.sock"\n'
-        f'[[robots]]\nname = "r1"\nlink = "sim:{runtime}/r1/mesh.sock"\n'
-        '[topology]\nshape = "line"\n[mesh]\ninsecure = true\n'
-    )
-    routers = []
-    for name in ("r0", "r1"):
-        (runtime / name).mkdir()
-        routers.append(Router(bus_endpoint(runtime / name)))
-    environment = {"SWARM_CONFIG": str(config), "SWARM_ROBOT": "r0", "SWARM_RUNTIME": str(runtime / "r0")}
-    for name in ("r0", "r1"):
-        place = {"SWARM_ROBOT": name, "SWARM_RUNTIME": str(runtime / name), "SWARM_SIM_LINK": "latency=0.005"}
-        processes.start_ready("-m", "services.mesh", **{**environment, **place})
-
-    def swarm(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-c", "from swarm.cli import main; main()", *arguments],
-            env={**os.environ, **environment, "MPLCONFIGDIR": str(runtime)},
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
-
-    wait_until(lambda: swarm("mesh").returncode == 0, timeout=30, what="the link is up")
-    shown = json.loads(swarm("mesh", "--json").stdout)
-    assert shown["robots"]["r0"]["links"][0]["state"] == "up"
-    assert shown["robots"]["r0"]["clock"]["root"] == "r0"
-    plot = runtime / "rtt.png"
-    done = swarm("measure", "rtt", "r1", "--count", "3", "--sizes", "50,1000", "--json", "--plot", str(plot))
-    assert done.returncode == 0, done.stderr
-    figures = json.loads(done.stdout)["sizes"]
-    assert [(each["size"], each["samples"]) for each in figures] == [(50, 3), (1000, 3)]
-    assert all(each["rtt_min"] >= 0.01 for each in figures)
-    assert plot.stat().st_size > 1000
-    done = swarm("measure", "throughput", "r1", "--count", "1", "--sizes", "500")
-    assert done.returncode == 0, done.stderr
-    assert "payload B/s" in done.stdout
-    wrong = swarm("measure", "rtt", "r7", "--count", "1")
-    assert wrong.returncode == 2
-    assert wrong.stderr == "swarm: r7 is not a neighbour\n"
-    processes.end()
-    for router in routers:
-        router.close()

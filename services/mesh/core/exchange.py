@@ -113,8 +113,8 @@ class Exchange:
             if fetch.source is None:
                 self._next_source(fetch, now)
         for name in tuple(self._sources):
-            source = self._sources[name]
-            if source.timeouts:
+            source = self._sources.get(name)
+            if source is not None and source.timeouts:
                 # What was asked for went into the void; what was in the void's way need not wait for the next try.
                 self._again(source)
             self._ask(name, now)
@@ -157,8 +157,7 @@ class Exchange:
             self._leave(fetch)
             self._waiting.pop(id, None)
             self._finished(id, fetch.payload(), now)
-        if sender in self._sources:
-            self._ask(sender, now)
+        self._ask(sender, now)
 
     def _on_gone(self, sender: str, id: Id, now: float) -> None:
         fetch = self._fetches.get(id)
@@ -259,7 +258,9 @@ class Exchange:
 
     def _ask(self, name: str, now: float) -> None:
         """Ask a robot for as much as its window lets, its messages in turns."""
-        source = self._sources[name]
+        source = self._sources.get(name)
+        if source is None:
+            return  # nothing is fetched from it any more
         room = int(source.pace.window / SIZE) - source.asked
         waiting = list(source.fetches.values())
         if room < 2 and source.asked:

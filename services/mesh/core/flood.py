@@ -156,7 +156,7 @@ class Flood:
             return
         match packets.kind_of(data):
             case packets.SPREAD:
-                self._on_spread(peer, key, packets.decode_spread(data), priority, now)
+                self._on_spread(peer, key, packets.decode_spread(data), data, priority, now)
             case packets.ECHO:
                 echo = packets.decode_echo(data)
                 if not set(echo.robots) <= self._robots:
@@ -209,8 +209,11 @@ class Flood:
             packet = packet._replace(payload=b"", size=len(packet.payload))
         self._pass_on(key, packet, priority, None)
 
-    def _pass_on(self, key: str, packet: Spread, priority: int, source: str | None) -> list[str]:
-        data = packets.encode_spread(packet)
+    def _pass_on(
+        self, key: str, packet: Spread, priority: int, source: str | None, data: bytes | None = None
+    ) -> list[str]:
+        """Send a flood on as it is; `data` is the packet's bytes, where they are there."""
+        data = packets.encode_spread(packet) if data is None else data
         others = [peer for peer in self._links if peer != source]
         for peer in others:
             self._counters["flood_sent"] += 1
@@ -218,7 +221,7 @@ class Flood:
             self._neighbours.spread(Transmit(peer, FLOOD, key, data, priority, packet.latest))
         return others
 
-    def _on_spread(self, peer: str, key: str, packet: Spread, priority: int, now: float) -> None:
+    def _on_spread(self, peer: str, key: str, packet: Spread, data: bytes, priority: int, now: float) -> None:
         origin = parse(key).robot
         if origin == self._me:
             self._on_own(peer, key, packet, priority, now)
@@ -236,7 +239,7 @@ class Flood:
             if packet.echo:
                 self._waves.again(id, key, priority, peer, now)
             return
-        others = self._pass_on(key, packet, priority, peer)
+        others = self._pass_on(key, packet, priority, peer, data)
         if packet.echo:
             self._waves.join(id, key, priority, peer, others, now)
         if not packet.first or not self._store.has_seen(origin, packet.first):

@@ -9,12 +9,13 @@ from collections import Counter
 from collections.abc import Callable, Collection
 
 from services.mesh.core import catchup, exchange, flood, largefloods, packets, transfers, unicast
-from services.mesh.core.actions import Transmit
+from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
 from services.mesh.core.frames import BULK, CONTROL, FLOOD
 from services.mesh.core.halt import Register
 from services.mesh.core.large import Large
+from services.mesh.core.linking import Linking, Start
 from services.mesh.core.linkstate import HOPS, LinkState
 from services.mesh.core.membership import SETTLE, Membership
 from services.mesh.core.pieces import Packet
@@ -25,7 +26,17 @@ from swarm.codec import encode
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import STOP, is_name, parse
 from swarm.keys import key as key_of
-from swarm.messages import FloodRequest, Members, MeshGraph, Reminder, SendRequest, Stop, Stopped
+from swarm.messages import (
+    FloodRequest,
+    Members,
+    MeshGraph,
+    Reminder,
+    SendRequest,
+    Stop,
+    Stopped,
+    Topology,
+    TopologyRequest,
+)
 
 MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
@@ -46,12 +57,12 @@ LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
 COUNTERS = (*flood.COUNTERS, *catchup.COUNTERS, *largefloods.COUNTERS, *unicast.COUNTERS, *transfers.COUNTERS,
-            *exchange.COUNTERS, "bad_packets")  # fmt: skip
+            *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
 
 _NEVER = float("inf")
 
 
-Action = Transmit | Received
+Action = Transmit | Received | LinkAction
 
 
 class Overlays:
@@ -66,11 +77,13 @@ class Overlays:
         random: Callable[[], float],
         counters: Counter[str],
         metric: str = HOPS,
+        start: Start | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
-        `admits_flood(key)`, `admits_unicast(sender, key)`: which keys the relay rules let in."""
+        `start` is where the topology begins; without it links are the caller's matter. `admits_flood(key)`,
+        `admits_unicast(sender, key)`: which keys the relay rules let in."""
         self.me = me
         self._robots = frozenset(robots) | {me}
         self._counters = counters
@@ -112,16 +125,26 @@ class Overlays:
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
         self._stopped_key = key_of(me, "mesh", "stopped")
+        self.linking: Linking | None = None
+        """Which links there are to be; None where that is the caller's matter."""
+        if start is not None:
+            self.linking = Linking(
+                me, start, self._map,
+                emit=emit, act=emit, random=random, counters=counters,
+            )  # fmt: skip
 
     # -- links and packets -------------------------------------------------------------------------------------
 
-    def link_up(self, peer: str, now: float) -> None:
-        """A link to a neighbour is up."""
+    def link_up(self, peer: str, now: float) -> bool:
+        """A link to a neighbour is up; False where this robot has no use for it and is to close it."""
         self._now = now
+        if self.linking is not None and not self.linking.link_up(peer, now):
+            return False
         self._register.link_up(peer)
         self._map.link_up(peer, now)
         self._flood.link_up(peer, now)
         self._routes_changed(now)
+        return True
 
     def link_down(self, peer: str, now: float) -> None:
         """It is down."""
@@ -133,6 +156,14 @@ class Overlays:
         self._flood.link_down(peer, now)
         self._unicast.link_down(peer, now)
         self._routes_changed(now)
+        if self.linking is not None:
+            self.linking.link_down(peer, now)
+
+    def dial_failed(self, peer: str, reason: str, now: float) -> None:
+        """A robot that was called does not answer."""
+        self._now = now
+        if self.linking is not None:
+            self.linking.dial_failed(peer, reason, now)
 
     def measured(self, peer: str, rtt: float, now: float) -> None:
         """The smoothed round-trip time of a link, s."""
@@ -149,7 +180,7 @@ class Overlays:
             return False
         if overlay != FLOOD:
             return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
-        if service == "mesh" and topic in ("digest", "halt"):
+        if service == "mesh" and topic in ("digest", "halt", "topology"):
             return robot == peer
         if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped")):
             return True
@@ -164,6 +195,8 @@ class Overlays:
                 self._unicast.receive(peer, data, priority, now)
             elif packets.kind_of(data) == packets.HALT:
                 self._register.receive(peer, data, now)
+            elif packets.kind_of(data) == packets.TOPOLOGY and self.linking is not None:
+                self.linking.receive(peer, data, now)
             else:
                 self._flood.receive(peer, key, data, priority, now)
         except (FrameError, PayloadError):
@@ -191,13 +224,16 @@ class Overlays:
         self._now = now
         self._unicast.send(None, to, key, payload, priority, now, latest=latest)
 
-    def request(self, request: FloodRequest | SendRequest | Reminder, now: float) -> None:
+    def request(self, request: FloodRequest | SendRequest | Reminder | TopologyRequest, now: float) -> None:
         """An app's wish; the answer goes to the own bus."""
         self._now = now
         if isinstance(request, FloodRequest):
             self._requests.request_flood(request)
         elif isinstance(request, SendRequest):
             self._requests.request_send(request)
+        elif isinstance(request, TopologyRequest):
+            if self.linking is not None:
+                self._requests.request_topology(request, self.linking)
         else:
             self._requests.remind(request)
 
@@ -228,6 +264,8 @@ class Overlays:
         self._register.handle_timer(now)
         if self._version != self._map.version:
             self._routes_changed(now)
+        if self.linking is not None:
+            self.linking.handle_timer(now)
         if now >= self._look_at:
             self._look(now)
         if now >= self._members_at:
@@ -237,6 +275,11 @@ class Overlays:
             self._tell_stop(now)
         if now >= self._confirm_at:
             self._confirm(now)
+
+    @property
+    def now(self) -> float:
+        """The time of the last call."""
+        return self._now
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
@@ -251,6 +294,7 @@ class Overlays:
             self._unicast.next_deadline(),
             self._large.next_deadline(),
             self._register.next_deadline(),
+            _NEVER if self.linking is None else self.linking.next_deadline(),
             self._look_at,
             self._members_at,
             self._stop_at,
@@ -272,6 +316,22 @@ class Overlays:
     def graph(self, now: float, after: str = "") -> MeshGraph:
         """For the key `mesh/graph`: robots with names behind `after`."""
         return self._survey.graph(now, stopped=bool(self._register.stops), after=after)
+
+    def topology(self, now: float) -> Topology:
+        """For the key `mesh/topology`."""
+        linking = self.linking
+        assert linking is not None
+        value = linking.value
+        since = now if linking.adopted is None else linking.adopted
+        return Topology(
+            now, value.version, value.step, value.issuer, value.auto, since, value.edges,
+            tuple(sorted(linking.wanted)), linking.up, linking.kept, dict(linking.missing),
+        )  # fmt: skip
+
+    def topology_file(self) -> bytes:
+        """What is to be kept of it through restarts."""
+        assert self.linking is not None
+        return self.linking.to_file()
 
     # -- inside ------------------------------------------------------------------------------------------------
 
@@ -310,15 +370,19 @@ class Overlays:
         self._look_at = min(self._look_at, now + SETTLE)
         self._unicast.routes_changed(now)
         self._large.ways_changed(now)
+        if self.linking is not None:
+            self.linking.map_changed(now)
 
     def _look(self, now: float) -> None:
         self._look_at = _NEVER
         incarnations = {name: self._flood.known(name) for name in self._robots}
         left = [name for name in self._robots if self._map.has_left(name)]
-        if self._membership.look(self._map.routes(), self._map.graph(), incarnations, left, now):
+        if self._membership.look(self._map.routes(), self._map.told(), incarnations, left, now):
             self._members_at = now
 
     def _admits_message(self, sender: str, key: str) -> bool:
+        if sender == self.me:
+            return False  # what we send ourselves crosses no link: somebody pretends to be us
         robot, service, topic = parse(key)
         if robot == sender and service == "app":
             chunks = topic.split("/")

@@ -12,11 +12,21 @@ from dataclasses import dataclass
 from services.mesh.core import flood, packets
 from services.mesh.core.flood import Flood
 from services.mesh.core.frames import BULK, CONTROL, PRIORITIES
+from services.mesh.core.linking import Linking
 from services.mesh.core.unicast import Unicast
 from swarm.codec import encode
 from swarm.keys import is_name
 from swarm.keys import key as key_of
-from swarm.messages import Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
+from swarm.messages import (
+    Flooded,
+    FloodRequest,
+    Progress,
+    Reminder,
+    SendRequest,
+    Sent,
+    TopologyRequest,
+    TopologySet,
+)
 
 MAX_TICKETS = 1024
 """Requests whose answers are remembered, so that a repeated request is answered again, not done again."""
@@ -29,6 +39,9 @@ class _Ticket:
     ticket: str
     app: str
     announce: bool = False
+
+
+Answer = Flooded | Sent | TopologySet
 
 
 class Requests:
@@ -50,9 +63,13 @@ class Requests:
         self._now = now
         self.flood: Flood
         self.unicast: Unicast
-        self._tickets: OrderedDict[str, Flooded | Sent | _Ticket] = OrderedDict()
+        self._tickets: OrderedDict[str, Answer | _Ticket] = OrderedDict()
         self._flooded_key = key_of(me, "mesh", "flooded")
-        self._sent_key = key_of(me, "mesh", "sent")
+        self._keys = {
+            Flooded: self._flooded_key,
+            Sent: key_of(me, "mesh", "sent"),
+            TopologySet: key_of(me, "mesh", "topology_set"),
+        }
         self._progress_key = key_of(me, "mesh", "progress")
 
     def request_flood(self, request: FloodRequest) -> None:
@@ -83,6 +100,13 @@ class Requests:
         key = key_of(self._me, "app", request.app, "send", request.to)
         priority = PRIORITIES[request.priority]
         self.unicast.send(token, request.to, key, request.payload, priority, self._now(), timeout=request.timeout)
+
+    def request_topology(self, request: TopologyRequest, linking: Linking) -> None:
+        """Somebody's wish for other links; the answer goes to `mesh/topology_set`."""
+        if self._is_known(_Ticket(request.ticket, "")):
+            return
+        problem = linking.set(request.shape, request.edges, request.after, self._now())
+        self._end(TopologySet(self._now(), request.ticket, linking.value.version, problem))
 
     def remind(self, reminder: Reminder) -> None:
         """The answer again, or how far it is."""
@@ -126,13 +150,12 @@ class Requests:
         self._tickets[token.ticket] = token
         return False
 
-    def _end(self, answer: Flooded | Sent) -> None:
+    def _end(self, answer: Answer) -> None:
         self._tickets[answer.ticket] = answer
         self._tell(answer)
 
-    def _tell(self, answer: Flooded | Sent) -> None:
-        key = self._flooded_key if isinstance(answer, Flooded) else self._sent_key
-        self._to_bus(key, encode(answer), CONTROL)
+    def _tell(self, answer: Answer) -> None:
+        self._to_bus(self._keys[type(answer)], encode(answer), CONTROL)
 
 
 def _problem(app: str, priority: str) -> str:

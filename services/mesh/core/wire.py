@@ -52,6 +52,10 @@ class Reader:
         except UnicodeDecodeError:
             raise FrameError("overlay packet: a text is not UTF-8") from None
 
+    def octets(self) -> bytes:
+        """The next bytes behind their length, u8."""
+        return self._text(255)
+
     def end(self) -> None:
         """Nothing may follow."""
         if self.at != len(self._data):

@@ -1,0 +1,246 @@
+"""`swarm measure rssi`: the bytes of the HCI, a stand-in for the kernel's raw HCI sockets, and what is said where a
+link has no radio. What this cannot show is a real controller's answer."""
+
+import argparse
+import errno
+import json
+import os
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm.cli.measuring import rssi
+from swarm.cli.measuring.rssi import Signal
+from swarm.core import hci
+from swarm.errors import FrameError, LocalError
+
+ADAPTERS = {0: "00:1A:7D:DA:71:13", 3: "B8:27:EB:00:00:0A"}
+PEER = "B8:27:EB:00:00:0B"
+HANDLE = 0x000B
+
+
+# -- bytes ---------------------------------------------------------------------------------------------------
+
+
+def test_golden_bytes() -> None:
+    """By the specification: opcode 0x1405, handle 11; -60 dB for it."""
+    assert hci.read_rssi(11) == bytes.fromhex("01 05 14 02 0b 00")
+    assert hci.reading(bytes.fromhex("04 0e 07 01 05 14 00 0b 00 c4")) == hci.Reading(0, 11, -60)
+    assert hci.reading(bytes.fromhex("04 0e 04 01 05 14 02")) == hci.Reading(2, 0, 0)
+    assert hci.reading(bytes.fromhex("04 0f 04 0c 01 05 14")) == hci.Reading(12, 0, 0)
+    assert hci.reading(bytes.fromhex("04 0e 04 01 03 0c 00")) is None, "another command's end"
+    assert hci.reading(bytes.fromhex("04 05 04 00 0b 00 13")) is None, "another event"
+    assert bytes(16) < hci.FILTER == bytes.fromhex("10000000 00c00000 00000000 0000 0000")
+    assert hci.packed_address("B8:27:EB:12:34:56") == bytes.fromhex("563412eb27b8")
+    assert (len(hci.connection_info(bytes(6))), len(hci.device_info(0)), len(hci.device_list())) == (24, 92, 132)
+
+
+@pytest.mark.parametrize("text", ["", "B8:27:EB:12:34", "B8:27:EB:12:34:56:78", "so what"])
+def test_what_is_no_address_is_said(text: str) -> None:
+    with pytest.raises(LocalError, match="expected six bytes"):
+        hci.packed_address(text)
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_are_an_answer_or_none_or_refused(packet: bytes) -> None:
+    with suppress(FrameError):
+        hci.reading(packet)
+
+
+@given(st.integers(0, 255), st.integers(0, 0xEFF), st.integers(-128, 127))
+def test_every_reading_comes_through(status: int, handle: int, value: int) -> None:
+    packet = struct.pack("<BBBBHBHb", hci.EVENT, hci.COMPLETE, 7, 1, hci.READ_RSSI, status, handle, value)
+    assert hci.reading(packet) == hci.Reading(status, handle, value)
+
+
+# -- the kernel's sockets, as far as they matter ---------------------------------------------------------------
+
+
+class Controller:
+    """Adapters and one connection; `answers` makes the packets that follow a command."""
+
+    def __init__(self) -> None:
+        self.connected = {hci.packed_address(PEER): HANDLE}
+        self.values = [-60]
+        self.answers: Callable[[int], list[bytes]] = self.in_order
+        self.bound: int | None = None
+        self.filtered = b""
+        self.sockets: list[HciSocket] = []
+
+    def in_order(self, handle: int) -> list[bytes]:
+        value = self.values.pop(0) if len(self.values) > 1 else self.values[0]
+        return [complete(handle, value)]
+
+    def open(self) -> "HciSocket":
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        made = HciSocket(self, ours.detach(), theirs)
+        self.sockets.append(made)
+        return made
+
+    def ioctl(self, sock: object, request: int, buffer: bytearray) -> int:
+        match request:
+            case hci.DEVICE_LIST:
+                buffer[:2] = struct.pack("<H", len(ADAPTERS))
+                for place, number in enumerate(ADAPTERS):
+                    buffer[4 + 8 * place : 6 + 8 * place] = struct.pack("<H", number)
+            case hci.DEVICE_INFO:
+                (number,) = struct.unpack_from("<H", buffer)
+                buffer[10:16] = hci.packed_address(ADAPTERS[number])
+            case hci.CONNECTION_INFO:
+                if buffer[6] != hci.ACL or bytes(buffer[:6]) not in self.connected:
+                    raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+                buffer[8:10] = struct.pack("<H", self.connected[bytes(buffer[:6])])
+        return 0
+
+
+class HciSocket(socket.socket):
+    def __init__(self, controller: Controller, fileno: int, other: socket.socket) -> None:
+        super().__init__(socket.AF_UNIX, socket.SOCK_SEQPACKET, 0, fileno)
+        self.controller = controller
+        self.other = other
+
+    def bind(self, address: object) -> None:
+        (self.controller.bound,) = address  # type: ignore[misc]
+
+    def setsockopt(self, level: int, option: int, value: object) -> None:  # type: ignore[override]
+        assert (level, option) == (hci.SOL_HCI, hci.HCI_FILTER)
+        self.controller.filtered = value  # type: ignore[assignment]
+
+    def send(self, data: bytes, flags: int = 0) -> int:  # type: ignore[override]
+        kind, opcode, length, handle = struct.unpack("<BHBH", data)
+        assert (kind, opcode, length) == (hci.COMMAND, hci.READ_RSSI, 2)
+        for packet in self.controller.answers(handle):
+            self.other.send(packet)
+        return len(data)
+
+    def close(self) -> None:
+        self.other.close()
+        super().close()
+
+
+def complete(handle: int, value: int, status: int = 0) -> bytes:
+    return struct.pack("<BBBBHBHb", hci.EVENT, hci.COMPLETE, 7, 1, hci.READ_RSSI, status, handle, value)
+
+
+@pytest.fixture
+def controller() -> Iterator[Controller]:
+    made = Controller()
+    yield made
+    for sock in made.sockets:
+        sock.close()
+
+
+def signal(controller: Controller, adapter: str = ADAPTERS[3]) -> Signal:
+    return Signal(adapter, PEER, open_socket=controller.open, ioctl=controller.ioctl)
+
+
+def test_the_adapter_of_the_address_is_asked(controller: Controller) -> None:
+    controller.values = [-60, -61, 5]
+    each = signal(controller)
+    assert (controller.bound, controller.filtered) == (3, hci.FILTER)
+    pauses: list[float] = []
+    assert rssi.sample(each, 3, pauses.append) == [-60, -61, 5]
+    assert pauses == [rssi.PERIOD] * 2
+
+
+def test_what_others_ask_the_adapter_is_not_taken_for_the_answer(controller: Controller) -> None:
+    noise = [complete(HANDLE + 1, -1), bytes.fromhex("04 0e 04 01 03 0c 00"), b"\x02", b"\x04\x0e\x00"]
+    controller.answers = lambda handle: [*noise, complete(handle, -47)]
+    assert signal(controller).read() == -47
+
+
+@pytest.mark.parametrize(
+    ("answers", "text"),
+    [
+        (lambda handle: [complete(handle, 0, hci.NO_CONNECTION)], "no connection to B8:27:EB:00:00:0B any more"),
+        (lambda handle: [bytes.fromhex("04 0f 04 01 01 05 14")], "HCI status 0x01"),
+        (lambda handle: [], r"does not answer \(0\.05 s\)"),
+    ],
+)
+def test_no_reading_is_said(
+    controller: Controller, answers: Callable[[int], list[bytes]], text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rssi, "TIMEOUT", 0.05)
+    controller.answers = answers
+    with pytest.raises(LocalError, match=text):
+        signal(controller).read()
+
+
+def test_no_connection_and_no_adapter_are_said(controller: Controller) -> None:
+    with pytest.raises(LocalError, match="no Bluetooth adapter here has the address 00:00:00:00:00:01"):
+        signal(controller, "00:00:00:00:00:01")
+    each = signal(controller)
+    controller.connected.clear()
+    with pytest.raises(LocalError, match="there is no Bluetooth connection to B8:27:EB:00:00:0B"):
+        each.read()
+
+
+# -- the command -----------------------------------------------------------------------------------------------
+
+CONFIG = """\
+network = "test"
+[[robots]]
+name = "r0"
+bluetooth = "B8:27:EB:00:00:0A"
+[[robots]]
+name = "r1"
+bluetooth = "B8:27:EB:00:00:0B"
+[[robots]]
+name = "r2"
+link = "tcp:127.0.0.1:4100"
+[topology]
+edges = [["r0", "r1"], ["r0", "r2"]]
+[mesh]
+insecure = true
+"""
+
+
+@pytest.fixture
+def args(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> argparse.Namespace:
+    (runtime / "swarm.toml").write_text(CONFIG)
+    monkeypatch.setenv("SWARM_CONFIG", str(runtime / "swarm.toml"))
+    return argparse.Namespace(count=3, json=True, plot=None)
+
+
+def test_readings_are_printed(
+    args: argparse.Namespace,
+    controller: Controller,
+    runtime: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    made = Signal
+    monkeypatch.setattr(rssi, "PERIOD", 0.0)
+    monkeypatch.setattr(rssi, "Signal", lambda *each: made(*each, open_socket=controller.open, ioctl=controller.ioctl))
+    controller.values = [-60, -58, -62]
+    assert rssi.run(args, "r0", "r1", runtime / "r0") == 0
+    assert json.loads(capsys.readouterr().out)["rssi"] == [-60, -58, -62]
+    args.json, args.plot = False, runtime / "rssi.png"
+    monkeypatch.setenv("MPLCONFIGDIR", str(runtime))
+    assert rssi.run(args, "r0", "r1", runtime / "r0") == 0
+    assert "min -62, median -62, mean -62.0, max -62" in capsys.readouterr().out
+    assert args.plot.stat().st_size > 1000
+
+
+def test_a_link_without_a_radio_is_said(args: argparse.Namespace, runtime: Path) -> None:
+    with pytest.raises(LocalError, match=r"r0 - r2: this link has no radio: r2 is reached by tcp:127\.0\.0\.1:4100"):
+        rssi.run(args, "r0", "r2", runtime / "r0")
+    with pytest.raises(LocalError, match="r2 is not a neighbour of r1, it has r0"):
+        rssi.run(args, "r1", "r2", runtime / "r1")
+
+
+def test_a_kernel_without_bluetooth_is_said(
+    args: argparse.Namespace, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
+
+    monkeypatch.setattr(rssi, "Signal", refuse)
+    with pytest.raises(LocalError, match="this kernel has no Bluetooth"):
+        rssi.run(args, "r0", "r1", runtime / "r0")
