@@ -11,6 +11,7 @@ AREAS = {
     "start": "all robots at once until all links are up, beside the time a radio takes to connect",
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
+    "localization": "the pose of a moving robot beside moving averages and multilateration, and what it costs",
     "footprint": "proportional memory of one robot's processes",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
 }
