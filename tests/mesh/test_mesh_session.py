@@ -144,7 +144,6 @@ def test_a_stopping_mesh_says_so() -> None:
         (hello(network="other"), "refused_network", "network 'other', ours is 'lab'"),
         (hello("r9"), "refused_robot", "robot r9 is not in our configuration"),
         (hello("r1"), "refused_robot", "which is our own name"),
-        (hello("r2"), "refused_not_neighbour", "robot r2 is not our neighbour"),
         (hello(insecure=False), "refused_security", "we are insecure and it is not"),
         (hello(key_ids=(4,)), "bad_frames", "none when insecure"),
         (hello(dialler=False), "refused_role", "both ends claim the same role"),
