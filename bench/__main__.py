@@ -12,6 +12,7 @@ AREAS = {
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "footprint": "proportional memory of one robot's processes",
+    "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
 }
 
