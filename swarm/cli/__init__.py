@@ -20,6 +20,7 @@ VERBS = ("arm", "config", "key", "kill", "lay", "measure", "mesh", "press", "pus
 """Modules of this package."""
 
 HANDED_ON = {
+    "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),

@@ -7,7 +7,8 @@ if both ends report it; of our own links we know better. An LSA that was not rep
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from functools import lru_cache
 
 from services.mesh.core.packets import Advertisement, decode_advertisement, encode_advertisement
 from services.mesh.core.routing import Edge, Route, routes
@@ -93,6 +94,12 @@ class _Known:
         self.incarnation = incarnation
         self.advertisement = advertisement
         self.heard = heard
+
+
+@lru_cache(maxsize=1024)
+def _edge(metric: str, time: int) -> Edge:
+    # Times come in steps, so a large map has many equal edges.
+    return Edge(1 if metric == HOPS else time, time)
 
 
 class LinkState:
@@ -234,6 +241,10 @@ class LinkState:
             graph[name] = edges
         return graph
 
+    def told(self) -> dict[str, Collection[str]]:
+        """The neighbours that each of the others says it has a link to."""
+        return {name: known.advertisement.neighbours for name, known in self._known.items()}
+
     def links(self, name: str) -> dict[str, int]:
         """The links that a robot says it has, and their one-way times in units of 0.1 ms; this robot's as they are."""
         if name == self._me:
@@ -254,8 +265,7 @@ class LinkState:
     # -- inside ------------------------------------------------------------------------------------------------
 
     def _edge(self, time: int, back: int) -> Edge:
-        time = max(time, back)
-        return Edge(1 if self._metric == HOPS else time, time)
+        return _edge(self._metric, max(time, back))
 
     def _changed(self) -> None:
         self._routes = None

@@ -330,7 +330,7 @@ class Overlays:
         self._look_at = _NEVER
         incarnations = {name: self._flood.known(name) for name in self._robots}
         left = [name for name in self._robots if self._map.has_left(name)]
-        if self._membership.look(self._map.routes(), self._map.graph(), incarnations, left, now):
+        if self._membership.look(self._map.routes(), self._map.told(), incarnations, left, now):
             self._members_at = now
 
     def _admits_message(self, sender: str, key: str) -> bool:

@@ -163,7 +163,11 @@ def encode_spread(packet: Spread) -> bytes:
 
 
 def decode_spread(data: bytes) -> Spread:
-    """A SPREAD packet."""
+    """A SPREAD packet. It comes once from each neighbour: a small one is taken apart only the first time."""
+    return _decode_small_spread(data) if len(data) <= _SMALL else _decode_spread(data)
+
+
+def _decode_spread(data: bytes) -> Spread:
     if len(data) < _SPREAD.size:
         raise FrameError(f"SPREAD of {len(data)} bytes: it has at least {_SPREAD.size}")
     _, flags, incarnation, sequence = _SPREAD.unpack_from(data)
@@ -178,6 +182,12 @@ def decode_spread(data: bytes) -> Spread:
         if not 0 < first < sequence:
             raise FrameError(f"SPREAD {sequence} claims to repeat {first}")
     return Spread(incarnation, sequence, data[at:], bool(flags & 1), bool(flags & 2), first)
+
+
+_SMALL = 256
+"""Bytes of a SPREAD that is remembered: of 256 such 130 kB at most, with the payload twice."""
+
+_decode_small_spread = lru_cache(maxsize=256)(_decode_spread)
 
 
 def encode_echo(packet: Echo) -> bytes:
