@@ -35,6 +35,8 @@ class World:
         fallen = False
         while data := self._socket.recv(1024):
             pose = msgpack.unpackb(data)
+            if "t" not in pose:
+                continue  # the body's question where it had been before
             self.tilts.append((pose["t"], pose["tilt"]))
             before, fallen = fallen, abs(pose["tilt"]) > FALLEN
             self.falls += fallen and not before
