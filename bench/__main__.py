@@ -10,8 +10,10 @@ AREAS = {
     "cpu": "CPU time of one robot's bus, mesh and app for 100 lockstep iterations",
     "start": "all robots at once until all links are up, beside the time a radio takes to connect",
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
+    "balancer": "lateness of the 100 Hz loop under load, beside cyclictest (needs the package rt-tests)",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "footprint": "proportional memory of one robot's processes",
+    "dwm": "the UWB service: memory, and CPU time and allocations of an update",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
 }
 

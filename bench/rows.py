@@ -21,8 +21,8 @@ class Row:
     unit: str
     limit: float
     """The physical limit, the budget, or what a rival took in the same run; same unit."""
-    goal: float
-    """The largest good ratio."""
+    goal: float | None
+    """The largest good ratio; None where the figure is told and not judged."""
 
     @property
     def ratio(self) -> float:
@@ -32,7 +32,7 @@ class Row:
     @property
     def ok(self) -> bool:
         """Whether the goal was reached; a figure that could not be measured (nan) never is."""
-        return self.ratio <= self.goal
+        return self.goal is None or self.ratio <= self.goal
 
     def json(self) -> str:
         """The row as one JSON object; what could not be measured is null."""
@@ -43,8 +43,9 @@ class Row:
 
     def text(self) -> str:
         """The row for people."""
-        verdict = "ok" if self.ok else "MISSED"
+        verdict = "told" if self.goal is None else "ok" if self.ok else "MISSED"
+        goal = "-" if self.goal is None else f"{self.goal:.3g}"
         return (
             f"{self.name:<44} {self.value:>10.4g} {self.unit:<6} limit {self.limit:>8.4g}  "
-            f"ratio {self.ratio:>6.3f}  goal {self.goal:>5.3g}  {verdict}"
+            f"ratio {self.ratio:>6.3f}  goal {goal:>5}  {verdict}"
         )

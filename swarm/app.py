@@ -30,11 +30,12 @@ from swarm.config.types import Anchor
 from swarm.core.graph import Graph
 from swarm.core.state import Field, Item, Schema, field_of
 from swarm.errors import AppError
-from swarm.messages import Flooded, Measurement, Sent
+from swarm.messages import Flooded, Measurement, Range, Sent
 
 if TYPE_CHECKING:  # brings the bus along, which a step in virtual time does without
     from swarm.mesh_clock import MeshClock
     from swarm.overlays import Handle, Message, Overlays
+    from swarm.ranging import Ranging
 
 WEIGHTS = ("metropolis", "row")
 """Consensus weights: Metropolis (symmetric, the mean) or row-normalised adjacency (thesis rule 4.1)."""
@@ -116,6 +117,8 @@ class Robot:
     """Where the app runs on a robot's bus: messages to the whole swarm, or to one robot (docs/overlays.md)."""
     mesh_clock: "MeshClock | None" = None
     """Likewise: the swarm's common time."""
+    ranging: "Ranging | None" = None
+    """Likewise: distances by UWB."""
 
     def __post_init__(self) -> None:
         self._measurement: Measurement | None = None
@@ -153,6 +156,23 @@ class Robot:
         if self.mesh_clock is None:
             raise AppError("robot.clock needs a bus: it is there when the app runs on a robot")
         return self.mesh_clock
+
+    @property
+    def ranges(self) -> tuple[Range, ...]:
+        """The newest UWB ranges, to anchors and to robots that carry one; none older than a second. See `clock`."""
+        return self._ranging().ranges
+
+    def distance(self, robot: str) -> float | None:
+        """The measured distance to another robot, m; None where neither has measured it within the last second: one of
+        the two modules has to be an anchor (docs/localization.md). See `clock`."""
+        if robot not in self.swarm:
+            raise AppError(f"robot.distance({robot!r}): there is no such robot")
+        return self._ranging().distance(robot)
+
+    def _ranging(self) -> "Ranging":
+        if self.ranging is None:
+            raise AppError("robot.ranges and distance need a bus: they are there when the app runs on a robot")
+        return self.ranging
 
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> "Handle[Flooded]":
         """Carry a payload to the same app on all robots; with `announce` all learn when all have it. A step must not

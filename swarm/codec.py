@@ -36,7 +36,7 @@ _Check = Callable[[object, str], Any]
 def encode(message: object) -> bytes:
     """Pack a message dataclass into a msgpack map of its fields, nested dataclasses too."""
     try:
-        data: bytes = msgpack.packb(_plain(message))
+        data: bytes = msgpack.packb(message, default=_plain)
     except (TypeError, ValueError, OverflowError) as error:
         raise LocalError(f"{type(message).__name__}: {error}") from None
     if len(data) > MAX_PAYLOAD:
@@ -62,14 +62,19 @@ def unpack(payload: bytes) -> Any:
         raise PayloadError(f"payload is not msgpack: {str(error) or type(error).__name__}") from None
 
 
-def _plain(value: object) -> object:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, (tuple, list)):
-        return [_plain(item) for item in value]
+def _plain(value: object) -> dict[str, object]:
+    """What msgpack itself does not know. It comes back for what is nested."""
+    kind = type(value)
+    if dataclasses.is_dataclass(kind):
+        return {name: getattr(value, name) for name in _names(kind)}
     if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    return value
+        return dict(value)
+    raise TypeError(f"cannot carry a {kind.__name__}")
+
+
+@cache
+def _names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 @cache

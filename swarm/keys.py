@@ -5,6 +5,7 @@ What a robot publishes carries its own name. Commands to a robot go to `swarm/<r
 """
 
 import re
+from functools import lru_cache
 from typing import NamedTuple
 
 from swarm.errors import LocalError, PayloadError
@@ -41,8 +42,9 @@ def key(robot: str, service: str, *topic: str) -> str:
     return "/".join(parts)
 
 
+@lru_cache(maxsize=2048)
 def parse(text: str) -> Key:
-    """Take a concrete key from the bus or from a peer apart.
+    """Take a concrete key from the bus or from a peer apart. The same keys come again and again: those are remembered.
 
     Raises `PayloadError` for a key that is too long, is not below `swarm/`, or has wildcards or odd letters.
     """

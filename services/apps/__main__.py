@@ -18,6 +18,7 @@ from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import LocalError
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
+from swarm.ranging import Ranging
 from swarm.service import Service, run
 
 FAULT = 3
@@ -41,6 +42,7 @@ def main() -> int:
         instance.robot.overlays = Overlays(service.bus, service.robot, app.name)
         instance.robot.overlays.collect()
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
+        instance.robot.ranging = Ranging(service.bus, service.robot)
         runner = Runner(instance, app.source)
         record = os.environ.get("SWARM_RECORD")
         host = Host(service, app.name, runner, number, options.iterations, Path(record) if record else None)

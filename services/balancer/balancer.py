@@ -46,7 +46,7 @@ class Balancer:
         settings: Balancing | None = None,
     ) -> None:
         """`start_mode` is obeyed once the gyro's zero is known; `sleep` waits for the ATmega, 150 us at most."""
-        self._bus = bus
+        self.bus = bus
         self.imu = Imu(bus)
         self.balboa = Balboa(bus, clock, sleep)
         self._body = body
@@ -284,7 +284,7 @@ class Balancer:
             found = self.balboa.set_up()
         except (OSError, RemoteError) as error:
             self._bus_errors += 1
-            self._bus.recover()
+            self.bus.recover()
             fault = _described(error)
             if fault != self._unreachable:
                 _log.error("the robot's devices do not answer: %s", fault.reason)
@@ -306,7 +306,7 @@ class Balancer:
         self._bus_errors += 1
         self._errors_in_row += 1
         if isinstance(error, OSError):
-            self._bus.recover()
+            self.bus.recover()
         if self._errors_in_row < TOLERATED_ERRORS:
             return
         fault = _described(error)

@@ -11,17 +11,19 @@ from collections.abc import Callable, Sequence
 
 from services.balancer.balancer import Balancer
 from services.balancer.core import imu
+from services.balancer.core.balboa import PAUSE_S
 from services.balancer.core.buttons import ButtonCounter
 from services.balancer.core.display import ADDRESS, Screen
 from services.balancer.core.health import Health
 from services.balancer.core.mailbox import Mailbox
+from services.balancer.core.rates import RateMeter
 from services.balancer.core.screen import ScreenText
-from services.balancer.core.transfers import Chore, duration
+from services.balancer.core.transfers import Chore, Transfer, duration
 from services.balancer.core.tune import Player
 from services.balancer.core.uwb import UwbReader
 from services.balancer.link import Message
 from swarm.errors import RemoteError
-from swarm.messages import Display, ImuRequest, ImuSample, ModuleRequest, SetNotes
+from swarm.messages import Display, ImuRequest, ImuSample, MeasureI2C, ModuleRequest, SetNotes
 
 SLACK_S = 4.4e-3
 """Of bus time a tick may spend here: the longest slice (32 bytes from the ATmega, 4.2 ms) and no second one. With the
@@ -46,6 +48,7 @@ class Chores:
         self._player = Player()
         self._screen = Screen(now)
         self._order: tuple[Chore, ...] = (self._player, self._uwb, self._mailbox, self._health, self._screen)
+        self._meter = RateMeter()
         self._lines: tuple[str, ...] = ()
         self._shown: tuple[bool, tuple[str, ...]] | None = None
         """What was told of the display."""
@@ -67,6 +70,8 @@ class Chores:
                 self._imu_period, self._imu_until, self._imu_next = 1.0 / rate, now + seconds, now
             case SetNotes():
                 self._player.play(message, now)
+            case MeasureI2C():
+                self._meter.measure(message)
             case ScreenText(lines):
                 self._lines = lines
                 self._screen.show(lines)
@@ -94,7 +99,7 @@ class Chores:
             balancer.battery = self._health.found.battery
         if (display := self._display(now)) is not None:
             news.append(display)
-        for chore in (self._health, self._uwb, self._mailbox):
+        for chore in (self._health, self._uwb, self._mailbox, self._meter):
             if chore.news is not None:
                 news.append(chore.news)
                 chore.news = None
@@ -114,6 +119,23 @@ class Chores:
                     self._failed(chore, error, now)
                 except RemoteError as error:
                     self._failed(chore, OSError(errno.EBADMSG, str(error)), now)
+        transfer = None if self._mailbox.active else self._meter.next(now := self._clock())
+        if transfer is not None and duration(transfer) + PAUSE_S <= budget:
+            self._measure(transfer, now)
+
+    def _measure(self, transfer: Transfer, now: float) -> None:
+        """Like any transfer, but timed until the next one may begin."""
+        balboa, bus = self._balancer.balboa, self._balancer.bus
+        balboa.settle()
+        begun = self._clock() + bus.untimed()
+        try:
+            data = balboa.transfer(transfer)
+        except OSError as error:
+            self._failed(self._meter, error, now)
+            return
+        balboa.settle()
+        self._meter.timed(self._clock() + bus.untimed() - begun)
+        self._meter.take(data, now)
 
     def _failed(self, chore: Chore, error: OSError, now: float) -> None:
         if chore is not self._screen or self._screen.present:  # a robot without a display is a whole robot

@@ -98,6 +98,10 @@ class Balboa:
         self._write(transfer.data)
         return self._fetch(transfer.reads) if transfer.reads else b""
 
+    def settle(self) -> None:
+        """Wait until the ATmega may be spoken to again."""
+        self._pause()
+
     def _write_surely(self, data: bytes) -> None:
         try:
             self._write(data)

@@ -16,9 +16,11 @@ from swarm.messages import (
     Battery,
     Buttons,
     Display,
+    I2CRates,
     ImuRequest,
     ImuSample,
     Leds,
+    MeasureI2C,
     ModuleAnswer,
     ModuleRequest,
     Notice,
@@ -46,9 +48,21 @@ Told = (
     | ModuleAnswer
     | ImuSample
     | Display
+    | I2CRates
 )
 """By the loop."""
-Command = SetMode | SetVelocity | SetParameters | SetLeds | Stop | ModuleRequest | ImuRequest | SetNotes | ScreenText
+Command = (
+    SetMode
+    | SetVelocity
+    | SetParameters
+    | SetLeds
+    | Stop
+    | ModuleRequest
+    | ImuRequest
+    | SetNotes
+    | ScreenText
+    | MeasureI2C
+)
 """By the bridge."""
 Message = Told | Command
 

@@ -13,6 +13,7 @@ from swarm.keys import key
 from swarm.messages import ModuleAnswer, Uwb, read
 from swarm.service import Service
 
+_WATCHDOG_PERIOD = 1.0
 _POLL = 0.25
 """s between looks at whether to stop: a signal does not wake a queue."""
 
@@ -35,6 +36,7 @@ def serve(service: Service) -> None:
     bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
     requests = Requests(service, lambda: arrived.put(None), repeats=True)
     block, localizer = Block(clock.now()), Localizer(service)
+    watchdog_at = clock.now()
     service.ready()
     while not service.stopping.is_set():
         try:
@@ -53,7 +55,9 @@ def serve(service: Service) -> None:
                 service.degraded(event.reason)
             else:
                 localizer.report(event.location, now - event.age)
-        service.watchdog()
+        if now >= watchdog_at:
+            service.watchdog()
+            watchdog_at = now + _WATCHDOG_PERIOD
 
 
 def _pass_on(service: Service, requests: Requests) -> None:

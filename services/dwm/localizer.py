@@ -1,12 +1,15 @@
 """What all live sources do with a module's answers: pipeline, odometry from the balancer, messages on the bus."""
 
 import queue
+from logging import INFO, WARNING
 from pathlib import Path
 
 from services.dwm.core import calibration_file
 from services.dwm.core.calibration import Calibration, RangeModel
+from services.dwm.core.diagnosis import Watch
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.tlv import Location
+from swarm import clock
 from swarm.codec import decode
 from swarm.config import Config
 from swarm.errors import ConfigError, PayloadError
@@ -45,6 +48,14 @@ def load_calibration(config: Config, robot: str) -> Calibration:
     return file.over(normal)
 
 
+def known_modules(config: Config) -> dict[str, str]:
+    """What modules besides the anchors are, by address."""
+    known = dict(config.robots_by_module)
+    if config.dwm.target is not None:
+        known.setdefault(config.dwm.target, "target")
+    return known
+
+
 class Localizer:
     """Turns a module's answers into `dwm/ranges` and `dwm/pose`."""
 
@@ -60,6 +71,9 @@ class Localizer:
             calibration=load_calibration(config, robot),
             anchors=config.anchors,
         )
+        # An anchor ranges to nobody, so its answers say nothing.
+        is_tag = config.robot(robot).uwb_role == "tag"
+        self._watch = Watch(config.anchors, known_modules(config), clock.now()) if is_tag else None
         self._odometry: queue.SimpleQueue[Odometry] = queue.SimpleQueue()
         self._last: Odometry | None = None
         if kind in ("auto", "ekf"):
@@ -71,6 +85,9 @@ class Localizer:
         ranges, pose = self._pipeline.report(location, when)
         service = self._service
         service.counters["reports"] += 1
+        for finding in self._watch.report(location, when) if self._watch else ():
+            level = WARNING if finding.fatal else INFO
+            service.log.log(level, "%s: %s; %s", finding.code, finding.text, finding.remedy)
         service.counters.update(self._pipeline.dropped())
         service.counters["filter_restarts"] = self._pipeline.tracker.restarts
         service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)

@@ -18,9 +18,11 @@ from typing import Any
 from services.dwm import configure, survey
 from services.dwm.configure import ModuleInfo, Wish
 from services.dwm.core import calls, diagnosis
+from services.dwm.core.calibration import RangeModel
 from services.dwm.core.diagnosis import Finding
 from services.dwm.core.tlv import Location, Position
 from services.dwm.line import BusLine, Line, NoAnswerError, PortLine
+from services.dwm.localizer import known_modules, load_calibration
 from swarm.cli import buses
 from swarm.config import Config, load
 from swarm.config.load import DEFAULT_PATH
@@ -230,12 +232,14 @@ def findings_of(line: Line, config: Config | None, seconds: float) -> list[Findi
         locations = survey.sample(line, seconds, _wait)
     except NoAnswerError as error:
         return [diagnosis.of_trouble(error.trouble)]
-    known = dict(config.robots_by_module)
-    if config.dwm.target is not None:
-        known[config.dwm.target] = "target"
-    return found + diagnosis.of_locations(
-        locations, config.anchors, known=known, own=info.address, calibrate=_calibrate(config)
-    )
+    robot = line.name if isinstance(line, BusLine) else config.robots_by_module.get(info.address)
+    try:
+        calibrate = _calibrate(config, robot)
+    except ConfigError as error:
+        found.append(Finding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robot {robot}`"))
+        calibrate = _calibrate(config, None)
+    found += diagnosis.of_answers(locations, config.anchors, known_modules(config), info.address)
+    return found + diagnosis.of_standing(locations, config.anchors, config.dwm.height, calibrate)
 
 
 # -- anchors -----------------------------------------------------------------------------------------------------
@@ -245,13 +249,14 @@ def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Li
     if args.auto:
         from services.dwm.layout import lay_out  # needs numpy, which no robot has
 
-        return lay_out(args, config, lines, _calibrate(config), _wait)
+        return lay_out(args, config, lines, _calibrate(config, args.robot), _wait)
     if args.ranges:
         raise LocalError("--ranges goes with --auto")
     told: dict[str, Any] = {}
     for line in lines:
         try:
-            told[line.name] = _seen(survey.sample(line, args.seconds or SECONDS, _wait), config)
+            robot = line.name if isinstance(line, BusLine) else None
+            told[line.name] = _seen(survey.sample(line, args.seconds or SECONDS, _wait), config, robot)
         except NoAnswerError as error:
             told[line.name] = {"problem": str(error)}
     if args.json:
@@ -262,9 +267,9 @@ def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Li
     return 1 if any("problem" in rows or len(rows) < diagnosis.ENOUGH for rows in told.values()) else 0
 
 
-def _seen(locations: Sequence[Location], config: Config | None) -> dict[str, dict[str, Any]]:
+def _seen(locations: Sequence[Location], config: Config | None, robot: str | None) -> dict[str, dict[str, Any]]:
     """By address: distance, how often, where it says it is, where swarm.toml has it."""
-    calibrate = _calibrate(config)
+    calibrate = _calibrate(config, robot)
     listed = {anchor.address: anchor for anchor in config.anchors} if config else {}
     robots = config.robots_by_module if config else {}
     rows: dict[str, dict[str, Any]] = {}
@@ -296,9 +301,13 @@ def _table(rows: dict[str, dict[str, Any]]) -> Iterator[str]:
         ).rstrip()
 
 
-def _calibrate(config: Config | None) -> survey.Calibrate:
-    model = config.dwm.distance if config else None
-    return lambda _, measured: measured if model is None else max(0.0, model.gain * measured + model.offset)
+def _calibrate(config: Config | None, robot: str | None) -> survey.Calibrate:
+    """Raises `ConfigError` where the robot's calibration does not fit."""
+    if config is None:
+        model = RangeModel()
+    else:
+        model = load_calibration(config, robot).ranges if robot else RangeModel.of(config.dwm.distance)
+    return lambda _, measured: model.distance(measured)
 
 
 def _wait(seconds: float) -> None:

@@ -18,17 +18,21 @@ from swarm.errors import LocalError, SwarmError
 
 VERBS = (
     "arm", "command", "config", "deploy", "estop", "key", "kill", "lay", "logs", "measure", "mesh", "press", "push",
-    "restart", "run", "start", "status", "stop",
+    "restart", "run", "start", "status", "stop", "topology",
 )  # fmt: skip
 """Modules of this package."""
 
 HANDED_ON = {
+    "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
 }
 """Verb: its help, and the module and first arguments that it becomes."""
+
+KINDS = {("measure", "i2c"): "i2c"}
+"""A verb's first argument that makes it another module of this package."""
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
@@ -60,14 +64,17 @@ def _main(argv: list[str]) -> int:
         sys.stdout.write(f"swarm {__version__}\n")
         return 0
     if verb in HANDED_ON:
-        module, *first = HANDED_ON[verb][1]
+        program, *first = HANDED_ON[verb][1]
         sys.stdout.flush()
-        os.execv(sys.executable, [sys.executable, "-m", module, *first, *rest])  # noqa: S606 - our own service
+        os.execv(sys.executable, [sys.executable, "-m", program, *first, *rest])  # noqa: S606 - our own service
     if verb not in VERBS:
         near = difflib.get_close_matches(verb, [*VERBS, *HANDED_ON], n=1)
         hint = f"did you mean {near[0]}?" if near else f"there are {', '.join([*VERBS, *HANDED_ON])}"
         raise LocalError(f"no command {verb!r}; {hint}")
-    command = importlib.import_module(f"swarm.cli.{verb}")
+    module = KINDS.get((verb, rest[0] if rest else ""), verb)
+    if module != verb:
+        verb, rest = f"{verb} {rest[0]}", rest[1:]
+    command = importlib.import_module(f"swarm.cli.{module}")
     parser = argparse.ArgumentParser(prog=f"swarm {verb}", description=command.HELP)
     command.add_arguments(parser)
     code: int = command.run(parser.parse_args(rest))

@@ -159,6 +159,37 @@ class Display:
     """The first one is large."""
 
 
+@dataclass(frozen=True, slots=True)
+class MeasureI2C:
+    """Command on `balancer/set/i2c`: time reads from and writes to the ATmega, in the slack of the ticks."""
+
+    ticket: str
+    """Names the request; the answer carries it."""
+    size: int
+    """Bytes of a transfer, 1 to 28, without the index."""
+    count: int
+    """Transfers of each kind, 1 to 1000."""
+
+
+@dataclass(frozen=True, slots=True)
+class I2CRates:
+    """The answer, on `balancer/i2c`."""
+
+    t: float
+    ticket: str
+    size: int
+    count: int
+    """Transfers of each kind that were timed."""
+    failed: int
+    """Transfers that failed; they are not in the rates."""
+    read: float | None
+    """bit/s of data: select, pause, read, pause. None where none succeeded."""
+    write: float | None
+    """bit/s of data: write, pause."""
+    problem: str
+    """Why it was given up; empty otherwise."""
+
+
 TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "uwb"): Uwb,
     ("balancer", "module"): ModuleAnswer,
@@ -170,5 +201,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "set/notes"): SetNotes,
     ("balancer", "set/display"): SetDisplay,
     ("balancer", "display"): Display,
+    ("balancer", "set/i2c"): MeasureI2C,
+    ("balancer", "i2c"): I2CRates,
 }
 """Message type of each key, by (service, topic)."""

@@ -1,5 +1,6 @@
 """The real processes: body, bridge, router. How they start, what they say, how they end."""
 
+import json
 import os
 import signal
 import socket
@@ -15,7 +16,23 @@ import pytest
 from conftest import Processes, stop, wait_until
 
 from swarm.bus import Bus
-from swarm.messages import BalancerState, Leds, SetLeds, SetMode, Stop, read
+from swarm.messages import (
+    AppState,
+    BalancerState,
+    ImuRequest,
+    Leds,
+    MeasureI2C,
+    ModuleRequest,
+    Note,
+    SetDisplay,
+    SetLeds,
+    SetMode,
+    SetNotes,
+    SetParameters,
+    SetVelocity,
+    Stop,
+    read,
+)
 
 RECORDING = str(Path(__file__).with_name("recording_body.py"))
 
@@ -37,6 +54,10 @@ class Watcher:
     def wait_mode(self, mode: str) -> BalancerState:
         wait_until(lambda: self.last() is not None and self.last().mode == mode, 20, f"mode {mode}: {self.last()}")
         return self.last()
+
+    @staticmethod
+    def body_pid(processes: Processes) -> int:
+        return processes._started[-1].pid
 
     def command(self, what: str, message: object) -> None:
         self.bus.publish(f"swarm/r0/balancer/set/{what}", message)
@@ -118,6 +139,44 @@ def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, w
     assert after.mode == "balancing"
     # It ticked on while nobody listened: by the loop's own time, nothing is missing but what it says was missed.
     assert after.ticks + after.missed - before.ticks - before.missed == pytest.approx((after.t - before.t) * 100, abs=2)
+
+
+def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher: Watcher) -> None:
+    processes.start("-m", "services.sim.body")
+    watcher.wait_mode("calibrating")
+    watcher.command("velocity", SetVelocity(0.1, 0.0, 1.0))
+    wait_until(lambda: watcher.heard["notice"], what="a notice")
+    assert watcher.last("notice").text == (
+        "refused: velocity: only a balancing robot drives, this one is calibrating"
+    ) or watcher.last("notice").text.endswith("this one is idle")
+    watcher.wait_mode("balancing")
+
+    start = watcher.last("odometry").x
+    watcher.command("velocity", SetVelocity(0.2, 0.0, 5.0))
+    wait_until(lambda: watcher.last().demanded_speed == 0.2, what="it drives")
+    wait_until(lambda: watcher.last("odometry").x > start + 0.3, 20, "it has gone somewhere")
+    (bridge,) = [pid for pid in children(watcher.body_pid(processes)) if alive(pid)]
+    os.kill(bridge, signal.SIGKILL)
+    # Who commanded is gone with it: the speed runs out, and the robot stands.
+    count = len(watcher.heard["state"])
+    wait_until(lambda: len(watcher.heard["state"]) > count + 2 and watcher.last().demanded_speed == 0.0, 20)
+    assert watcher.last().mode == "balancing"
+
+    watcher.heard["notice"].clear()
+    for what, payload, word in (
+        ("velocity", {"speed": float("nan"), "turn_rate": 0.0, "seconds": 1.0}, "finite"),
+        ("velocity", SetVelocity(0.1, 0.0, 1e9), "seconds"),
+        ("velocity", SetVelocity(3.0, 0.0, 0.1), "above the limit"),
+        ("mode", SetMode("dance"), "expected one of"),
+        ("mode", SetMode("calibrate"), "must be idle"),
+        ("parameters", SetParameters({"gain": 1.0}), "unknown"),
+    ):
+        watcher.command(what, payload if not isinstance(payload, dict) else msgpack.packb(payload))
+        wait_until(lambda: watcher.heard["notice"], what=f"a notice about {payload}")
+        notice = watcher.heard["notice"].pop()
+        assert notice.about == what
+        assert word in notice.text
+    assert watcher.last().mode == "balancing"
 
 
 def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
@@ -227,3 +286,58 @@ def test_a_wrong_seed_is_named(processes: Processes) -> None:
     process = processes.start("-m", "services.sim.body", SWARM_SEED="lucky")
     assert process.communicate(timeout=20)[1] == "body.py: SWARM_SEED='lucky': expected an integer\n"
     assert process.returncode == 2
+
+
+def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> None:
+    processes.start_ready("-m", "services.sim.body")
+    watcher.wait_mode("balancing")
+    wait_until(lambda: watcher.last("battery") is not None and watcher.last("battery").voltage == 7.4)
+    wait_until(lambda: watcher.last("buttons") is not None and watcher.last("buttons").presses_a == 0)
+    wait_until(lambda: watcher.last("uwb") is not None)
+    assert watcher.last("uwb").state == "silent", "no module is wired to this one"
+
+    wait_until(lambda: watcher.last("display") is not None and watcher.last("display").present, 20)
+    wait_until(lambda: watcher.last("display").lines[:2] == ("r0", "balancing       7.4 V"), 20)
+    watcher.bus.publish("swarm/r0/app/consensus/state", AppState(1.0, 3, {"value": 2.5}, {}))
+    wait_until(lambda: watcher.last("display").lines[3:] == ("consensus k=3", "value 2.5"), 20)
+    watcher.command("display", SetDisplay("hello"))
+    wait_until(lambda: watcher.last("display").lines[3:] == ("hello",), 20)
+
+    watcher.command("imu", ImuRequest(100.0, 0.5))
+    wait_until(lambda: len(watcher.heard["imu"]) > 40)
+    watcher.command("module", ModuleRequest("mine", b"\x08\x00"))
+    wait_until(lambda: watcher.last("module") is not None)
+    assert watcher.last("module").problem == "the module does not answer"
+    watcher.command("notes", SetNotes((Note(440.0, 0.1, 1.0),)))
+
+    refused = [
+        ("notes", SetNotes((Note(440.0, 9.0, 1.0),))),
+        ("imu", ImuRequest(1000.0, 1.0)),
+        ("module", ModuleRequest("x", b"\x08\x01")),
+        ("i2c", MeasureI2C("x", 99, 1)),
+        ("display", SetDisplay("x" * 1000)),
+    ]
+    for what, message in refused:
+        watcher.command(what, message)
+    replies: list[bytes] = []
+
+    def all_refused() -> bool:
+        watcher.bus.ask("swarm/r0/balancer/status", lambda _, payload: replies.append(payload))
+        found = [read("swarm/r0/balancer/status", reply).counters.get("refused") for reply in replies]
+        return len(refused) in found
+
+    wait_until(all_refused)
+    assert watcher.last().mode == "balancing"
+
+
+def test_swarm_measure_i2c_asks_the_balancer(processes: Processes, watcher: Watcher) -> None:
+    processes.start_ready("-m", "services.sim.body")
+    watcher.wait_mode("balancing")
+    command = [sys.executable, "-m", "swarm.cli", "measure", "i2c", "--sizes", "8", "--count", "20", "--json"]
+    done = subprocess.run(command, env=processes.environment(), capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    (found,) = json.loads(done.stdout)["sizes"]
+    assert (found["size"], found["count"], found["failed"]) == (8, 20, 0)
+    # 1.30 and 1.17 ms on the wire and in holds, two pauses and one; Python and its sleeps come on top, for real.
+    assert 5e3 < found["read"] < 8 * 8 / 1.60e-3
+    assert 20e3 < found["write"] < 8 * 8 / 1.32e-3

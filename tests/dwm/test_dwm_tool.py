@@ -7,12 +7,14 @@ import threading
 import tty
 
 import pytest
-from conftest import CONFIG
+from conftest import CONFIG, wait_until
 from dwm_rig import ANCHORS, DWM, working
 
 from services.dwm.core.calls import Settings, UpdateRate
 from services.dwm.core.tlv import Position
 from swarm import config as configuration
+from swarm.bus import Bus
+from swarm.ranging import Ranging
 
 ROBOTS = CONFIG.replace('name = "r1"', 'name = "r1"\nuwb = "DE01"\nuwb_role = "anchor"')
 
@@ -63,6 +65,18 @@ def test_a_robots_module_through_its_service(run, service, board):
     assert told["r0"]["D001"]["distance"] == pytest.approx(math.hypot(0.5, 1.5), abs=0.3)
     assert told["r0"]["D001"]["said"] == [0.0, 0.0, 0.0]
     assert told["r0"]["C933"]["listed"] is None
+
+
+def test_the_distance_to_a_robot_that_carries_an_anchor(run, service, board, runtime):
+    board.update_pose("r1", 0.6, 1.5, 0.0)
+    with Bus.of(runtime) as bus:
+        ranging = Ranging(bus, "r0")
+        wait_until(lambda: ranging.distance("r1") is not None, what="a distance")
+        assert ranging.distance("r1") == pytest.approx(0.1, abs=0.5)
+        assert {item.robot for item in ranging.ranges} == {None, "r1"}
+    code, told, _ = run("anchors", "--json", "--seconds", "1")
+    assert code == 0
+    assert told["r0"]["DE01"]["robot"] == "r1"
 
 
 def test_a_module_as_it_comes_is_set_up_over_the_bus(run, service, board):

@@ -7,8 +7,10 @@ from elf_robot import ElfRobot
 
 from services.balancer.balancer import Balancer
 from services.balancer.chores import Chores
+from services.balancer.core import balboa
 from services.balancer.core.body import body_model
 from services.balancer.core.lqr import PERIOD_S
+from services.balancer.i2c import NOBODY
 from services.dwm.core.tlv import AnchorRange, Location, Position, encode_location
 from swarm.config.types import Body
 from swarm.messages import Uwb
@@ -147,3 +149,51 @@ def test_a_firmware_that_restarts_is_named_and_survived(bench):
     standing.balancer.motors_off()
     bench.run(0.001)
     assert bench.motors() == (0.0, 0.0)
+
+
+def test_it_drives_and_lies_down_through_the_firmware(bench):
+    standing = upright(bench)
+    standing.balancer.drive(0.2, 1.0, 3.0, standing.robot.clock())
+    standing.run(2.0)
+    assert standing.balancer.mode == "balancing"
+    assert standing.robot.body.speed == pytest.approx(0.2, abs=0.1)
+    assert standing.robot.body.turn_rate == pytest.approx(1.0, abs=0.3)
+    standing.balancer.command("lie", standing.robot.clock())
+    standing.run(2.5)
+    assert (standing.balancer.mode, standing.balancer.posture) == ("idle", "front")
+    bench.run(0.001)
+    assert bench.motors() == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("manoeuvre", ["drive", "lie"])
+def test_a_balancer_that_dies_in_a_manoeuvre_leaves_motors_that_stop(bench, manoeuvre):
+    """kill -9 in the middle: the last motor write is the last thing the firmware hears."""
+    standing = upright(bench)
+    if manoeuvre == "drive":
+        standing.balancer.drive(0.5, 0.0, 10.0, standing.robot.clock())
+    else:
+        standing.balancer.command("lie", standing.robot.clock())
+    standing.run(0.1)
+    bench.run(0.001)
+    assert bench.motors() != (0.0, 0.0)
+    bench.run(0.205)
+    assert bench.motors() == (0.0, 0.0)
+
+
+def test_transfers_that_stop_in_the_middle_do_not_throw_it(bench):
+    """The Pi's master was reset in the middle of a read: the ATmega holds on for 30 ms, then drops it."""
+    standing = upright(bench)
+    for _ in range(5):
+        standing.run(0.5)
+        assert bench.call("i2c_abandon_read", balboa.ADDRESS) == 0
+        standing.run(0.5)
+    assert (standing.balancer.mode, standing.balancer.fault) == ("balancing", None)
+    assert standing.balancer.balboa.read_housekeeping().bus_resets in range(6)
+
+
+def test_nobody_answers_at_the_address_that_frees_the_bus(bench):
+    bench.i2c_stats()
+    with pytest.raises(OSError, match="I/O"):
+        bench.read(NOBODY, 1)
+    assert bench.i2c_stats().refused == 1
+    assert bench.number("VERSION") == balboa.LAYOUT_VERSION

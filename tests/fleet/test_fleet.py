@@ -73,13 +73,13 @@ def test_what_is_wrong_is_named_and_the_others_go_on(
     robots.add("r2", known=False)
     robots.add("r3", hook="kill -9 $PPID")
     robots.add("r4", hook="exec sleep 1000")
-    assert run("command", "echo here", "--timeout", "5", "--json") == 1
+    assert run("command", "echo here", "--timeout", "12", "--json") == 1
     found = {name: str(outcome["text"]) for name, outcome in outcomes(capsys).items()}
     assert found["r0"] == ""
     assert found["r1"] == "it runs no ssh server (or another port)"
     assert found["r2"] == "its host key has changed; if set up anew: ssh-keygen -R r2"
     assert "in the middle of it" in found["r3"]
-    assert found["r4"] == "not done within 5 s (--timeout)"
+    assert found["r4"] == "not done within 12 s (--timeout)"
 
 
 def test_services_are_started_by_their_names(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,7 +208,7 @@ def add_writes(home: Path, release: str) -> None:
     """A robot with this release, whose sudo only tells what it was to do."""
     for name, text in (
         ("readlink", f"echo /opt/swarm/releases/{release}"),
-        ("sudo", 'echo "$@" >> $HOME/log; cat >> $HOME/log'),
+        ("sudo", 'printf "%s\\n" "$*" >> $HOME/log; cat >> $HOME/log'),
     ):
         (home / "bin" / name).write_text(f"#!/bin/sh\n{text}\n")
         (home / "bin" / name).chmod(0o755)

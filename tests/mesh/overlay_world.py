@@ -6,8 +6,11 @@ import random
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
-from services.mesh.core.actions import Transmit
+from services.mesh.core.actions import LinkAction, Transmit
+from services.mesh.core.events import Received
+from services.mesh.core.linking import Start
 from services.mesh.core.overlays import Overlays
 from swarm.codec import decode
 from swarm.keys import parse
@@ -68,7 +71,9 @@ class World:
         self.bytes: Counter[int] = Counter()
         self.counting: Callable[[Transmit], int] = lambda packet: packet.overlay
         self._arrival: dict[tuple[str, str], float] = {}
-        self._schedule: list[tuple[float, int, Callable[[], None]]] = []
+        self._times: list[float] = []
+        self._calls: dict[float, list[Callable[[], None]]] = {}
+        """What happens at each time, in the order in which it was planned: large swarms do most things at once."""
         self._timers: dict[str, float] = {}
         self._order = itertools.count()
         self.watch: Callable[[str, str, Transmit], None] | None = None
@@ -89,6 +94,7 @@ class World:
             random=self.random.random,
             counters=counters,
             metric=self.metric,
+            start=self.beginning(name),
             admits_flood=lambda key: parse(key).service == "rule",
             admits_unicast=lambda sender, key: "set/allowed" in key,
         )
@@ -134,9 +140,12 @@ class World:
     def run(self, seconds: float) -> None:
         """Let time pass."""
         end = self.now + seconds
-        while self._schedule and self._schedule[0][0] <= end:
-            self.now, _, call = heapq.heappop(self._schedule)
-            call()
+        while self._times and self._times[0] <= end:
+            self.now = heapq.heappop(self._times)
+            calls = self._calls[self.now]
+            for call in calls:  # those that are added meanwhile, too
+                call()
+            del self._calls[self.now]
         self.now = end
 
     def settle(self, seconds: float = 2.0) -> None:
@@ -160,6 +169,8 @@ class World:
         for action in bot.overlays.actions():
             if isinstance(action, Transmit):
                 self._transmit(name, action)
+            elif not isinstance(action, Received):
+                self.obey(name, action)
             elif "/mesh/members" not in action.key:
                 bot.inbox.append((action.key, action.payload))
                 bot.times.append(self.now)
@@ -207,13 +218,26 @@ class World:
         """What has happened to members."""
         return [(change.robot, change.what) for change in self.bots[name].overlays.members(self.now).changes]
 
+    # -- for worlds in which robots choose their links --
+
+    def beginning(self, name: str) -> Start | None:
+        """What a robot knows of links; here that is the test's matter."""
+        return None
+
+    def obey(self, name: str, action: LinkAction) -> None:
+        """A robot wants another link, or one less."""
+        raise AssertionError(f"{name}: {action}")
+
     # -- the machinery --
 
     def _latency(self, a: str, b: str) -> float:
         return self.latencies.get(frozenset((a, b)), self.latency)
 
     def _at(self, time: float, call: Callable[[], None]) -> None:
-        heapq.heappush(self._schedule, (time, next(self._order), call))
+        if time not in self._calls:
+            self._calls[time] = []
+            heapq.heappush(self._times, time)
+        self._calls[time].append(call)
 
     def _arm(self, name: str) -> None:
         """Wake a robot at its next deadline; a wake-up that has become too early does no harm."""
@@ -259,7 +283,7 @@ class World:
         arrival = max(self.now + delay, self._arrival.get((name, packet.peer), 0.0))
         self._arrival[name, packet.peer] = arrival
         generation = edge.generation
-        self._at(arrival, lambda: self._receive(name, packet, edge, generation))
+        self._at(arrival, partial(self._receive, name, packet, edge, generation))
 
     def _receive(self, sender: str, packet: Transmit, edge: Edge, generation: int) -> None:
         if edge.generation != generation or not edge.up or packet.peer not in self.bots:

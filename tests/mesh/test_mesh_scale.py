@@ -4,6 +4,9 @@ Ring with chords, degree 4. An LSA or a flood without echo crosses 2E - (N - 1) 
 message and its answer take two messages a hop.
 """
 
+import gc
+from collections.abc import Iterator
+
 import networkx
 import pytest
 from overlay_world import DATA_OVERHEAD, World, small_world
@@ -12,6 +15,15 @@ from services.mesh.core import packets
 from services.mesh.core.actions import Transmit
 from services.mesh.core.frames import FLOOD
 from services.mesh.core.linkstate import REFRESH
+
+
+@pytest.fixture(autouse=True)
+def no_collector() -> Iterator[None]:
+    """Millions of objects live, none of them garbage: looking through them again and again takes most of the time."""
+    gc.disable()
+    yield
+    gc.enable()
+
 
 LSA, PLAIN, WAVE, MESSAGE, REPAIR = range(5)
 

@@ -75,6 +75,11 @@ class Mailbox:
         self._length = 0
         self._state = State.EMPTY
 
+    @property
+    def active(self) -> bool:
+        """Whether a request is under way."""
+        return self._request is not None
+
     def post(self, request: ModuleRequest, now: float) -> None:
         """Send a request that `check_request` accepted; while another one is under way it is refused by an answer."""
         if self._request is not None and request.ticket == self._request.ticket:

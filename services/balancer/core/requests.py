@@ -1,9 +1,10 @@
 """What commands to the devices must keep to. The bridge refuses what does not; the loop need not check again."""
 
 from services.balancer.core.mailbox import check_request
+from services.balancer.core.rates import check_measurement
 from services.balancer.core.tune import check_notes
 from swarm.errors import LocalError
-from swarm.messages import ImuRequest, ModuleRequest, SetDisplay, SetNotes
+from swarm.messages import ImuRequest, MeasureI2C, ModuleRequest, SetDisplay, SetNotes
 
 IMU_RATE = 100.0
 """Hz: the control loop's own."""
@@ -15,6 +16,8 @@ TEXT_LIMIT = 200
 def check(command: object) -> None:
     """Raises `LocalError` where a command to a device is out of range."""
     match command:
+        case MeasureI2C():
+            check_measurement(command)
         case ModuleRequest():
             check_request(command)
         case SetNotes():

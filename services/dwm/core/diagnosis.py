@@ -38,6 +38,9 @@ CONTRADICTION = 0.5
 TWO_PLACES = 0.6
 """m between the two halves of the ranges to one address, beyond which there are two modules of that address."""
 
+EACH = 5
+"""Ranges at least from each of them, and a fifth of all: ranges around an obstacle are not so many."""
+
 FEW = 0.5
 """Part of the answers in which a thing must be so to be told."""
 
@@ -127,28 +130,43 @@ def of_anchors(anchors: Sequence[Anchor]) -> list[Finding]:
     return []
 
 
-def of_locations(
+def of_answers(
     locations: Sequence[Location],
     anchors: Sequence[Anchor],
-    *,
-    known: Mapping[str, str] | None = None,
+    known: Mapping[str, str],
     own: str | None = None,
-    height: float = 0.0,
-    calibrate: Callable[[str, float], float] = lambda _, distance: distance,
 ) -> list[Finding]:
-    """A few seconds of a standing tag's answers, against swarm.toml.
+    """A few seconds of a tag's answers, against swarm.toml; it may move meanwhile.
 
-    `known`: other modules (robots, target) by address; `own`: the tag's address. `calibrate(anchor, measured)` in m.
+    `known`: what other modules are (robots, target), by address; `own`: the tag's address.
     """
     if not locations:
         return []
     placed = {anchor.address: anchor for anchor in anchors}
-    found = [*_of_single_answers(locations, own), *_seen(locations, placed, known or {})]
+    return [
+        *_of_single_answers(locations, own),
+        *_seen(locations, placed, known),
+        *_said_elsewhere(locations[-1].ranges, placed),
+    ]
+
+
+def of_standing(
+    locations: Sequence[Location],
+    anchors: Sequence[Anchor],
+    height: float = 0.0,
+    calibrate: Callable[[str, float], float] = lambda _, distance: distance,
+) -> list[Finding]:
+    """The same of a tag that stands at `height` (m): what the distances say of the anchors.
+
+    `calibrate(anchor, measured)` gives the distance, m.
+    """
+    placed = {anchor.address: anchor for anchor in anchors}
     ranges: dict[str, list[float]] = {}
     for location in locations:
         for item in location.ranges:
             if item.distance <= MAX_DISTANCE:
                 ranges.setdefault(item.anchor, []).append(calibrate(item.anchor, item.distance))
+    found = []
     split = {address for address, values in ranges.items() if _two_places(values)}
     for address in sorted(split):
         low, high = (median(half) for half in _halves(ranges[address]))
@@ -160,9 +178,32 @@ def of_locations(
             )
         )
     medians = {address: median(values) for address, values in ranges.items() if address in placed}
-    found += _said_elsewhere(locations[-1].ranges, placed)
-    found += _misplaced({a: d for a, d in medians.items() if a not in split}, placed, height)
-    return found
+    return found + _misplaced({a: d for a, d in medians.items() if a not in split}, placed, height)
+
+
+class Watch:
+    """Holds a running service's reports against swarm.toml, every few seconds; tells what is new."""
+
+    PERIOD = 5.0
+    """s of reports that are looked at together."""
+
+    def __init__(self, anchors: Sequence[Anchor], known: Mapping[str, str], now: float) -> None:
+        self._anchors = anchors
+        self._known = known
+        self._due = now + self.PERIOD
+        self._locations: list[Location] = []
+        self._told: set[tuple[str, str]] = set()
+
+    def report(self, location: Location, now: float) -> list[Finding]:
+        """Take an answer; the findings that were not there the last time."""
+        self._locations.append(location)
+        if now < self._due:
+            return []
+        found = of_answers(self._locations, self._anchors, self._known)
+        new = [finding for finding in found if (finding.code, finding.text) not in self._told]
+        self._told = {(finding.code, finding.text) for finding in found}
+        self._locations, self._due = [], now + self.PERIOD
+        return new
 
 
 def _of_single_answers(locations: Sequence[Location], own: str | None) -> list[Finding]:
@@ -254,10 +295,11 @@ def _misplaced(medians: Mapping[str, float], placed: Mapping[str, Anchor], heigh
     text = f"no place fits the ranges: {misfit:.2f} m rms"
     remedy = "measure the anchors' places anew (`swarm dwm anchors --auto`) and calibrate anew"
     if len(names) > ENOUGH:
-        without = {name: _misfit([n for n in names if n != name], medians, placed, height) for name in names}
-        fitting = [name for name, rest in without.items() if rest is not None and rest < MEND * misfit]
-        if len(fitting) == 1:
-            text += f", {without[fitting[0]]:.2f} m without {fitting[0]}: it was moved, or is hidden"
+        without = ((_misfit([n for n in names if n != name], medians, placed, height), name) for name in names)
+        fitting = sorted((rest, name) for rest, name in without if rest is not None and rest < MEND * misfit)
+        if fitting:
+            words = " or ".join(f"without {name} ({rest:.2f} m)" for rest, name in fitting)
+            text += f"; one does {words}: moved, or hidden"
     return [*found, Finding("anchor-moved", text, remedy)]
 
 
@@ -280,8 +322,9 @@ def _halves(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
 
 
 def _two_places(values: Sequence[float]) -> bool:
-    """Whether they come from two distances in turn: each in a fifth of them or more."""
-    if len(values) < 5:
+    """Whether they come from two distances in turn."""
+    if len(values) < 2 * EACH:
         return False
     low, high = _halves(values)
-    return min(len(low), len(high)) >= 0.2 * len(values) and median(high) - median(low) > TWO_PLACES
+    each = min(len(low), len(high))
+    return each >= max(EACH, 0.2 * len(values)) and median(high) - median(low) > TWO_PLACES

@@ -154,7 +154,7 @@ class Flood:
             return
         match packets.kind_of(data):
             case packets.SPREAD:
-                self._on_spread(peer, key, packets.decode_spread(data), priority, now)
+                self._on_spread(peer, key, packets.decode_spread(data), data, priority, now)
             case packets.ECHO:
                 echo = packets.decode_echo(data)
                 if not set(echo.robots) <= self._robots:
@@ -184,7 +184,9 @@ class Flood:
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called."""
-        deadline = min((attempt.deadline for attempt in self._attempts.values()), default=_NEVER)
+        deadline = _NEVER
+        for attempt in self._attempts.values():
+            deadline = min(deadline, attempt.deadline)
         for link in self._links.values():
             deadline = min(deadline, link.repair_at, link.compare_at)
         return deadline
@@ -200,17 +202,17 @@ class Flood:
     def _spread(self, key: str, packet: Spread, priority: int) -> None:
         """An own flood: noted as seen, and off."""
         self._store.take(self._me, key, packet, priority)
-        self._pass_on(key, packet, priority, None)
+        self._pass_on(key, packet, packets.encode_spread(packet), priority, None)
 
-    def _pass_on(self, key: str, packet: Spread, priority: int, source: str | None) -> None:
-        data = packets.encode_spread(packet)
+    def _pass_on(self, key: str, packet: Spread, data: bytes, priority: int, source: str | None) -> None:
+        """Send a flood on as it is; `data` is the packet's bytes."""
         for peer in self._links:
             if peer != source:
                 self._counters["flood_sent"] += 1
                 self._counters["wave_sent"] += packet.echo
                 self._emit(Transmit(peer, FLOOD, key, data, priority, packet.latest))
 
-    def _on_spread(self, peer: str, key: str, packet: Spread, priority: int, now: float) -> None:
+    def _on_spread(self, peer: str, key: str, packet: Spread, data: bytes, priority: int, now: float) -> None:
         origin = parse(key).robot
         if origin == self._me:
             self._on_own(peer, key, packet, priority, now)
@@ -227,10 +229,10 @@ class Flood:
             return
         if packet.echo:
             others = [each for each in self._links if each != peer]
-            self._pass_on(key, packet, priority, peer)
+            self._pass_on(key, packet, data, priority, peer)
             self._waves.join(id, key, priority, peer, others, now)
         else:
-            self._pass_on(key, packet, priority, peer)
+            self._pass_on(key, packet, data, priority, peer)
         if not packet.first or not self._store.has_seen(origin, packet.first):
             self._deliver(origin, key, packet.payload, priority, packet.incarnation)
 

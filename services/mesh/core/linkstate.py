@@ -7,7 +7,8 @@ if both ends report it; of our own links we know better. An LSA that was not rep
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from functools import lru_cache
 
 from services.mesh.core.packets import Advertisement, decode_advertisement, encode_advertisement
 from services.mesh.core.routing import Edge, Route, routes
@@ -95,6 +96,12 @@ class _Known:
         self.heard = heard
 
 
+@lru_cache(maxsize=1024)
+def _edge(metric: str, time: int) -> Edge:
+    # Times come in steps, so a large map has many equal edges.
+    return Edge(1 if metric == HOPS else time, time)
+
+
 class LinkState:
     """The map of one robot."""
 
@@ -119,6 +126,7 @@ class LinkState:
         self._refresh_at = _NEVER
         self._credit, self._credit_at = float(BURST), 0.0
         self._leaving = False
+        self._topology = self._heard = 0
         self._routes: dict[str, Route] | None = {}
         self._trust_ends = _NEVER
         self._oldest_at = _NEVER
@@ -152,6 +160,12 @@ class LinkState:
             self._changed()
             self._due = min(self._due, now + HOLD_DOWN)
 
+    def tell(self, topology: int, heard: int, now: float) -> None:
+        """What else the others are to know of this robot: the topology that holds here, and whom it hears."""
+        if (topology, heard) != (self._topology, self._heard):
+            self._topology, self._heard = topology, heard
+            self._due = min(self._due, now + HOLD_DOWN)
+
     def leave(self, now: float) -> None:
         """This robot's mesh stops: tell the others that it is no accident."""
         self._leaving = True
@@ -178,7 +192,9 @@ class LinkState:
                 self._due = _NEVER
                 self._refresh_at = now + REFRESH * (0.9 + 0.2 * self._random())
                 times = {peer: link.level.time for peer, link in self._links.items()}
-                self._publish(encode_advertisement(Advertisement({} if self._leaving else times, self._leaving)))
+                links = {} if self._leaving else times
+                told = Advertisement(links, self._leaving, self._topology, self._heard)
+                self._publish(encode_advertisement(told))
             else:
                 self._due = now + (1.0 - self._credit) / RATE + _ROUNDING
         if now >= self._trust_ends:
@@ -234,6 +250,10 @@ class LinkState:
             graph[name] = edges
         return graph
 
+    def told(self) -> dict[str, Collection[str]]:
+        """The neighbours that each of the others says it has a link to."""
+        return {name: known.advertisement.neighbours for name, known in self._known.items()}
+
     def links(self, name: str) -> dict[str, int]:
         """The links that a robot says it has, and their one-way times in units of 0.1 ms; this robot's as they are."""
         if name == self._me:
@@ -246,6 +266,20 @@ class LinkState:
         known = self._known.get(name)
         return known.incarnation if known is not None else 0
 
+    def topology(self, name: str) -> int:
+        """Which topology holds at a robot, as far as it is known."""
+        if name == self._me:
+            return self._topology
+        known = self._known.get(name)
+        return known.advertisement.topology if known is not None else -1
+
+    def heard(self, name: str) -> int:
+        """The robots that a robot has reached by calling them, as bits."""
+        if name == self._me:
+            return self._heard
+        known = self._known.get(name)
+        return known.advertisement.heard if known is not None else 0
+
     def has_left(self, name: str) -> bool:
         """Whether a robot has said that it stops."""
         known = self._known.get(name)
@@ -254,8 +288,7 @@ class LinkState:
     # -- inside ------------------------------------------------------------------------------------------------
 
     def _edge(self, time: int, back: int) -> Edge:
-        time = max(time, back)
-        return Edge(1 if self._metric == HOPS else time, time)
+        return _edge(self._metric, max(time, back))
 
     def _changed(self) -> None:
         self._routes = None

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-from services.mesh.core.routing import Edge, Route
+from services.mesh.core.routing import Route
 from swarm.messages import Member, MemberChange
 
 SETTLE = 0.2
@@ -39,7 +39,8 @@ class Membership:
     def __init__(self, me: str, robots: Collection[str]) -> None:
         self._me = me
         self._members = {name: _State(NEVER, 0, 0.0) for name in sorted(robots) if name != me}
-        self._graph: Mapping[str, Mapping[str, Edge]] = {}
+        self._told: Mapping[str, Collection[str]] = {}
+        """The neighbours that each robot told of."""
         self._routes: Mapping[str, Route] = {}
         self.changes: deque[MemberChange] = deque(maxlen=KEPT_CHANGES)
         """The newest last."""
@@ -47,7 +48,7 @@ class Membership:
     def look(
         self,
         routes: Mapping[str, Route],
-        graph: Mapping[str, Mapping[str, Edge]],
+        told: Mapping[str, Collection[str]],
         incarnations: Mapping[str, int],
         left: Collection[str],
         now: float,
@@ -71,9 +72,10 @@ class Membership:
                 gone.append(name)
         for name in gone:
             # By the graph as it was: the links among those who are gone can no longer be heard of.
-            together = any(other != name and other in self._graph.get(name, {}) for other in gone)
+            near = self._told.get(name, ())
+            together = any(other in near and name in self._told.get(other, ()) for other in gone)
             changes.append(MemberChange(now, name, PARTITION if together else CRASH))
-        self._graph, self._routes = graph, routes
+        self._told, self._routes = told, routes
         self.changes += changes
         return changes
 

@@ -1,0 +1,42 @@
+"""What the bench's robot tells of its true pose, as `services.sim.world` hears it."""
+
+import math
+import socket
+import threading
+from pathlib import Path
+
+import msgpack
+
+from services.sim.door import WORLD_SOCKET
+
+FALLEN = math.radians(45.0)
+"""rad of tilt."""
+
+
+class World:
+    """Takes poses in a thread until closed."""
+
+    def __init__(self, run_dir: Path) -> None:
+        self.tilts: list[tuple[float, float]] = []
+        """Time and true tilt, rad."""
+        self.falls = 0
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(run_dir / WORLD_SOCKET))
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._socket.close()
+
+    def _listen(self) -> None:
+        fallen = False
+        while data := self._socket.recv(1024):
+            pose = msgpack.unpackb(data)
+            if "t" not in pose:
+                continue  # the body's question where it had been before
+            self.tilts.append((pose["t"], pose["tilt"]))
+            before, fallen = fallen, abs(pose["tilt"]) > FALLEN
+            self.falls += fallen and not before

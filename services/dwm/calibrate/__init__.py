@@ -1,0 +1,1 @@
+"""`swarm calibrate`: makes, checks and shows the calibration of a robot's UWB module."""

@@ -1,0 +1,237 @@
+"""`swarm calibrate`: a guided calibration of a robot's UWB module, a check of one, a fit of recorded samples."""
+
+import argparse
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from services.dwm.calibrate import making, plots
+from services.dwm.calibrate.making import Data
+from services.dwm.calibrate.session import Hearing, hold
+from services.dwm.core import calibration_file, fitting
+from services.dwm.core.calibration_file import CalibrationFile
+from services.dwm.core.filters import Place
+from services.dwm.core.guide import QUARTERS, SAMPLES, Guide, grid
+from services.dwm.core.samples import Point, Sample, groups, of_recording
+from services.dwm.localizer import calibration_path, load_calibration
+from swarm import clock, log, service
+from swarm import config as configuration
+from swarm.bus import Bus
+from swarm.cli import buses
+from swarm.config import Config
+from swarm.errors import BusError, LocalError
+from swarm.recordings import read_recording
+from swarm.simulations import CONFIG, default_run_dir, is_live
+
+EPILOG = """\
+distance and position lead you: put the robot at the place and in the orientation it names (0 degrees = along x, 90 =
+along y), press button A or the space bar, and go on to the next. Pipe lines in (start, next, redo, quit) to script it.
+"""
+
+
+def main() -> int:
+    """Run one command; 0 = done, and for `check` that the calibration still holds."""
+    log.setup("calibrate")
+    options = _options(sys.argv[1:])
+    config = _config(options)
+    robot = options.robot
+    if robot not in config.names:
+        raise LocalError(f"no robot {robot!r} in {config.path}, there are {', '.join(config.names)}")
+    try:
+        code: int = options.run(options, config, robot)
+        sys.stdout.flush()
+    except BrokenPipeError:  # `| head` is no fault
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    return code
+
+
+def guided(options: argparse.Namespace, config: Config, robot: str) -> int:
+    """`distance` and `position`: a session, a fit, the file."""
+    data = Data.of(_session(options, config, robot, _places(options, config)), _modules(options, config))
+    return _make(options, config, robot, data, (options.command,))
+
+
+def fit(options: argparse.Namespace, config: Config, robot: str) -> int:
+    """Fit samples that were recorded before: what they hold of ranges and places."""
+    found = making.read(options.samples)
+    if options.thesis:
+        print(making.thesis_text(found))
+        return 0
+    data = Data.of(found, _modules(options, config))
+    wanted = [name for name, there in (("distance", data.groups), ("position", data.spots)) if there]
+    return _make(options, config, robot, data, (options.only,) if options.only else tuple(wanted) or ("distance",))
+
+
+def check(options: argparse.Namespace, config: Config, robot: str) -> int:
+    """Compare fresh samples, or a file of them, with the calibration in use."""
+    path = calibration_path(config, robot)
+    models = load_calibration(config, robot)
+    file = calibration_file.parse(path.read_text("utf-8"), str(path)) if path is not None else None
+    if options.samples is not None and options.samples.exists():
+        found = making.read(options.samples)
+    else:
+        found = _session(options, config, robot, _places(options, config))
+    lines, good = making.verdict(models, file, Data.of(found, _modules(options, config)))
+    print("\n".join(lines))
+    return 0 if good else 1
+
+
+def offset(options: argparse.Namespace, config: Config, robot: str) -> int:
+    """Learn by how much a robot's ranges are too long, from a localization run at a known place."""
+    recording = read_recording(options.recording, options.index)
+    modules = _modules(options, config)
+    target = config.dwm.target or ""
+    if target not in modules:
+        raise LocalError("where is the target? give it with --target X Y, and its address as [dwm] target")
+    models = load_calibration(config, robot).ranges
+    of = groups(of_recording(recording, (options.place[0], options.place[1]), target), modules)
+    learned = fitting.robot_offset(models, of)
+    print(
+        f"{robot}: ranges {100 * learned:+.2f} cm too long under the model in use, {recording.steps} at one place.\n"
+        "The robot's own offset and this place's error (multipath, a place measured wrongly) are one number here:\n"
+        "only another place can tell them apart."
+    )
+    path = calibration_path(config, robot)
+    if options.write:
+        if path is None or not path.exists():
+            raise LocalError("there is no calibration file to write it to: run swarm calibrate distance or fit first")
+        file = calibration_file.parse(path.read_text("utf-8"), str(path))
+        if file.distance is None:
+            raise LocalError(f"{path}: holds no model of ranges to add it to")
+        path.write_text(calibration_file.text_of(making.with_offset(file, learned)), encoding="utf-8")
+        print(f"added to {path}")
+    return 0
+
+
+def _make(options: argparse.Namespace, config: Config, robot: str, data: Data, parts: tuple[str, ...]) -> int:
+    """Fit, tell, draw, write."""
+    made = datetime.now(UTC).isoformat(timespec="seconds")
+    file = CalibrationFile("", "", ())
+    if "distance" in parts:
+        part, ranged = making.distance_part(data, made)
+        file = file.with_parts(part)
+        places = len({g.place for g in data.groups})
+        print(making.fit_text("ranges", ranged.name, ranged.left_out, ranged.nested, places, len(data.samples)))
+    if "position" in parts:
+        part, placed = making.position_part(data, made)
+        file = file.with_parts(part)
+        print(making.fit_text("places", placed.name, placed.left_out, placed.nested, len(data.spots),
+                              len(data.samples)))  # fmt: skip
+    configured = calibration_path(config, robot)
+    path = options.output or configured or config.path.parent / "calibration" / f"{robot}.toml"
+    making.save(file, path, robot, config.anchors)
+    print(f"written to {path}")
+    if configured is None:
+        print('no robot reads it yet: put  calibration = "calibration/{robot}.toml"  into [dwm] of swarm.toml')
+    if not options.no_plot:
+        picture = path.with_suffix(".png")
+        plots.draw(data, file.distance and file.distance[0], file.position and file.position[0], picture)
+        print(f"residuals drawn in {picture}")
+    return 0
+
+
+def _session(options: argparse.Namespace, config: Config, robot: str, places: list[Place]) -> list[Sample]:
+    guide = Guide(places, QUARTERS[: options.orientations], options.count)
+    module = config.dwm.target or (config.anchors[0].address if config.anchors else "")
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+    path = options.samples or Path(f"calibration-{robot}-{stamp}.csv")
+    if os.environ.get("SWARM_RUNTIME") and configuration.who_am_i(config) == robot:
+        options.robot = None  # its bus is the one of this environment
+    directory = next(iter(buses.find(options).values()))
+    with Bus.of(directory) as bus:
+        if not bus.wait_connected(5.0):
+            raise BusError(f"the bus of {robot} ({directory}) does not answer: does its bus service run?")
+        hold(guide, Hearing(bus, robot), module, path, lambda text: print(text, flush=True), clock.now)
+    print(f"{len(guide.samples)} samples in {path}")
+    if not guide.samples:
+        raise LocalError("nothing was measured")
+    return guide.samples
+
+
+def _modules(options: argparse.Namespace, config: Config) -> dict[str, Point]:
+    """Places of the modules that ranges go to, heights over the robots' antennas."""
+    known = {a.address: (a.x, a.y, a.z - config.dwm.height) for a in config.anchors}
+    if options.target is not None and config.dwm.target is not None:
+        known[config.dwm.target] = (options.target[0], options.target[1], 0.0)
+    return known
+
+
+def _places(options: argparse.Namespace, config: Config) -> list[Place]:
+    if options.places is not None:
+        return _read_places(options.places)
+    if len(config.anchors) < 2:
+        raise LocalError("without anchors in swarm.toml there is no area to calibrate: give the places with --places")
+    return grid([(anchor.x, anchor.y) for anchor in config.anchors], options.step)
+
+
+def _read_places(text: str) -> list[Place]:
+    """`x,y x,y ...` or the path of a file with a place a line, in m."""
+    words = Path(text).read_text("utf-8").split() if Path(text).is_file() else text.split()
+    try:
+        places = [(float(x), float(y)) for x, y in (word.split(",") for word in words)]
+    except ValueError:
+        raise LocalError(f"--places: expected x,y x,y ... in m, or a file of them, got {text[:60]!r}") from None
+    if not places:
+        raise LocalError("--places: no place given")
+    return places
+
+
+def _config(options: argparse.Namespace) -> Config:
+    """The swarm's file; that of a simulation where one runs and none is named."""
+    directory = options.run_dir or default_run_dir()
+    if not os.environ.get("SWARM_CONFIG") and is_live(directory):
+        return configuration.load(directory / CONFIG)
+    return configuration.load()
+
+
+def _options(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="swarm calibrate", description=__doc__, epilog=EPILOG,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
+        found = commands.add_parser(name, help=text, description=text)
+        buses.add_arguments(found)
+        found.set_defaults(run=run)
+        found.add_argument("--target", nargs=2, type=float, metavar=("X", "Y"), help="where the target stands, m")
+        return found
+
+    for name, what in (("distance", "ranges"), ("position", "the module's places")):
+        found = command(name, guided, f"measure at known places and fit {what}")
+        _session_arguments(found, 0.5, "where the samples go")
+        _file_arguments(found)
+    found = command("check", check, "measure at a few known places and compare with the calibration in use")
+    _session_arguments(found, 1.0, "a file of samples to check instead, or where new ones go")
+    found = command("fit", fit, "fit samples recorded before: ours, or in the thesis' layout")
+    found.add_argument("samples", type=Path, help="a file, or a folder of *.csv")
+    found.add_argument("--only", choices=("distance", "position"), help="fit one of the two")
+    found.add_argument("--thesis", action="store_true", help="print the thesis' figures from its own samples")
+    _file_arguments(found)
+    found = command("offset", offset, "a robot's own range offset, from a localization run at a known place")
+    found.add_argument("recording", type=Path, help="folder of the run, uncalibrated ranges")
+    found.add_argument("--index", type=int, default=0, help="number of the robot's file in it (0)")
+    found.add_argument("--place", nargs=2, type=float, metavar=("X", "Y"), required=True, help="where it stood, m")
+    found.add_argument("--write", action="store_true", help="add it to the robot's calibration file")
+    options = parser.parse_args(argv)
+    if options.robot is None:
+        parser.error("--robot NAME is needed: a calibration is one robot's")
+    return options
+
+
+def _session_arguments(parser: argparse.ArgumentParser, step: float, samples: str) -> None:
+    parser.add_argument("--places", metavar="LIST", help="x,y x,y ... in m, or a file (a grid over the anchors)")
+    parser.add_argument("--step", type=float, default=step, metavar="M", help=f"of the grid ({step})")
+    parser.add_argument("--orientations", type=int, default=4, choices=(1, 2, 3, 4), help="quarter turns a place (4)")
+    parser.add_argument("--count", type=int, default=SAMPLES, help=f"reports an orientation ({SAMPLES})")
+    parser.add_argument("--samples", type=Path, metavar="FILE", help=samples)
+
+
+def _file_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--output", type=Path, metavar="FILE", help="the calibration file (as [dwm] calibration says)")
+    parser.add_argument("--no-plot", action="store_true", help="do not draw the residuals")
+
+
+if __name__ == "__main__":
+    service.run(main)

@@ -1,0 +1,170 @@
+"""From samples to a calibration file, to tables for people, and to a verdict on one that is in use."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from pathlib import Path
+
+from services.dwm.core import calibration_file, fitting, samples, thesis
+from services.dwm.core.calibration import Calibration
+from services.dwm.core.calibration_file import CalibrationFile, Evidence
+from services.dwm.core.filters import mean
+from services.dwm.core.samples import Group, Point, Sample, Spot
+from swarm.config.types import Anchor
+from swarm.errors import LocalError, RecordingError
+
+SLACK = 0.01
+"""m: a check may err half as much again as the fit did at places left out, and by this more: it has fewer samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Data:
+    """Samples, and what can be compared with the truth."""
+
+    samples: tuple[Sample, ...]
+    groups: tuple[Group, ...]
+    spots: tuple[Spot, ...]
+
+    @classmethod
+    def of(cls, found: Sequence[Sample], modules: Mapping[str, Point]) -> "Data":
+        """`modules`: places of those whose ranges count."""
+        return cls(tuple(found), tuple(samples.groups(found, modules)), tuple(samples.spots(found)))
+
+
+def read(path: Path) -> list[Sample]:
+    """The samples of a file, or of all `*.csv` of a folder. Places of different files are different places."""
+    files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+    if not files:
+        raise RecordingError(f"{path}: holds no *.csv")
+    found: list[Sample] = []
+    for file in files:
+        try:
+            text = file.read_text("utf-8", "replace")
+        except OSError as error:
+            raise RecordingError(f"{file}: cannot be read: {error.strerror}") from None
+        first = 1 + max((sample.place for sample in found), default=-1)
+        found += [sample._replace(place=sample.place + first) for sample in samples.read(text, str(file))]
+    return found
+
+
+def distance_part(data: Data, made: str) -> tuple[CalibrationFile, fitting.Fit]:
+    """A file with the ranges' model alone, without robot and layout yet."""
+    if not data.groups:
+        raise LocalError(
+            "no range to a module of known place among the samples: give the target's place with --target X Y, or list "
+            "the module among [[anchors]]"
+        )
+    fit = fitting.fit_ranges(data.groups)
+    evidence = _evidence(fit.name, made, data, len({g.place for g in data.groups}), fit.left_out, fit.nested)
+    part = (fit.model, _with(evidence, fit.residuals))
+    return CalibrationFile("", "", (), distance=part), fit
+
+
+def position_part(data: Data, made: str) -> tuple[CalibrationFile, fitting.PlaceFitted]:
+    """A file with the places' model alone, without robot and layout yet."""
+    fit = fitting.fit_places(data.spots)
+    evidence = _evidence(fit.name, made, data, len(data.spots), fit.left_out, fit.nested)
+    part = (fit.model, _with(evidence, fit.residuals))
+    return CalibrationFile("", "", (), position=part), fit
+
+
+def save(part: CalibrationFile, path: Path, robot: str, anchors: Sequence[Anchor]) -> CalibrationFile:
+    """Write `part` for `robot` to `path`; the other part of a file that is there stays where it belongs to the same
+    robot and anchors."""
+    layout = calibration_file.layout_of(anchors)
+    file = CalibrationFile(
+        robot, layout, calibration_file.described(anchors), distance=part.distance, position=part.position
+    )
+    if path.exists():
+        before = calibration_file.parse(path.read_text("utf-8"), str(path))
+        if (before.robot, before.layout) == (robot, layout):
+            file = before.with_parts(file)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".new")
+    temporary.write_text(calibration_file.text_of(file), encoding="utf-8")
+    temporary.replace(path)
+    return file
+
+
+def with_offset(file: CalibrationFile, offset: float) -> CalibrationFile:
+    """The file with its robot's ranges shorter by `offset` m more. It must hold a model of ranges."""
+    assert file.distance is not None
+    model, evidence = file.distance
+    return replace(file, distance=(replace(model, robot=model.robot + offset), evidence))
+
+
+def fit_text(what: str, name: str, left_out: Mapping[str, float], nested: float, places: int, count: int) -> str:
+    """The table of the models that competed."""
+    lines = [f"{what}: {count} samples at {places} places; rms error at places left out of the fit:"]
+    lines += [f"  {model:<18}{100 * error:6.2f} cm{'  <- taken' if model == name else ''}"
+              for model, error in left_out.items()]  # fmt: skip
+    lines.append(f"  the choice made anew without each place: {100 * nested:.2f} cm")
+    return "\n".join(lines)
+
+
+def thesis_text(found: Sequence[Sample]) -> str:
+    """The thesis' figures from these samples, which must be its own."""
+    d, p = thesis.distances(found), thesis.positions(found)
+    ((a, b), (c, e)), (u, v) = p.model.matrix, p.model.offset
+    return "\n".join(
+        [
+            f"eq. 2.4   m = {d.gain:.3f} d + {d.offset:.3f} cm   ({d.samples} samples, {d.outliers} outliers)",
+            f"eq. 2.8   d = {1 / d.gain:.6f} m - {d.offset / d.gain:.6f} cm",
+            f"eq. 2.10  [[{a:.3f}, {b:.3f}], [{c:.3f}, {e:.3f}]] m + [{u:.3f}, {v:.3f}]",
+            f"table 2.3 mean, rms: {abs(d.uncalibrated[0]):.2f}, {d.uncalibrated[1]:.2f} cm -> "
+            f"{d.calibrated[0]:.3f}, {d.calibrated[1]:.2f} cm",
+            f"table 2.4 mean, rms: {p.uncalibrated[0]:.2f}, {p.uncalibrated[1]:.2f} cm -> "
+            f"{abs(p.calibrated[0]):.2f}, {p.calibrated[1]:.2f} cm (each coordinate; "
+            f"distance {p.uncalibrated_2d:.2f} -> {p.calibrated_2d:.2f})",
+            f"fig. 2.11 90 %: {d.raw_90:.1f} cm raw (the thesis says 19), {d.processed_90:.2f} processed (4; "
+            f"{d.processed_80:.2f} is the 80 % point)",
+            f"fig. 2.14 90 %: {p.raw_90:.1f} cm raw (15), {p.processed_90:.2f} processed (8)",
+        ]
+    )
+
+
+def verdict(models: Calibration, file: CalibrationFile | None, data: Data) -> tuple[list[str], bool]:
+    """What fresh samples say of the models in use, and whether they may stay."""
+    lines: list[str] = []
+    good = True
+    if data.groups:
+        errors = [fitting.error_of(models.ranges, g, g.mean) for g in data.groups]
+        nested = file.distance[1].nested if file and file.distance else None
+        good &= _judge(lines, "ranges", errors, nested)
+        offset = mean(errors)
+        if abs(offset) > 0.5 * _rms(errors) and not good:
+            lines.append(
+                f"  all are {100 * abs(offset):.1f} cm too {'long' if offset > 0 else 'short'} on the mean: another "
+                "module, or an anchor that was moved?"
+            )
+    if data.spots:
+        errors = [fitting.place_error(models.position, s, s.mean) for s in data.spots]
+        nested = file.position[1].nested if file and file.position else None
+        good &= _judge(lines, "places", errors, nested)
+    if not lines:
+        raise LocalError("no samples to check: does the module give ranges? See swarm dwm check")
+    return lines, good
+
+
+def _judge(lines: list[str], what: str, errors: Sequence[float], nested: float | None) -> bool:
+    rms = _rms(errors)
+    if nested is None:
+        lines.append(f"{what}: rms error {100 * rms:.1f} cm; no calibration file to compare with")
+        return True
+    limit = 1.5 * nested + SLACK
+    words = "as when it was made" if rms <= limit else f"more than {100 * limit:.1f}: calibrate anew"
+    lines.append(f"{what}: rms error {100 * rms:.1f} cm, {100 * nested:.1f} when it was made: {words}")
+    return rms <= limit
+
+
+def _evidence(name: str, made: str, data: Data, places: int, left_out: Mapping[str, float], nested: float) -> Evidence:
+    return Evidence(name, made, places, len(data.samples), samples.digest(data.samples), left_out, nested, ())
+
+
+def _with(evidence: Evidence, residuals: Sequence[tuple[float, ...]]) -> Evidence:
+    rounded = tuple(tuple(round(value, 5) for value in row) for row in residuals)
+    return replace(evidence, residuals=rounded)
+
+
+def _rms(values: Sequence[float]) -> float:
+    return sqrt(mean([value * value for value in values]))

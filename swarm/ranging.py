@@ -1,0 +1,49 @@
+"""Distances to other robots for apps and services: `Ranging(bus, robot).distance("r1")`.
+
+A DWM1001 tag ranges to anchors alone. So a distance between two robots is there where the module of one of them is an
+anchor (`uwb_role` in swarm.toml), and `uwb` says whose it is. The anchor's robot measures nothing itself: it knows the
+distance where the mesh relays `swarm/{self}/dwm/ranges` to it.
+"""
+
+import logging
+import threading
+
+from swarm import clock
+from swarm.bus import Bus
+from swarm.codec import decode
+from swarm.core.ranging import RangeTable
+from swarm.errors import PayloadError
+from swarm.keys import key, parse
+from swarm.messages import Range, Ranges
+
+_log = logging.getLogger("ranging")
+
+
+class Ranging:
+    """Reads `dwm/ranges` of all robots from one robot's bus."""
+
+    def __init__(self, bus: Bus, robot: str) -> None:
+        self._table = RangeTable(robot)
+        self._lock = threading.Lock()
+        bus.subscribe(key("*", "dwm", "ranges"), self._receive)
+
+    @property
+    def ranges(self) -> tuple[Range, ...]:
+        """This robot's newest ranges, to anchors and robots; none older than a second."""
+        with self._lock:
+            return self._table.ranges(clock.now())
+
+    def distance(self, robot: str) -> float | None:
+        """The distance to another robot, m; None where neither has measured it within the last second."""
+        with self._lock:
+            return self._table.distance(robot, clock.now())
+
+    def _receive(self, name: str, payload: bytes) -> None:
+        """Runs on Zenoh's thread."""
+        try:
+            message = decode(Ranges, payload, name)
+        except PayloadError as error:
+            _log.debug("%s", error)
+            return
+        with self._lock:
+            self._table.take(parse(name).robot, message, clock.now())

@@ -1,0 +1,131 @@
+"""`swarm measure i2c`: the meter, both ways to it, and what is printed."""
+
+import argparse
+import json
+
+import pytest
+from test_balancer_registers import Bench
+from test_chores import Ticking
+
+from services.balancer import rates
+from services.balancer.core.rates import FAILURES, check_measurement
+from services.balancer.core.transfers import duration
+from swarm.cli import i2c
+from swarm.errors import LocalError
+from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
+
+
+@pytest.mark.parametrize("size", [1, 8, 28])
+def test_rates_in_the_simulation_are_those_of_the_wire(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    monkeypatch.setattr(rates.clock, "now", lambda: bench.now)
+
+    def sleep(seconds: float) -> None:
+        bench.now += seconds
+
+    bench.balboa._sleep = sleep
+    found = rates.measure(bench.bus, bench.balboa, MeasureI2C("t", size, 10))
+    assert (found.count, found.failed, found.problem, found.ticket) == (10, 0, "", "t")
+    # 100 kHz, 9 bits a byte, START and STOP; the ATmega's hold of 25 us with each byte; pauses of 150 us.
+    read_s = (4 + 9 * (3 + size)) * 10e-6 + (3 + size) * 25e-6 + 2 * 150e-6
+    write_s = (2 + 9 * (2 + size)) * 10e-6 + (2 + size) * 25e-6 + 150e-6
+    assert found.read == pytest.approx(8 * size / read_s, rel=1e-3)
+    assert found.write == pytest.approx(8 * size / write_s, rel=1e-3)
+
+
+def test_failed_transfers_are_counted_and_not_in_the_rates() -> None:
+    bench = Bench()
+    bench.robot.failures = [121, 0, 0, 110, 0, 5]
+    found = rates.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
+    assert (found.count, found.failed, found.problem) == (3, 3, "")
+
+
+def test_a_dead_bus_is_given_up() -> None:
+    bench = Bench()
+    bench.robot.failures = [121] * 100
+    found = rates.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
+    assert (found.read, found.write, found.failed) == (None, None, FAILURES)
+    assert found.problem == "I2C: Remote I/O error"
+
+
+def test_a_balancer_measures_in_its_slack() -> None:
+    ticking = Ticking().run(4.0)
+    ticking.chores.obey(MeasureI2C("mine", 28, 20), ticking.rig.now)
+    ticking.run(3.0)
+    (found,) = ticking.of(I2CRates)
+    assert (found.ticket, found.size, found.count, found.problem) == ("mine", 28, 20, "")
+    spent: dict[int, float] = {}
+    for tick, transfer in ticking.transfers:
+        spent[tick] = spent.get(tick, 0.0) + duration(transfer)
+    assert max(spent.values()) < 4.5e-3
+    assert ticking.rig.balancer.mode == "balancing"
+
+
+def test_a_request_to_the_module_goes_first() -> None:
+    """Both use the mailbox's window."""
+    ticking = Ticking().run(4.0)
+    ticking.chores.obey(MeasureI2C("mine", 28, 50), ticking.rig.now)
+    ticking.run(0.2)
+    request = b"\x99\xfd" + bytes(range(253))
+    ticking.chores.obey(ModuleRequest("long", request), ticking.rig.now)
+    sent = b""
+    while not sent.startswith(b"\x99"):
+        ticking.run(0.01)
+        sent = ticking.robot.atmega.line.to_send() or sent
+    assert sent == request
+    ticking.run(10.0)
+    assert [each.count for each in ticking.of(I2CRates)] == [50]
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (MeasureI2C("t", 0, 10), "size: 0 bytes, expected 1 to 28"),
+        (MeasureI2C("t", 29, 10), "size: 29"),
+        (MeasureI2C("t", 8, 0), "count: 0, expected 1 to 1000"),
+        (MeasureI2C("t" * 65, 8, 1), "ticket"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(request_: MeasureI2C, reason: str) -> None:
+    with pytest.raises(LocalError, match=reason):
+        check_measurement(request_)
+
+
+def arguments(*text: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    i2c.add_arguments(parser)
+    return parser.parse_args(text)
+
+
+def answer(request: MeasureI2C) -> I2CRates:
+    return I2CRates(1.0, request.ticket, request.size, request.count, 1, 21_234.0, None, "")
+
+
+def test_the_table_has_the_thesis_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert i2c.measured(arguments("--sizes", "8,8,1", "--count", "7"), "r0", answer) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "r0: I2C with the ATmega, kbit/s of data",
+        " bytes  transfers  failed     read    write",
+        "     8          7       1     21.2        -",
+        "     1          7       1     21.2        -",
+        "thesis, 8 bytes, 100 kHz        21       53",
+    ]
+
+
+def test_json(capsys: pytest.CaptureFixture[str]) -> None:
+    i2c.measured(arguments("--sizes", "8", "--json"), "r0", answer)
+    found = json.loads(capsys.readouterr().out)
+    assert found["robot"] == "r0"
+    assert found["sizes"][0]["read"] == 21_234.0
+
+
+def test_a_problem_is_an_error() -> None:
+    with pytest.raises(LocalError, match="r0: I2C: dead"):
+        i2c.measured(arguments(), "r0", lambda request: I2CRates(1.0, "", 1, 0, 9, None, None, "I2C: dead"))
+
+
+@pytest.mark.parametrize("bad", [("--sizes", "29"), ("--sizes", "x"), ("--count", "0"), ("--count", "1001")])
+def test_arguments_out_of_range(bad: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        arguments(*bad)
+    assert "expected" in capsys.readouterr().err

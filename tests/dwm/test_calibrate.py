@@ -1,0 +1,244 @@
+"""`swarm calibrate` from end to end: a person of a script, real processes, a simulated module."""
+
+import math
+import re
+import threading
+from functools import partial
+
+import pytest
+from conftest import CONFIG
+from thesis_data import DATA, needs_calibration, needs_localization
+
+from services.dwm.core import calibration_file
+from services.dwm.core.samples import HEADER, Sample, read, write
+from services.sim.core import uwb
+from services.sim.module import ModuleBoard
+from swarm import config as configuration
+from swarm.bus import Bus
+from swarm.messages import Buttons
+
+SWARM = """
+[[anchors]]
+address = "D001"
+x = 0.0
+y = 0.0
+[[anchors]]
+address = "D002"
+x = 1.94
+y = 0.0
+[[anchors]]
+address = "D003"
+x = 1.0
+y = 1.94
+[dwm]
+source = "serial:{directory}/{{robot}}/dwm.tty"
+target = "C933"
+calibration = "of/{{robot}}.toml"
+[simulation]
+target = [0.5, 1.0]
+[simulation.places]
+r0 = [0.5, 1.5, 0.0]
+"""
+PROMPT = re.compile(r"place \d+ of \d+: \((\S+), (\S+)\) m, heading (\d+) degrees: start\?")
+PLACES = "0.6,0.9 1.0,0.5 1.5,1.5 0.3,0.3 1.7,0.4 0.5,1.6"
+
+
+@pytest.fixture
+def swarm(processes, runtime):
+    """swarm.toml, and a calibration that does nothing, so that the service starts."""
+    processes.config.write_text(CONFIG + SWARM.format(directory=runtime))
+    return configuration.load(processes.config)
+
+
+@pytest.fixture
+def board(swarm, runtime, monkeypatch):
+    """Modules without wild errors: which of the seeded measurements a session sees is a matter of time."""
+    calm = partial(uwb.ErrorModel, hidden=0.0, outlier=0.0)
+    monkeypatch.setattr(uwb, "ErrorModel", calm)
+    board = ModuleBoard(runtime, swarm, 1)
+    board.add("r0")
+    ending = threading.Event()
+
+    def work():
+        while not ending.is_set():
+            board.poll(0.02)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield board
+    ending.set()
+    thread.join()
+    board.close()
+
+
+def calibrate(processes, *arguments):
+    return processes.start("-m", "services.dwm.calibrate", *arguments, "--robot", "r0")
+
+
+class Person:
+    """Presses button A twice a second while something is asked of them: a press before the session hears is lost."""
+
+    def __init__(self, runtime):
+        self.want, self._over = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._press, args=(runtime,))
+        self._thread.start()
+
+    def _press(self, runtime):
+        pressed = 0
+        with Bus.of(runtime) as bus:
+            while not self._over.wait(0.5):
+                pressed += self.want.is_set()
+                bus.publish("swarm/r0/balancer/buttons", Buttons(1.0, False, False, False, pressed, 0, 0))
+
+    def told(self, line):
+        if "measuring" in line:
+            self.want.clear()
+
+    def go(self):
+        self._over.set()
+        self._thread.join()
+
+
+def lead(process, board, answer, off=(0.0, 0.0), told=lambda _: None):
+    """Put the module where it is asked for (and a bit off), then answer. Gives all that was said."""
+    said = []
+    for line in process.stdout:
+        said.append(line)
+        told(line)
+        found = PROMPT.match(line)
+        if found:
+            x, y, degrees = map(float, found.groups())
+            board.update_pose("r0", x + off[0], y + off[1], math.radians(degrees))
+            answer()
+    return "".join(said)
+
+
+def test_a_session_makes_a_file_that_the_service_takes_and_a_check_confirms(processes, router, swarm, board, runtime):
+    text = processes.config.read_text()
+    processes.config.write_text(text.replace("calibration =", "# calibration ="))
+    service = processes.start_ready("-m", "services.dwm")
+    processes.config.write_text(text)
+    session = calibrate(
+        processes, "position", "--places", PLACES, "--orientations", "2", "--count", "6", "--target", "0.5", "1.0",
+        "--samples", str(runtime / "s.csv"), "--no-plot",
+    )  # fmt: skip
+
+    def press():
+        session.stdin.write("start\n")
+        session.stdin.flush()
+
+    said = lead(session, board, press)
+    assert session.wait(20) == 0, session.stderr.read()
+    assert "places: " in said
+    assert "<- taken" in said
+    assert re.search(r"5/6  C933 [\d.]+ m \+- [\d.]+ cm", said)
+    found = read((runtime / "s.csv").read_text(), "s.csv")
+    assert {sample.place for sample in found} == set(range(6))
+    assert {sample.module for sample in found} == {"D001", "D002", "D003", "C933"}
+
+    fitted = calibrate(processes, "fit", str(runtime / "s.csv"), "--target", "0.5", "1.0", "--no-plot")
+    assert fitted.wait(20) == 0, fitted.stderr.read()
+    file = calibration_file.parse((runtime / "of" / "r0.toml").read_text(), "f")
+    assert file.distance[1].places == file.position[1].places == 6
+    assert file.distance[1].nested < 0.8 * file.distance[1].left_out["raw"]
+    assert file.distance[1].sha256 == file.position[1].sha256
+
+    service.terminate()
+    service.wait(20)
+    processes.start_ready("-m", "services.dwm")
+    arguments = ("check", "--places", "0.7,0.7 1.2,1.2 1.4,0.5", "--orientations", "1", "--count", "8",
+                 "--target", "0.5", "1.0")  # fmt: skip
+    for off, code in (((0.0, 0.0), 0), ((0.3, 0.2), 1)):
+        session = calibrate(processes, *arguments, "--samples", str(runtime / f"check{code}.csv"))
+        said = lead(session, board, press, off)
+        assert session.wait(20) == code, said
+        assert "ranges: rms error" in said
+        assert "places: rms error" in said
+        assert ("calibrate anew" in said) == bool(code), said
+
+
+def test_buttons_of_the_robot_lead_as_well(processes, router, swarm, board, runtime):
+    processes.config.write_text(processes.config.read_text().replace("calibration =", "# calibration ="))
+    processes.start_ready("-m", "services.dwm")
+    session = calibrate(
+        processes, "distance", "--places", "0.6,0.9 1.0,0.5 1.5,1.5", "--orientations", "1", "--count", "2",
+        "--samples", str(runtime / "s.csv"), "--no-plot", "--output", str(runtime / "out.toml"),
+    )  # fmt: skip
+    person = Person(runtime)
+    try:
+        said = lead(session, board, person.want.set, told=person.told)
+    finally:
+        person.go()
+    assert session.wait(20) == 0, session.stderr.read()
+    assert "ranges: " in said
+    assert 'put  calibration = "calibration/{robot}.toml"  into [dwm]' in said
+    assert calibration_file.parse((runtime / "out.toml").read_text(), "f").position is None
+
+
+def test_a_silent_module_is_named(processes, router, swarm, runtime):
+    session = calibrate(processes, "distance", "--places", "1,1", "--samples", str(runtime / "s.csv"))
+    session.stdin.write("start\n")
+    session.stdin.flush()
+    assert session.wait(30) == 2
+    assert "does its dwm service run?" in session.stderr.read()
+
+
+def test_the_end_of_the_answers_ends_the_session(processes, router, swarm, runtime):
+    session = calibrate(processes, "distance", "--samples", str(runtime / "s.csv"))
+    _, error = session.communicate("", timeout=30)
+    assert session.returncode == 2
+    assert "nothing was measured" in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fit", "nowhere.csv"], "nowhere.csv: cannot be read"),
+        (["fit", "empty."], "holds no *.csv"),
+        (["distance", "--places", "1;2"], "--places: expected x,y x,y"),
+        (["check"], "of/r0.toml: the calibration of r0 cannot be read"),
+        (["offset", "nowhere", "--place", "0.5", "1.5"], "there is no such folder of recordings"),
+    ],
+)
+def test_what_is_wrong_is_one_line(processes, swarm, runtime, arguments, words):
+    (runtime / "empty.").mkdir()
+    path = [str(runtime / word) if word.endswith((".csv", ".")) else word for word in arguments]
+    process = calibrate(processes, *path)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert words in error
+    assert error.count("\n") == 1
+
+
+@needs_calibration
+def test_the_thesis_samples_give_a_file_and_its_picture(processes, swarm, runtime):
+    process = calibrate(processes, "fit", str(DATA / "calibration"), "--target", "0.5", "1.0")
+    said, error = process.communicate(timeout=60)
+    assert process.returncode == 0, error
+    assert re.search(r"curved +2\.72 cm  <- taken", said)
+    assert re.search(r"scaled +5\.08 cm  <- taken", said)
+    assert (runtime / "of" / "r0.png").read_bytes().startswith(b"\x89PNG")
+    process = calibrate(processes, "fit", str(DATA / "calibration"), "--thesis")
+    said, _ = process.communicate(timeout=60)
+    assert "eq. 2.4   m = 1.056 d + 6.299 cm" in said
+
+
+@needs_localization
+def test_an_offset_is_learned_and_added_to_the_file(processes, swarm, runtime):
+    rows = [
+        Sample(k, 0.3 * k, 0.5, None, 0.1 * i, "C933", math.dist((0.3 * k, 0.5), (0.5, 1.0)), None, None)
+        for k in range(4)
+        for i in range(3)
+    ]
+    (runtime / "s.csv").write_text("\n".join([HEADER, *map(write, rows)]))
+    fit = calibrate(processes, "fit", str(runtime / "s.csv"), "--target", "0.5", "1.0", "--no-plot")
+    assert fit.wait(20) == 0, fit.stderr.read()
+    process = calibrate(
+        processes, "offset", str(DATA / "localization" / "test_2"), "--place", "0.5", "1.5", "--target", "0.5", "1.0",
+        "--write",
+    )  # fmt: skip
+    said, error = process.communicate(timeout=30)
+    assert process.returncode == 0, error
+    assert "only another place can tell them apart" in said
+    file = calibration_file.parse((runtime / "of" / "r0.toml").read_text(), "f")
+    assert file.distance[0].robot == pytest.approx(0.1255, abs=1e-3)  # uncalibrated: a range of 62.55 cm for 50

@@ -1,0 +1,142 @@
+"""Mutated byte streams through each parser: nothing but the remote-error leaf, and in step again within one frame.
+
+The short run is part of every test run, the million by `-m slow`.
+"""
+
+import contextlib
+import random
+
+import pytest
+from dwm_frames import LOCATION
+
+from services.dwm.core import calls, shell
+from services.dwm.core.calls import Settings, UpdateRate
+from services.dwm.core.exchange import Exchange
+from services.dwm.core.shell import Reader
+from services.dwm.core.tlv import LOC_GET, OK, Decoder, Location, Position, encode_location, encode_part, encode_refusal
+from services.sim.core.dwm1001 import VERSION, Dwm1001, Flash
+from swarm.errors import FrameError
+
+SHORT, LONG = 2_000, 1_000_000
+ANCHOR_ANSWER = Location(Position(1.0, 2.0, 0.5, 100), LOCATION.ranges[:2])
+OKAY = encode_refusal(OK)
+# A good answer to each call: what is mutated, and what must come through whole behind the mutated one.
+ANSWERS = [
+    (LOC_GET, encode_location(LOCATION)),
+    (LOC_GET, encode_location(ANCHOR_ANSWER, anchor=True)),
+    (calls.POS_GET, OKAY + encode_part(0x41, bytes(12) + b"\x64")),
+    (calls.CFG_GET, OKAY + encode_part(calls.CONFIG, b"\x5a\x04")),
+    (calls.UPD_RATE_GET, OKAY + calls.encode_rate(UpdateRate(1, 100))),
+    (calls.VER_GET, OKAY + calls.encode_version(VERSION)),
+    (calls.NODE_ID_GET, OKAY + encode_part(calls.NODE_ID, bytes(range(8)))),
+    (calls.STATUS_GET, OKAY + encode_part(calls.STATUS, b"\x03\x00")),
+    (calls.RESET, OKAY),
+]
+SHELL_LOCATION = Location(Position(6.97, 5.17, -1.77, 53), LOCATION.ranges[:0])
+LINES = [
+    shell.les(LOCATION),
+    shell.lec(LOCATION),
+    shell.lep(LOCATION.position),
+    "[000541.880 INF] uwb0: panid=xFD5C addr=xDECA9AABC0A2591A",
+]
+
+
+def runs(count):
+    return pytest.param(count, marks=[pytest.mark.slow, pytest.mark.timeout(3600)] if count == LONG else [])
+
+
+def mutated(data, generator):
+    """Bytes changed, left out, put in or doubled; a piece cut off, or another one before it."""
+    out = bytearray(data)
+    for _ in range(generator.randint(1, 4)):
+        at = generator.randrange(len(out) + 1)
+        kind = generator.randrange(6)
+        if kind == 0 and at < len(out):
+            out[at] = generator.randrange(256)
+        elif kind == 1:
+            del out[at : at + generator.randint(1, 8)]
+        elif kind == 2:
+            out[at:at] = generator.randbytes(generator.randint(1, 8))
+        elif kind == 3:
+            out[at:at] = out[at : at + 20]
+        elif kind == 4:
+            del out[at:]
+        elif at < len(out):
+            out[at] ^= 1 << generator.randrange(8)
+    return bytes(out)
+
+
+@pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
+def test_answers(count):
+    generator = random.Random(1)
+    for _ in range(count):
+        call, good = ANSWERS[generator.randrange(len(ANSWERS))]
+        decoder = Decoder(call)
+        decoder.receive(mutated(good, generator))
+        # One frame behind the broken one may be lost to it; the next one is not.
+        decoder.receive(good * 2)
+        last, decoder.raw = b"", b"more"
+        while decoder.raw:
+            last, decoder.raw = decoder.raw, b""
+            with contextlib.suppress(FrameError):
+                decoder.next()
+                continue
+            decoder.raw = last  # there is more behind what was wrong
+        assert last == good
+
+
+@pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
+def test_exchanges(count):
+    """Whatever the line brings, a request ends with an answer or a named trouble."""
+    generator = random.Random(2)
+    for _ in range(count):
+        call, good = ANSWERS[generator.randrange(len(ANSWERS))]
+        exchange = Exchange(call)
+        data = mutated(good, generator)
+        outcome = exchange.receive(data[: len(data) // 2]) or exchange.receive(data[len(data) // 2 :])
+        if outcome is None:
+            trouble = exchange.expire()
+            assert trouble.kind in ("silent", "garbled", "shell", "layout")
+            assert trouble.reason
+
+
+@pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
+def test_shell_lines(count):
+    generator = random.Random(3)
+    good = f"{shell.lep(SHELL_LOCATION.position)}\r\n".encode()
+    reader = Reader()
+    for _ in range(count):
+        line = LINES[generator.randrange(len(LINES))]
+        reader.receive(mutated(line.encode(), generator) + b"\r\n" + good)
+        last = None
+        while True:
+            try:
+                one = reader.next()
+            except FrameError:
+                continue
+            if one is None:
+                break
+            last = one
+        assert last == SHELL_LOCATION.position
+
+
+@pytest.mark.parametrize("count", [runs(SHORT), runs(LONG)])
+def test_requests_to_a_module(count):
+    """The simulated module's parser of requests, and the check of those that come over the bus."""
+    generator = random.Random(4)
+    requests = [call.request for call, _ in ANSWERS] + [
+        calls.cfg_set(Settings(anchor=True)).request,
+        calls.upd_rate_set(UpdateRate(1, 1)).request,
+        calls.pos_set(LOCATION.position).request,
+    ]
+    now = 0.0
+    module = Dwm1001(0xDECA0001, Flash(Settings(anchor=False)), random.Random(5), lambda: LOCATION, now)
+    for _ in range(count):
+        request = mutated(requests[generator.randrange(len(requests))], generator)
+        with contextlib.suppress(FrameError):
+            calls.call_of(request)
+        now += generator.uniform(0.0, 0.1)
+        module.receive(request, now)
+        now += 0.05
+        module.handle_timer(now)
+        module.to_send(now)
