@@ -1,7 +1,6 @@
 """Messages of the mesh service, and the stop of the swarm that it carries."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from swarm.codec import MAX_BINARY
 
@@ -95,7 +94,7 @@ class FloodRequest:
     It appears on every other robot's bus, raw, under `swarm/<this robot>/app/<app>/flood`.
     """
 
-    LIMIT: ClassVar[int] = MAX_BINARY
+    LIMIT = MAX_BINARY
     ticket: str
     """Names this request; a repetition of it is not flooded again but gets the answer again."""
     app: str
@@ -129,7 +128,7 @@ class SendRequest:
     It appears on that robot's bus, raw, under `swarm/<this robot>/app/<app>/send/<to>`.
     """
 
-    LIMIT: ClassVar[int] = MAX_BINARY
+    LIMIT = MAX_BINARY
     ticket: str
     app: str
     to: str
