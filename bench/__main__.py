@@ -14,6 +14,7 @@ AREAS = {
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "localization": "the pose of a moving robot beside moving averages and multilateration, and what it costs",
     "footprint": "proportional memory of one robot's processes",
+    "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates",
     "dwm": "the UWB service: memory, and CPU time and allocations of an update",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
 }
