@@ -154,7 +154,7 @@ def parser() -> argparse.ArgumentParser:
     swarm = p.add_argument_group("the swarm")
     swarm.add_argument("--robots", type=_at_least(1), metavar="N", help="number of robots (3, or as the replay has)")
     swarm.add_argument(
-        "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, or a matrix file"
+        "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, auto, or a matrix file"
     )
     swarm.add_argument("--config", type=Path, metavar="FILE", help="take the swarm from this swarm.toml instead")
     app = p.add_argument_group("the app")

@@ -17,6 +17,7 @@ from services.sim.options import Options
 from swarm import config as configuration
 from swarm.codec import Value
 from swarm.config import Affine, Anchor, App, Config, Dwm, Linear, Mesh, Robot, Simulation
+from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
 from swarm.errors import AppError, ConfigError, LocalError
@@ -93,7 +94,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         config = replace(config, apps={**config.apps, app.name: _parameters(config, app, options)})
         app.check(config)
     for cut in options.cuts:
-        if cut.b not in config.neighbours(cut.a):
+        if not config.auto and cut.b not in config.neighbours(cut.a):
             raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None:
@@ -128,9 +129,10 @@ def _algorithm(config: Config, app: loader.App) -> str | None:
 def _step_size(config: Config, app: loader.App, recordings: Mapping[str, Recording]) -> tuple[str, ...]:
     """Hold gradient tracking's step size against the limit of this graph and geometry.
 
-    One above it is refused, but in a replay, where the places are those of the recording, it is only told.
+    One above it is refused, but in a replay, where the places are those of the recording, it is only told. Of an
+    automatic topology nobody knows the graph yet.
     """
-    if app.name != "localization" or _algorithm(config, app) != "thesis":
+    if app.name != "localization" or _algorithm(config, app) != "thesis" or config.auto:
         return ()
     gamma = app.make(config, config.names[0]).step_size  # type: ignore[attr-defined]
     places = {name: (x, y) for name, (x, y, _) in config.simulation.places.items()}
@@ -155,11 +157,13 @@ def _both_units(gamma: float) -> str:
 def _default(options: Options, recorded: int) -> Config:
     count = options.robots or recorded or 3
     names = [f"r{index}" for index in range(count)]
+    auto = options.topology == AUTO
     return Config(
         path=Path("swarm.toml"),
         network="sim",
         robots=tuple(Robot(name) for name in names),
-        edges=_edges(options.topology or "line", names),
+        edges=() if auto else _edges(options.topology or "line", names),
+        auto=auto,
         relay=DEFAULT_RELAY,
         anchors=ANCHORS,
         mesh=Mesh(insecure=True),

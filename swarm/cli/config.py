@@ -39,6 +39,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+_AUTO = "links: robots find them themselves"
+
+
 def _summary(config: Config) -> dict[str, object]:
     return {
         "file": str(config.path),
@@ -52,7 +55,8 @@ def _summary(config: Config) -> dict[str, object]:
             for robot in config.robots
         },
         "links": len(config.edges),
-        "diameter": Graph(config.names, config.edges).diameter(),
+        "diameter": None if config.auto else Graph(config.names, config.edges).diameter(),
+        "auto": config.auto,
         "relay": [rule.keys for rule in config.relay],
         "anchors": [anchor.address for anchor in config.anchors],
         "target": config.dwm.target,
@@ -62,7 +66,7 @@ def _summary(config: Config) -> dict[str, object]:
 
 
 def _authentication(config: Config) -> str:
-    if not config.edges:
+    if len(config.robots) == 1:
         return ""
     return ", not authenticated" if config.mesh.insecure else f", authenticated by the key in {config.mesh.key_file}"
 
@@ -81,7 +85,8 @@ def _text(config: Config) -> str:
         [
             f"{config.path}: fine; network {config.network}",
             *table,
-            f"links: {len(graph.edges)}, diameter {graph.diameter()}" + _authentication(config),
+            (_AUTO if config.auto else f"links: {len(graph.edges)}, diameter {graph.diameter()}")
+            + _authentication(config),
             f"relay: {len(DEFAULT_RELAY)} rules of the platform, {own_rules} of the file",
             f"anchors: {anchors or 'none'}; target {config.dwm.target or 'none'}",
             f"apps with parameters: {', '.join(sorted(config.apps)) or 'none'}",
