@@ -147,25 +147,26 @@ class TopologyWorld(World):
             return
         pair = frozenset((name, peer))
         edge = self.edges.get(pair)
-        if edge is not None and edge.up:
-            return
         self.calls += 1
-        problem = ""
         if edge is None or pair in self.blocked or peer not in self.bots:
-            problem = "unreachable"
+            self._failed(name, peer, "unreachable")
         elif not self.linking(peer).has_room(name):
-            problem = "the other end says: full"
-        if problem:
-            self.step(name, lambda overlays: overlays.dial_failed(peer, problem, self.now))
-            if not once:
-                self._at(self.now + RETRY, lambda: self._call(name, peer, once=False))
-            return
-        assert edge is not None
-        self._at(self.now + 1.5 * self.latency, lambda: self._up(name, peer, edge.generation))
+            self._failed(name, peer, "the other end says: full")
+        else:
+            self._at(self.now + 1.5 * self.latency, lambda: self._up(name, peer, edge.generation))
+
+    def _failed(self, name: str, peer: str, problem: str) -> None:
+        self.step(name, lambda overlays: overlays.dial_failed(peer, problem, self.now))
+        if peer in self.lasting[name]:
+            self._at(self.now + RETRY, lambda: self._call(name, peer, once=False))
 
     def _up(self, a: str, b: str, generation: int) -> None:
+        """`a` has called."""
         edge = self.edges[frozenset((a, b))]
-        if edge.up or edge.generation != generation or not {a, b} <= self.bots.keys():
+        if a not in self.bots:
+            return
+        if edge.generation != generation or edge.up or b not in self.bots or frozenset((a, b)) in self.blocked:
+            self._failed(a, b, "connection lost")
             return
         edge.up = edge.alive = True
         useful = True

@@ -134,7 +134,10 @@ class Linking:
 
     def has_room(self, peer: str) -> bool:
         """Whether a robot of the configuration may have a link with this one."""
-        return peer in self.wanted or peer in self._links or len(self._links) < MAX_LINKS
+        if peer in self._links or len(self._links) < MAX_LINKS:
+            return True
+        # While one set topology gives way to another there may be links of both; a radio knows itself what it holds.
+        return peer in self.wanted and not self.value.auto
 
     def link_up(self, peer: str, now: float) -> bool:
         """A connection with a robot is there; False where it is good for nothing but to know that."""
@@ -143,7 +146,8 @@ class Linking:
         self._down.pop(peer, None)
         if self._dials.get(peer):
             self._note_reach(peer, True, now)
-        if peer not in self.wanted and peer in self._map.routes() and self._map.topology(peer) == self.tag:
+        needless = peer not in self.wanted and peer in self._map.routes() and self._map.topology(peer) == self.tag
+        if needless or not self.has_room(peer):
             return False
         self._links[peer] = None
         self._send(peer)
@@ -292,8 +296,11 @@ class Linking:
             self._look_for_spare(kept, now)
         if not self.value.auto and not self.value.version:
             return
-        strangers = () if len(self._links) >= MAX_LINKS else self._strangers()
+        strangers = self._strangers()
         far = [name for name in strangers if name not in reachable]
+        if len(self._links) >= MAX_LINKS:
+            self.missing |= dict.fromkeys(far, f"not called, this robot has all its {MAX_LINKS} links")
+            far = strangers = []
         near = (
             [name for name in strangers if name in reachable and not self._reach.get(name)] if self.value.auto else []
         )
