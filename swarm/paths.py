@@ -1,7 +1,7 @@
 """Where a robot's processes meet: the runtime directory and the names in it.
 
 On a robot it is /run/swarm (systemd's RuntimeDirectory); a simulation gives each robot one of its own through
-SWARM_RUNTIME. Everything in it may vanish at a reboot.
+SWARM_RUNTIME. Everything in it may vanish at a reboot; what may not is in the state directory.
 """
 
 import os
@@ -10,6 +10,7 @@ from pathlib import Path
 from swarm.errors import BusError
 
 DEFAULT_RUNTIME = Path("/run/swarm")
+DEFAULT_STATE = Path("/var/lib/swarm")
 
 MAX_SOCKET_PATH = 107
 """Bytes of a Unix socket's path without the closing zero: sun_path of unix(7) has 108."""
@@ -23,6 +24,12 @@ ENDPOINT_PROTOCOL = "unixsock-stream"
 def runtime_dir() -> Path:
     """The runtime directory of the robot this process belongs to."""
     return Path(os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME)
+
+
+def state_dir() -> Path:
+    """Where this robot keeps what is to survive a reboot: SWARM_STATE, else the runtime directory of a robot that was
+    given one (a simulated one has only that), else /var/lib/swarm (systemd's StateDirectory)."""
+    return Path(os.environ.get("SWARM_STATE") or os.environ.get("SWARM_RUNTIME") or DEFAULT_STATE)
 
 
 def socket_path(directory: Path, name: str) -> Path:

@@ -120,7 +120,7 @@ def test_the_example_says_the_defaults():
 
 
 # `path` is no entry; `parameters` are an app's own entries; edges are written as [topology].
-NOT_ENTRIES = {(Config, "path"), (App, "parameters"), (Config, "bodies"), (Config, "balancings")}
+NOT_ENTRIES = {(Config, "path"), (App, "parameters"), (Config, "bodies"), (Config, "balancings"), (Config, "auto")}
 
 
 @pytest.mark.parametrize(
@@ -143,6 +143,11 @@ def test_what_the_example_leaves_out_is_right_too():
     start = next(i for i, line in enumerate(lines) if line.startswith("# matrix = "))
     end = next(i for i in range(start, len(lines)) if lines[i] == "# ]")
     matrix = "\n".join(line[2:] for line in lines[start : end + 1])
+    auto = next(line[2:] for line in lines if line.startswith("# topology = "))
+    table = EXAMPLE[EXAMPLE.index("\n[topology]\n") : EXAMPLE.index("# ---- Mesh")]
+    alone = parse(EXAMPLE.replace(table, "").replace(f"# {auto}", auto), FILE)
+    assert alone.auto
+    assert alone.edges == ()
     edges = next(line[2:] for line in lines if line.startswith("# edges = "))
     shape = next(line for line in lines if line.startswith("shape = "))
     assert parse(EXAMPLE.replace(shape, matrix), FILE).edges == parse(EXAMPLE, FILE).edges
@@ -640,3 +645,27 @@ def test_who_am_i(monkeypatch):
 
 def test_places_are_in_radians():
     assert parse(EXAMPLE, FILE).simulation.places["r1"][2] == pytest.approx(math.pi / 2, abs=1e-3)
+
+
+AUTO = 'network = "lab"\ntopology = "auto"\n[[robots]]\nname = "r0"\nlink = "tcp:h0:1"\n[[robots]]\nname = "r1"\n'
+
+
+def test_an_automatic_topology():
+    config = parse(AUTO + 'link = "tcp:h1:1"\n[mesh]\ninsecure = true', FILE)
+    assert (config.auto, config.edges) == (True, ())
+    assert parse(configuration.dump(config), FILE).auto
+    assert not parse(EXAMPLE, FILE).auto
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (AUTO, '[robots.1] bluetooth: with topology = "auto" each robot can be called by any other'),
+        (AUTO.replace('"auto"', '"automatic"'), 'topology: expected "auto" or a table, written [topology], got'),
+        (AUTO.replace('topology = "auto"\n', "") + '[topology]\nshape = "auto"', "expected line, loop"),
+    ],
+)
+def test_what_is_no_automatic_topology(text, problem):
+    with pytest.raises(ConfigError) as error:
+        parse(text, FILE)
+    assert problem in str(error.value)

@@ -42,8 +42,8 @@ _POLL_S = 0.25
 _LOG_PERIOD_S = 5.0
 """Of refused commands: a flood of them is counted, not logged one by one."""
 
-_NOTICE_PERIOD_S = 0.1
-"""Of notices about refused commands."""
+_NOTICES_A_SECOND = 10
+"""About refused commands, at most."""
 
 _TOPICS: dict[type, str] = {
     BalancerState: "state",
@@ -72,7 +72,8 @@ class Relay:
         self._loop.settimeout(_POLL_S)
         self._logged = -_LOG_PERIOD_S
         self._heard = clock.now()
-        self._noticed = -_NOTICE_PERIOD_S
+        self._notices = 0
+        self._notices_since = self._heard
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe([STOP, *commands], self._command)
@@ -147,8 +148,10 @@ class Relay:
     def _refuse(self, name: str, counter: str, reason: str) -> None:
         self._service.counters[counter] += 1
         now = clock.now()
-        if now - self._noticed >= _NOTICE_PERIOD_S:
-            self._noticed = now
+        if now - self._notices_since >= 1.0:
+            self._notices, self._notices_since = 0, now
+        self._notices += 1
+        if self._notices <= _NOTICES_A_SECOND:
             notice = Notice(now, name.rpartition("/")[2], f"{counter}: {reason[:200]}")
             self._service.bus.publish(self._keys[Notice], notice)
         if now - self._logged >= _LOG_PERIOD_S:

@@ -5,25 +5,28 @@ import os
 import random
 import threading
 import time
-from collections import Counter
 from functools import partial
 
-from services.mesh.core.dialler import dials
+from services.mesh import keep
+from services.mesh.core.dialler import can_link, dials
 from services.mesh.core.frames import NONCE_SIZE
 from services.mesh.core.handshake import Local
+from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
+from services.mesh.core.topology import Ground
+from services.mesh.links.pipe import describe
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
-from swarm.bus import Bus
 from swarm.codec import MAX_BINARY, encode
 from swarm.config import Config
 from swarm.errors import PayloadError
 from swarm.keyfile import read_keys
 from swarm.keys import STOP, key
-from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Links, SendRequest, Stop, read
+from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Links, SendRequest, Stop, TopologyRequest, read
+from swarm.paths import state_dir
 from swarm.service import Service
 
 _REPORT_PERIOD = 1.0
@@ -37,8 +40,8 @@ def _local(config: Config, me: str) -> Local:
         network=config.network,
         incarnation=int.from_bytes(os.urandom(8), "little"),
         insecure=settings.insecure,
-        keys=read_keys(settings.key_file) if settings.key_file is not None and config.neighbours(me) else {},
-        dials={peer: dials(own, config.robot(peer)) for peer in config.neighbours(me)},
+        keys=read_keys(settings.key_file) if settings.key_file is not None and len(config.robots) > 1 else {},
+        dials={peer.name: dials(own, peer) for peer in config.robots if peer is not own and can_link(own, peer)},
         robots=frozenset(config.names),
         heartbeat=settings.heartbeat,
         suspect=settings.suspect,
@@ -50,23 +53,39 @@ _log = logging.getLogger("mesh")
 
 
 class _Mesh(Runner):
-    """A runner that publishes its links; the newest state is always the last one published."""
+    """A runner that publishes its links and keeps the topology; the newest state is always the last one."""
 
-    def __init__(self, node: Node, network: Network, bus: Bus, robot: str, counters: Counter[str]) -> None:
+    def __init__(self, node: Node, network: Network, service: Service) -> None:
         super().__init__(
-            node, listeners=network.listeners, dial=network.dial, deliver=self._to_bus, changed=self.report
+            node,
+            listeners=network.listeners,
+            dial=network.dial,
+            deliver=self._to_bus,
+            changed=self.report,
+            keep=self._keep_topology,
         )
-        self._bus = bus
-        self._counters = counters
-        self._links_key = key(robot, "mesh", "links")
-        self._clock_key = key(robot, "mesh", "clock")
+        self._service = service
+        self._bus = service.bus
+        self._counters = service.counters
+        self._links_key = key(service.robot, "mesh", "links")
+        self._clock_key = key(service.robot, "mesh", "clock")
+        self._topology_key = key(service.robot, "mesh", "topology")
         self._reporting = threading.Lock()
+        self._keeping = threading.Lock()
 
     def report(self) -> None:
-        """Publish `mesh/links` and `mesh/clock`."""
+        """Publish `mesh/links`, `mesh/clock` and `mesh/topology`."""
         with self._reporting:
+            self._bus.publish(self._topology_key, self.look(lambda each, now: each.topology(now)))
             self._bus.publish(self._links_key, Links(clock.now(), self.links()))
             self._bus.publish(self._clock_key, Clock(*self.clock()))
+
+    def _keep_topology(self) -> None:
+        try:
+            with self._keeping:
+                keep.save(state_dir(), self.look(lambda each, now: each.topology_file()))
+        except OSError as error:
+            self._service.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
     def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
         if len(payload) <= MAX_BINARY:
@@ -95,6 +114,8 @@ class _Commands:
                 self._mesh.ask(lambda each, now: each.request_flood(message, now))
             case SendRequest():
                 self._mesh.ask(lambda each, now: each.request_send(message, now))
+            case TopologyRequest():
+                self._mesh.ask(lambda each, now: each.request_topology(message, now))
             case EchoRequest():
                 self._mesh.ping(message)
             case Stop(_, origin, reason):
@@ -109,7 +130,9 @@ def main() -> None:
     """Run until SIGTERM."""
     with Service("mesh") as this:
         local = _local(this.config, this.robot)
-        relay = Relay(this.robot, tuple(local.dials), this.config.relay, this.config.names)
+        ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
+        start = Start(ground, local.dials, keep.load(state_dir(), ground))
+        relay = Relay(this.robot, (), this.config.relay, this.config.names)
         overlays = Overlays(
             this.robot,
             this.config.names,
@@ -117,13 +140,14 @@ def main() -> None:
             random=random.random,
             counters=this.counters,
             metric=this.config.mesh.metric,
+            start=start,
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
         )
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
-        mesh = _Mesh(node, network, this.bus, this.robot, this.counters)
+        mesh = _Mesh(node, network, this)
         for source, expression in enumerate(relay.subscriptions):
             this.bus.subscribe(expression, partial(mesh.publish, source))
         commands = _Commands(this, mesh)
@@ -132,6 +156,8 @@ def main() -> None:
         this.bus.serve(members, lambda *_: encode(mesh.look(lambda each, now: each.members(now))))
         stopped = key(this.robot, "mesh", "stopped")
         this.bus.serve(stopped, lambda *_: encode(mesh.look(lambda each, now: each.stopped(now))))
+        topology = key(this.robot, "mesh", "topology")
+        this.bus.serve(topology, lambda *_: encode(mesh.look(lambda each, now: each.topology(now))))
         this.bus.serve(key(this.robot, "mesh", "clock"), lambda *_: encode(Clock(*mesh.clock())))
         graph = key(this.robot, "mesh", "graph")
         this.bus.serve(

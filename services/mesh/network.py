@@ -4,6 +4,7 @@ import logging
 from pathlib import Path
 
 from services.mesh import monikers
+from services.mesh.core.dialler import has_address
 from services.mesh.core.handshake import Local
 from services.mesh.links import pybluez, rfcomm, sim, tcp
 from services.mesh.links.pipe import Pipe
@@ -23,34 +24,41 @@ class Network:
     def __init__(
         self, config: Config, local: Local, directory: Path, *, open_bluetooth: rfcomm.Open = rfcomm.open_socket
     ) -> None:
-        self._addresses = {
-            peer: monikers.of_robot(config.robot(peer)) for peer, we_dial in local.dials.items() if we_dial
-        }
+        robots = {name: config.robot(name) for name in local.dials}
+        self._addresses = {peer: monikers.of_robot(robots[peer]) for peer, we_dial in local.dials.items() if we_dial}
         callers = [peer for peer, we_dial in local.dials.items() if not we_dial]
         me = config.robot(local.robot)
         own = monikers.of_robot(me) if callers else None
         listen = config.mesh.listen
-        near = [monikers.of_robot(config.robot(peer)) for peer in callers]
+        near = [monikers.of_robot(robots[peer]) for peer in callers if has_address(robots[peer])]
         hosts = {moniker.host for moniker in near if isinstance(moniker, monikers.Tcp)}
+        # Whom the configuration links with us must be able to call; others may become neighbours one day.
+        first = local.dials if config.auto else config.neighbours(local.robot)
+        needed = [peer for peer in callers if peer in first]
         if isinstance(own, monikers.Tcp) and listen is None:
-            raise ConfigError(
-                f"{config.path}: [mesh] listen: {', '.join(callers)} will dial {local.robot} over tcp:, "
-                f'so say where it listens, for example "0.0.0.0:{own.port}"'
-            )
+            if needed:
+                raise ConfigError(
+                    f"{config.path}: [mesh] listen: {', '.join(needed)} will dial {local.robot} over tcp:, "
+                    f'so say where it listens, for example "0.0.0.0:{own.port}"'
+                )
+            own = None
         kinds = {type(each) for each in (own, *self._addresses.values())}
+        required = {type(self._addresses[peer]) for peer in first if peer in self._addresses}
+        if needed and own is not None:
+            required.add(type(own))
         self._open_bluetooth = open_bluetooth
         self._radio = rfcomm.Radio(me.bluetooth or ANY_ADAPTER, config.mesh.rfcomm_channel, config.mesh.rfcomm_encrypt)
         self._record: pybluez.Record | None = None
         self._air = sim.Air(local.robot, directory) if monikers.Sim in kinds else None
         self.listeners: list[Listener] = []
         try:
-            if monikers.Rfcomm in kinds:
+            if monikers.Rfcomm in required:
                 _check_bluetooth(open_bluetooth)
             if isinstance(own, monikers.Sim) and self._air is not None:
                 self.listeners.append(sim.Listener(own.path, self._air))
             if isinstance(own, monikers.Rfcomm):
-                robots = {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
-                listener = rfcomm.Listener(self._radio, robots, open_socket=open_bluetooth)
+                known = {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
+                listener = rfcomm.Listener(self._radio, known, open_socket=open_bluetooth)
                 self.listeners.append(listener)
                 self._record = _advertise(listener)
             if listen is not None:
@@ -65,7 +73,10 @@ class Network:
         if isinstance(address, monikers.Tcp):
             return tcp.dial(address)
         if isinstance(address, monikers.Rfcomm):
-            return rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
+            try:
+                return rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
+            except LocalError as error:  # no Bluetooth here, and no configured neighbour that needs it
+                raise ConnectionError(str(error)) from None
         assert self._air is not None
         return sim.dial(address.path, self._air, peer)
 

@@ -19,7 +19,7 @@ from services.mesh.core.clock import ClockState
 from services.mesh.core.events import Received
 from services.mesh.core.frames import BULK
 from services.mesh.core.node import Node
-from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note
+from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
@@ -63,14 +63,16 @@ class Runner:
         dial: Callable[[str], Pipe],
         deliver: Callable[[str, bytes, bool], None],
         changed: Callable[[], None],
+        keep: Callable[[], None],
     ) -> None:
         """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(key, payload, urgent)` for what
-        came in, `changed()` when a link did."""
+        came in, `changed()` when a link did, `keep()` when there is another topology to be kept."""
         self._node = node
         self._listeners = listeners
         self._dial = dial
         self._deliver = deliver
         self._changed = changed
+        self._keep = keep
         self._lock = threading.Lock()
         self._pipes: dict[Session, Pipe] = {}
         self._blocked: dict[Session, Pipe] = {}
@@ -189,6 +191,8 @@ class Runner:
     def _report(self, actions: list[Action]) -> None:
         """After the lock: what goes to the bus and to the log."""
         changed = False
+        if any(type(action) is Write for action in actions):
+            self._keep()  # before the bus hears of it
         for action in actions:
             if type(action) is Received:
                 self._deliver(action.key, action.payload, action.priority < BULK)

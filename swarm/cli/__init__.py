@@ -16,7 +16,7 @@ from typing import NoReturn
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
-VERBS = ("arm", "config", "key", "kill", "lay", "measure", "mesh", "press", "push", "stop")
+VERBS = ("arm", "config", "key", "kill", "lay", "measure", "mesh", "press", "push", "stop", "topology")
 """Modules of this package."""
 
 HANDED_ON = {

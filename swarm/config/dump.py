@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY, App, Config
 from swarm.errors import LocalError
 
@@ -16,7 +17,7 @@ def dump(config: Config) -> str:
     if config.relay != DEFAULT_RELAY + rules:
         raise LocalError("a config whose relay rules do not begin with the default ones cannot be written")
     document: dict[str, Any] = {"network": config.network, "robots": _plain(config.robots)}
-    document["topology"] = {"edges": _plain(config.edges)}
+    document["topology"] = AUTO if config.auto else {"edges": _plain(config.edges)}
     for name in ("mesh", "anchors", "dwm", "simulation"):
         document[name] = _plain(getattr(config, name))
     for name, robots in (("body", config.bodies), ("balancing", config.balancings)):

@@ -6,6 +6,7 @@ EXAMPLE = """\
 # Units are SI: m, rad, s, Hz. Check a changed file with: swarm config check swarm.toml
 
 network = "lab"            # robots of another network are refused
+# topology = "auto"        # in place of the table [topology]: robots find their neighbours themselves
 
 # ---- Robots. Names: a lower-case letter, then up to 15 lower-case letters, digits, _ or -.
 
@@ -40,7 +41,8 @@ bluetooth = "B8:27:EB:00:00:15"
 # link = "tcp:192.168.1.15:7447"
 
 # ---- Topology: who talks to whom. Exactly one of shape, edges or matrix; connected, links hold both ways, at
-# most seven Bluetooth links a robot. A link counts as Bluetooth when either end has no `link`.
+# most seven Bluetooth links a robot. A link counts as Bluetooth when either end has no `link`. While the
+# swarm runs `swarm topology set` changes it; another table here, on all robots, takes that back.
 
 [topology]
 shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:SEED

@@ -21,6 +21,9 @@ from swarm.paths import MAX_SOCKET_PATH
 
 DEFAULT_PATH = Path("/etc/swarm/swarm.toml")
 
+AUTO = "auto"
+"""`topology = "auto"`, in place of the table."""
+
 _TABLES = (
     "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "balancing", "apps",
     "simulation",
@@ -63,7 +66,10 @@ def parse(text: str, path: Path) -> Config:
     network = top.text("network", expected="1 to 32 letters, digits or . _ -", pattern=_NETWORK)
     robots = _robots(top)
     names = tuple(robot.name for robot in robots)
-    graph = _topology(top, robots)
+    auto = data.get("topology") == AUTO
+    graph = Graph(names, ()) if auto else _topology(top, robots)
+    if auto:
+        _check_addresses(top, robots)
     body, bodies = sections.bodies(top, names)
     balancing, balancings = sections.balancings(top, names)
     return Config(
@@ -81,6 +87,7 @@ def parse(text: str, path: Path) -> Config:
         dwm=sections.dwm(top, names),
         apps=sections.apps(top, names),
         simulation=sections.simulation(top, names),
+        auto=auto,
     )
 
 
@@ -141,6 +148,8 @@ def _robot(table: Table) -> Robot:
 
 def _topology(top: Table, robots: Sequence[Robot]) -> Graph:
     ways = ("shape", "edges", "matrix")
+    if isinstance(top.data.get("topology"), str):
+        raise top.wrong("topology", f'"{AUTO}" or a table, written [topology]')
     table = top.table("topology", ways)
     names = [robot.name for robot in robots]
     given = [way for way in ways if way in table]
@@ -185,6 +194,17 @@ def _check_radio(table: Table, way: str, robots: Sequence[Robot], graph: Graph) 
             raise table.error(
                 way,
                 f"{robot.name} has {links} RFCOMM links, a Bluetooth radio holds at most {MAX_RFCOMM_LINKS}",
+            )
+
+
+def _check_addresses(top: Table, robots: Sequence[Robot]) -> None:
+    """Any two robots may become neighbours: each needs an address."""
+    for i, robot in enumerate(robots):
+        if robot.link is None and robot.bluetooth is None and len(robots) > 1:
+            raise Table(top.file, f"robots.{i}", {}, None).error(
+                "bluetooth",
+                f'with topology = "{AUTO}" each robot can be called by any other: expected the address of '
+                f'{robot.name}, like "B8:27:EB:12:34:56", or its link',
             )
 
 

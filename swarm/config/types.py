@@ -216,7 +216,7 @@ class Config:
     """Robots of another network are refused."""
     robots: tuple[Robot, ...]
     edges: tuple[tuple[str, str], ...]
-    """The topology: each link once, as (name, name) in the order of `robots`."""
+    """The topology to begin with: each link once, as (name, name) in the order of `robots`."""
     relay: tuple[RelayRule, ...]
     anchors: tuple[Anchor, ...] = ()
     mesh: Mesh = field(default_factory=Mesh)
@@ -229,6 +229,8 @@ class Config:
     dwm: Dwm = field(default_factory=Dwm)
     apps: Mapping[str, App] = field(default_factory=dict)
     simulation: Simulation = field(default_factory=Simulation)
+    auto: bool = False
+    """Whether the robots find their links themselves; `edges` is empty then."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -256,7 +258,7 @@ class Config:
         return {robot.uwb: robot.name for robot in self.robots if robot.uwb is not None}
 
     def neighbours(self, name: str) -> tuple[str, ...]:
-        """Names of the robots linked to `name`, sorted."""
+        """Names of the robots linked to `name` in the topology to begin with, sorted."""
         return tuple(sorted((b if a == name else a) for a, b in self.edges if name in (a, b)))
 
     def app(self, name: str) -> App:

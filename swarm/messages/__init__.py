@@ -59,6 +59,9 @@ from swarm.messages.mesh import (
     Sent,
     Stop,
     Stopped,
+    Topology,
+    TopologyRequest,
+    TopologySet,
 )
 from swarm.messages.service import Status
 from swarm.messages.sim import Truth
@@ -111,6 +114,9 @@ __all__ = [
     "Status",
     "Stop",
     "Stopped",
+    "Topology",
+    "TopologyRequest",
+    "TopologySet",
     "Truth",
     "Uwb",
     "UwbRange",

@@ -260,6 +260,59 @@ class Echo:
     """Why it could not be sent; empty otherwise."""
 
 
+@dataclass(frozen=True, slots=True)
+class TopologyRequest:
+    """Command on `mesh/set/topology`: other links for the whole swarm; the answer is a `TopologySet`."""
+
+    ticket: str
+    """Names this request; a repetition of it is answered again, not done again."""
+    shape: str
+    """line, loop, full, thesis-d, random:SEED or auto; empty where `edges` say it."""
+    edges: tuple[tuple[str, ...], ...]
+    """Pairs of robots."""
+    after: int | None
+    """Only if this version is in force; None = whatever is."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopologySet:
+    """Answer to a `TopologyRequest`, on `swarm/<robot>/mesh/topology_set`: it holds on this robot, others follow."""
+
+    t: float
+    ticket: str
+    version: int
+    """In force on this robot."""
+    problem: str
+    """Why nothing was changed; empty otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topology:
+    """The topology in force on a robot, on `swarm/<robot>/mesh/topology`: on change, and as answer to queries."""
+
+    t: float
+    version: int
+    """Counts what was set; 0 = as configured."""
+    step: int
+    """Counts the changes of the automatic rule within a version."""
+    issuer: str
+    """Where it was set; empty for the configuration's own."""
+    auto: bool
+    """Whether the automatic rule changes it."""
+    since: float
+    """When this robot took it over."""
+    edges: tuple[tuple[str, ...], ...]
+    """All links of the swarm, each once."""
+    wanted: tuple[str, ...]
+    """Neighbours of this robot in it."""
+    up: tuple[str, ...]
+    """Those of them whose links are up."""
+    kept: tuple[str, ...]
+    """Links that are up and not in it: they alone hold the swarm together, or are about to go."""
+    missing: dict[str, str]
+    """Robots out of reach that this one has called, and why in vain."""
+
+
 TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "links"): Links,
     ("mesh", "members"): Members,
@@ -272,6 +325,9 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "set/arm"): Arm,
     ("mesh", "clock"): Clock,
     ("mesh", "echo"): Echo,
+    ("mesh", "topology"): Topology,
+    ("mesh", "topology_set"): TopologySet,
+    ("mesh", "set/topology"): TopologyRequest,
     ("mesh", "set/echo"): EchoRequest,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

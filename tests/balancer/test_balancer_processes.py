@@ -28,6 +28,8 @@ from swarm.messages import (
     SetLeds,
     SetMode,
     SetNotes,
+    SetParameters,
+    SetVelocity,
     Stop,
     read,
 )
@@ -52,6 +54,10 @@ class Watcher:
     def wait_mode(self, mode: str) -> BalancerState:
         wait_until(lambda: self.last() is not None and self.last().mode == mode, 20, f"mode {mode}: {self.last()}")
         return self.last()
+
+    @staticmethod
+    def body_pid(processes: Processes) -> int:
+        return processes._started[-1].pid
 
     def command(self, what: str, message: object) -> None:
         self.bus.publish(f"swarm/r0/balancer/set/{what}", message)
@@ -133,6 +139,44 @@ def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, w
     assert after.mode == "balancing"
     # It ticked on while nobody listened: by the loop's own time, nothing is missing but what it says was missed.
     assert after.ticks + after.missed - before.ticks - before.missed == pytest.approx((after.t - before.t) * 100, abs=2)
+
+
+def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher: Watcher) -> None:
+    processes.start("-m", "services.sim.body")
+    watcher.wait_mode("calibrating")
+    watcher.command("velocity", SetVelocity(0.1, 0.0, 1.0))
+    wait_until(lambda: watcher.heard["notice"], what="a notice")
+    assert watcher.last("notice").text == (
+        "refused: velocity: only a balancing robot drives, this one is calibrating"
+    ) or watcher.last("notice").text.endswith("this one is idle")
+    watcher.wait_mode("balancing")
+
+    start = watcher.last("odometry").x
+    watcher.command("velocity", SetVelocity(0.2, 0.0, 5.0))
+    wait_until(lambda: watcher.last().demanded_speed == 0.2, what="it drives")
+    wait_until(lambda: watcher.last("odometry").x > start + 0.3, 20, "it has gone somewhere")
+    (bridge,) = [pid for pid in children(watcher.body_pid(processes)) if alive(pid)]
+    os.kill(bridge, signal.SIGKILL)
+    # Who commanded is gone with it: the speed runs out, and the robot stands.
+    count = len(watcher.heard["state"])
+    wait_until(lambda: len(watcher.heard["state"]) > count + 2 and watcher.last().demanded_speed == 0.0, 20)
+    assert watcher.last().mode == "balancing"
+
+    watcher.heard["notice"].clear()
+    for what, payload, word in (
+        ("velocity", {"speed": float("nan"), "turn_rate": 0.0, "seconds": 1.0}, "finite"),
+        ("velocity", SetVelocity(0.1, 0.0, 1e9), "seconds"),
+        ("velocity", SetVelocity(3.0, 0.0, 0.1), "above the limit"),
+        ("mode", SetMode("dance"), "expected one of"),
+        ("mode", SetMode("calibrate"), "must be idle"),
+        ("parameters", SetParameters({"gain": 1.0}), "unknown"),
+    ):
+        watcher.command(what, payload if not isinstance(payload, dict) else msgpack.packb(payload))
+        wait_until(lambda: watcher.heard["notice"], what=f"a notice about {payload}")
+        notice = watcher.heard["notice"].pop()
+        assert notice.about == what
+        assert word in notice.text
+    assert watcher.last().mode == "balancing"
 
 
 def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from balancer_rig import Rig
+from balancer_rig import Rig, upright
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,7 +14,19 @@ from services.balancer.loop import Loop
 from services.balancer.orders import MAX_REASON
 from services.balancer.telemetry import Telemetry
 from swarm.errors import PayloadError
-from swarm.messages import BalancerState, Leds, Odometry, SetLeds, SetMode, Stop
+from swarm.messages import (
+    BalancerFault,
+    BalancerState,
+    Leds,
+    Notice,
+    Odometry,
+    Parameters,
+    SetLeds,
+    SetMode,
+    SetParameters,
+    SetVelocity,
+    Stop,
+)
 
 
 class Lists:
@@ -85,6 +97,100 @@ def test_a_stall_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
     state = loop.bridge.of(BalancerState)[-1]
     assert state.late_max == pytest.approx(0.035)
     assert state.missed == 3
+
+
+def test_the_last_command_holds_through_a_stall_and_one_step_follows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """150 ms without a tick: the motors go on as they were, then one step is made with the time that really passed."""
+    loop = VirtualLoop(monkeypatch, upright().run(2))
+    loop.rig.body.push(0.05)
+    loop.run(5)
+    commanded: list[tuple[float, tuple[float, float]]] = []
+    drive = loop.rig.body.drive
+    loop.rig.body.drive = lambda left, right: (commanded.append((loop.rig.now, (left, right))), drive(left, right))
+    loop.oversleep = {len(loop.started) + 5: 0.150}
+    before = loop.loop.ticks
+    loop.run(30)
+    times = [at for at, _ in commanded]
+    gap = max(range(1, len(times)), key=lambda n: times[n] - times[n - 1])
+    assert times[gap] - times[gap - 1] == pytest.approx(0.160, abs=0.005)
+    assert commanded[gap - 1][1] != (0.0, 0.0), "nobody set them to zero meanwhile"
+    assert loop.loop.ticks - before == 30
+    assert len(commanded) == 30, "missed ticks are not replayed"
+    assert loop.loop.missed == 15
+    assert loop.rig.balancer.mode == "balancing"
+
+
+def test_a_clock_that_goes_back_is_not_slept_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(2))
+    loop.run(50)
+    loop.rig.now -= 5.0
+    loop.rig.body.now -= 5.0
+    before = loop.loop.ticks
+    start = loop.rig.now
+    loop.run(100)
+    assert loop.loop.ticks == before + 100
+    assert loop.rig.now - start == pytest.approx(1.0, abs=0.05)
+    assert loop.rig.balancer.mode == "balancing"
+
+
+def test_measured_time_is_what_the_estimate_is_made_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(2))
+    steps: list[float] = []
+    step = loop.rig.balancer.step
+    loop.rig.balancer.step = lambda now: (step(now), steps.append(loop.rig.balancer.estimate.dt))
+    loop.oversleep = dict.fromkeys(range(10, 20), 0.004)
+    loop.run(40)
+    assert sum(steps[1:]) == pytest.approx(loop.started[-1] - loop.started[0], abs=1e-9)
+
+
+def test_faults_and_notices_are_told_once_and_faults_again_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    loop.run(20)
+    assert loop.bridge.of(BalancerFault) == []
+    (parameters,) = loop.bridge.of(Parameters)
+    assert (parameters.controller, parameters.parameters["max_speed"]) == ("lqr", 0.5)
+    loop.bridge.incoming = [
+        SetVelocity(9.0, 0.0, 1.0),
+        SetParameters({"max_speed": 0.3}),
+        SetParameters({"nonsense": 1.0}),
+        SetMode("calibrate"),
+        SetLeds(True, True, True, 1e9),
+    ]
+    loop.run(50)
+    assert [(notice.about, notice.text.split(":")[0]) for notice in loop.bridge.of(Notice)] == [
+        ("velocity", "speed 9 is above the limit of 0.5 m/s"),
+        ("parameters", "refused"),
+        ("mode", "refused"),
+        ("leds", "refused"),
+    ]
+    assert loop.bridge.of(Parameters)[-1].parameters["max_speed"] == 0.3
+    loop.bridge.incoming = [Stop(1.0, "r1", "enough")]
+    loop.run(10)
+    (fault,) = loop.bridge.of(BalancerFault)
+    assert (fault.name, fault.reason) == ("stopped", "stopped: enough (by r1)")
+    assert "swarm arm" in fault.recovery
+    loop.run(300)
+    assert len(loop.bridge.of(BalancerFault)) == 1 + 3
+    loop.bridge.incoming = [SetMode("rest")]
+    loop.run(10)
+    assert loop.bridge.of(BalancerFault)[-1].name == ""
+
+
+def test_a_flood_of_wrong_commands_costs_at_most_a_notice_a_slot(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    loop.bridge.commands = lambda: [SetVelocity(9.0, 0.0, 1.0)] * 8
+    loop.run(100)
+    assert 20 < len(loop.bridge.of(Notice)) <= 25
+
+
+def test_an_empty_battery_read_over_the_bus_lays_it_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    loop.rig.robot.atmega.battery = 5.8
+    loop.run(1500)
+    state = loop.bridge.of(BalancerState)[-1]
+    assert (state.mode, state.posture, state.battery_level) == ("fault", "front", "empty")
+    assert loop.bridge.of(BalancerFault)[-1].name == "battery"
+    assert state.battery_left == 0.0
 
 
 def test_telemetry_is_25_hz_and_odometry_begins_with_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:

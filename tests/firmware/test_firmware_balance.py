@@ -151,6 +151,35 @@ def test_a_firmware_that_restarts_is_named_and_survived(bench):
     assert bench.motors() == (0.0, 0.0)
 
 
+def test_it_drives_and_lies_down_through_the_firmware(bench):
+    standing = upright(bench)
+    standing.balancer.drive(0.2, 1.0, 3.0, standing.robot.clock())
+    standing.run(2.0)
+    assert standing.balancer.mode == "balancing"
+    assert standing.robot.body.speed == pytest.approx(0.2, abs=0.1)
+    assert standing.robot.body.turn_rate == pytest.approx(1.0, abs=0.3)
+    standing.balancer.command("lie", standing.robot.clock())
+    standing.run(2.5)
+    assert (standing.balancer.mode, standing.balancer.posture) == ("idle", "front")
+    bench.run(0.001)
+    assert bench.motors() == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("manoeuvre", ["drive", "lie"])
+def test_a_balancer_that_dies_in_a_manoeuvre_leaves_motors_that_stop(bench, manoeuvre):
+    """kill -9 in the middle: the last motor write is the last thing the firmware hears."""
+    standing = upright(bench)
+    if manoeuvre == "drive":
+        standing.balancer.drive(0.5, 0.0, 10.0, standing.robot.clock())
+    else:
+        standing.balancer.command("lie", standing.robot.clock())
+    standing.run(0.1)
+    bench.run(0.001)
+    assert bench.motors() != (0.0, 0.0)
+    bench.run(0.205)
+    assert bench.motors() == (0.0, 0.0)
+
+
 def test_transfers_that_stop_in_the_middle_do_not_throw_it(bench):
     """The Pi's master was reset in the middle of a read: the ATmega holds on for 30 ms, then drops it."""
     standing = upright(bench)

@@ -6,18 +6,35 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+from hypothesis import strategies as st
 
 from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
 from services.mesh.core.handshake import Local
+from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
-from services.mesh.core.orders import Close, Dial, Note
+from services.mesh.core.orders import Close, Dial, Note, Write
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.session import Session
+from services.mesh.core.topology import Ground, Topology
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
 from swarm.messages import LinkState
+
+ACCIDENTS = st.one_of(
+    st.tuples(st.just("publish"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("cut"), st.floats(0.1, 12.0)),
+    st.tuples(st.just("break"), st.integers(1, 200)),
+    st.tuples(st.just("drop"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("restart"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("absent"), st.sampled_from(("r0", "r1"))),
+    st.tuples(st.just("stop"), st.tuples(st.sampled_from(("r0", "r1")), st.floats(0.1, 9.0))),
+    st.tuples(st.just("wait"), st.floats(0.001, 6.0)),
+)
+"""What may happen to the link of r0 and r1, for `World.suffer`; `publish` is the test's own matter."""
 
 
 @dataclass
@@ -58,8 +75,15 @@ class World:
         latency: float = 0.03,
         seed: int = 0,
         keys: Mapping[int, bytes] | None = None,
+        auto: bool = False,
     ) -> None:
-        """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`."""
+        """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`. With `auto` the
+        robots find their links themselves."""
+        self.auto = auto
+        self.topology: Sequence[tuple[str, str]] = () if auto else list(edges)
+        """The configuration's."""
+        self.saved: dict[str, Topology] = {}
+        """What robots have kept through their restarts."""
         self.keys = keys
         self.now = 0.0
         self.random = random.Random(seed)
@@ -93,18 +117,19 @@ class World:
             "incarnation": self.random.getrandbits(64),
             "insecure": self.keys is None,
             "keys": self.keys or {},
-            "dials": {peer: dials(robots[name], robots[peer]) for peer in peers},
+            "dials": {peer: dials(robots[name], robots[peer]) for peer in robots if peer != name},
             "robots": frozenset(robots),
         }
         local = Local(**(settings | self.overrides.get(name, {})))  # type: ignore[arg-type]
         counters: Counter[str] = Counter()
-        relay = Relay(name, tuple(local.dials), self.rules, local.robots)
+        relay = Relay(local.robot, peers, self.rules, local.robots)
         overlays = Overlays(
-            name,
+            local.robot,
             local.robots,
             incarnation=int((1000.0 + self.now) * 1e6),
             random=self.random.random,
             counters=counters,
+            start=Start(Ground(sorted(local.robots), self.topology, auto=self.auto), local.dials, self.saved.get(name)),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
         )
@@ -140,6 +165,32 @@ class World:
             if peer is not None:
                 self._close(peer)
             self._down(end)
+
+    def suffer(self, kind: str, value: Any) -> None:
+        """One of `ACCIDENTS`."""
+        match kind:
+            case "cut":
+                self.cut("r0", "r1", value)
+            case "break":
+                self.break_after = value
+            case "drop" if value in self.bots:
+                self.break_connections(value)
+            case "restart" | "absent":
+                if value in self.bots:
+                    self.kill(value)
+                if kind == "restart":
+                    self.start(value)
+            case "stop" if value[0] in self.bots:
+                self.stop(*value)
+            case "wait":
+                self.run(value)
+
+    def recover(self) -> None:
+        """No more accidents: r0 and r1 run, and nothing breaks."""
+        for name in ("r0", "r1"):
+            if name not in self.bots:
+                self.start(name)
+        self.break_after = None
 
     def publish(self, name: str, key: str, payload: bytes, source: int = 0) -> None:
         """A sample on a robot's own bus."""
@@ -192,7 +243,7 @@ class World:
                 self._flush(bot.ends[session])
         for action in bot.node.actions():
             if isinstance(action, Received):
-                if action.key.endswith("/mesh/members"):
+                if action.key.endswith(("/mesh/members", "/mesh/topology")):
                     continue
                 bot.inbox.append((action.key, action.payload))
             elif isinstance(action, Dial):
@@ -205,6 +256,10 @@ class World:
                     self._close(end)
             elif isinstance(action, Note):
                 bot.notes.append(action)
+            elif isinstance(action, Write):
+                linking = bot.node.overlays.linking
+                assert linking is not None
+                self.saved[name] = linking.value
 
     def _wake(self, bot: Bot) -> float:
         deadline = bot.node.next_deadline()

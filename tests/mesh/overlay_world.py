@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from services.mesh.core.actions import Transmit
+from services.mesh.core.actions import LinkAction, Transmit
+from services.mesh.core.events import Received
+from services.mesh.core.linking import Start
 from services.mesh.core.overlays import Overlays
 from swarm.codec import decode
 from swarm.keys import parse
@@ -92,6 +94,7 @@ class World:
             random=self.random.random,
             counters=counters,
             metric=self.metric,
+            start=self.beginning(name),
             admits_flood=lambda key: parse(key).service == "rule",
             admits_unicast=lambda sender, key: "set/allowed" in key,
         )
@@ -166,6 +169,8 @@ class World:
         for action in bot.overlays.actions():
             if isinstance(action, Transmit):
                 self._transmit(name, action)
+            elif not isinstance(action, Received):
+                self.obey(name, action)
             elif "/mesh/members" not in action.key:
                 bot.inbox.append((action.key, action.payload))
                 bot.times.append(self.now)
@@ -212,6 +217,16 @@ class World:
     def changes(self, name: str) -> list[tuple[str, str]]:
         """What has happened to members."""
         return [(change.robot, change.what) for change in self.bots[name].overlays.members(self.now).changes]
+
+    # -- for worlds in which robots choose their links --
+
+    def beginning(self, name: str) -> Start | None:
+        """What a robot knows of links; here that is the test's matter."""
+        return None
+
+    def obey(self, name: str, action: LinkAction) -> None:
+        """A robot wants another link, or one less."""
+        raise AssertionError(f"{name}: {action}")
 
     # -- the machinery --
 

@@ -42,8 +42,8 @@ def hello(**changes: object) -> bytes:
 class Watched:
     """r0 - r1 - r2, where r1 and r2 talk all the time: none of it may be lost, nor their link be made anew."""
 
-    def __init__(self) -> None:
-        self.world = World(LINE, keys=KEYS)
+    def __init__(self, keys: dict[int, bytes] | None = KEYS) -> None:
+        self.world = World(LINE, keys=keys)
         self.streams: dict[str, list[tuple[End, bytes]]] = {"r0": [], "r1": []}
         self.changes: Callable[[End, bytes], bytes] | None = None
         self.world.tap = self._tap
@@ -274,6 +274,10 @@ def byte_missing(end: End, data: bytes) -> bytes:
     return data[:5] + data[6:]
 
 
+def truncated(end: End, data: bytes) -> bytes:
+    return data[:-3]
+
+
 def endless_length(end: End, data: bytes) -> bytes:
     return b"\xff\xff" + data[2:]
 
@@ -294,6 +298,7 @@ def forged_bye(end: End, data: bytes) -> bytes:
         (tag_flipped, "bad_tags"),
         (class_changed, "bad_tags"),
         (byte_missing, "bad_tags"),
+        (truncated, "bad_tags"),
         (endless_length, "bad_frames"),
         (without_tag, "bad_tags"),
         (forged_bye, "bad_tags"),

@@ -1,10 +1,13 @@
 """Overlays through sessions and relay rules: what leaves, what comes in, and what stays refused."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mesh_world import World
-from test_mesh_session import disturbances, hello
+from mesh_world import ACCIDENTS, End, World
+from test_mesh_session import KEYS, hello
 
 from services.mesh.core import frames, packets
 from services.mesh.core.frames import BULK, FLOOD, NEIGHBOURS, SYNC, UNICAST
@@ -208,7 +211,7 @@ def test_bad_packets_do_not_break_links() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(disturbances, max_size=20), st.integers(0, 2**16))
+@given(st.lists(ACCIDENTS, max_size=20), st.integers(0, 2**16))
 def test_through_links_that_break_everything_is_said_and_nothing_twice(
     steps: list[tuple[str, object]], seed: int
 ) -> None:
@@ -217,33 +220,15 @@ def test_through_links_that_break_everything_is_said_and_nothing_twice(
     world.run(1.0)
     inboxes = []
     for count, (kind, value) in enumerate(steps):
-        match kind:
-            case "publish":
-                for name in ("r0", "r2"):
-                    if name in world.bots:
-                        ask(world, name, count)
-            case "cut":
-                world.cut("r0", "r1", value)
-            case "break":
-                world.break_after = value
-            case "drop":
-                if value in world.bots:
-                    world.break_connections(value)
-            case "restart" | "absent":
-                if value in world.bots:
-                    inboxes.append((value, world.bots[value].inbox))
-                    world.kill(value)
-                if kind == "restart":
-                    world.start(value)
-            case "stop":
-                if value[0] in world.bots:
-                    world.stop(*value)
-            case "wait":
-                world.run(value)
-    for name in ("r0", "r1"):
-        if name not in world.bots:
-            world.start(name)
-    world.break_after = None
+        if kind == "publish":
+            for name in ("r0", "r2"):
+                if name in world.bots:
+                    ask(world, name, count)
+            continue
+        if kind in ("restart", "absent") and value in world.bots:
+            inboxes.append((value, world.bots[value].inbox))
+        world.suffer(kind, value)
+    world.recover()
     world.run(25.0)
     inboxes += [(name, bot.inbox) for name, bot in world.bots.items()]
     for _, inbox in inboxes:
@@ -267,6 +252,62 @@ def ask(world: World, name: str, count: int) -> None:
     send = SendRequest(f"s{count}", "x", to, b"%d" % count, "sync", 20.0)
     world.step(name, lambda node: node.ask(lambda each, now: each.request_flood(flood, now), world.now))
     world.step(name, lambda node: node.ask(lambda each, now: each.request_send(send, now), world.now))
+
+
+def fragmented(world: World, change: Callable[[End, bytes], bytes] | None = None) -> None:
+    """The longest flood and the longest message that one packet holds, from r0 over r1 to r2, in the bulk class: both
+    are fragmented on their channels. Meanwhile r1 and r2 talk, so the fragments are small."""
+    world.run(2.0)
+    flood = FloodRequest("f", "x", bytes(range(256)) * 20, "bulk", False)
+    flood = replace(flood, payload=flood.payload[: packets.MAX_SPREAD])
+    send = SendRequest("s", "x", "r2", flood.payload[::-1][: packets.MAX_MESSAGE], "bulk", 20.0)
+    world.tap = change
+    world.step("r0", lambda node: node.ask(lambda each, now: each.request_flood(flood, now), world.now))
+    world.step("r0", lambda node: node.ask(lambda each, now: each.request_send(send, now), world.now))
+    for number in range(100):
+        for name in ("r1", "r2"):
+            world.publish(name, f"swarm/{name}/app/y/sync/a", number.to_bytes(2, "big"))
+        world.run(0.2)
+    got = dict(world.bots["r2"].inbox)
+    assert got["swarm/r0/app/x/flood"] == flood.payload
+    assert got["swarm/r0/app/x/send/r2"] == send.payload
+    for name, peer in (("r1", "r2"), ("r2", "r1")):
+        heard = [payload for key, payload in world.bots[peer].inbox if key == f"swarm/{name}/app/y/sync/a"]
+        assert heard == [number.to_bytes(2, "big") for number in range(100)]
+
+
+@pytest.mark.parametrize("keys", [None, KEYS])
+def test_long_packets_of_overlays_cross_in_fragments_with_and_without_keys(keys: dict[int, bytes] | None) -> None:
+    world = World([("r0", "r1"), ("r1", "r2")], keys=keys)
+    fragmented(world)
+    assert world.bots["r1"].counters["incomplete"] == 0
+    assert world.link("r0", "r1").connection == 1
+
+
+@pytest.mark.parametrize("change", ["flip", "repeat", "leave out"])
+def test_a_fragment_that_is_changed_on_the_way_costs_its_connection_and_nothing_else(change: str) -> None:
+    """The message is sent again when the link is back, the flood by repair or by its second try; no wrong byte."""
+    world = World([("r0", "r1"), ("r1", "r2")], keys=KEYS)
+    done: list[bytes] = []
+
+    def tamper(end: End, data: bytes) -> bytes:
+        if end.robot != "r0" or done or data[2] & 0x0F != frames.FRAGMENT:
+            return data
+        done.append(data)
+        middle = len(data) // 2
+        match change:
+            case "flip":
+                return data[:middle] + bytes((data[middle] ^ 1,)) + data[middle + 1 :]
+            case "repeat":
+                return data + data
+            case _:
+                return data[:middle]
+
+    fragmented(world, tamper)
+    assert done
+    assert world.bots["r1"].counters["bad_tags"] == 1
+    assert world.link("r0", "r1").connection == 2
+    assert world.link("r1", "r2").connection == 1
 
 
 def test_the_lockstep_path_is_the_one_it_was() -> None:

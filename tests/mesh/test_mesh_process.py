@@ -98,8 +98,10 @@ class Swarm:
         model: str,
         times: str,
         key: Path | None,
+        auto: bool = False,
     ) -> None:
         self.key = key
+        self.auto = auto
         self.processes = processes
         self.runtime = processes.runtime
         self.model = model
@@ -111,7 +113,8 @@ class Swarm:
             robot.config.write_text(self._config(kind, name, extra, times))
 
     def _config(self, kind: str, me: str, extra: str, times: str) -> str:
-        text = f'network = "test"\n{extra}[topology]\nedges = {[list(edge) for edge in self.edges]}\n'
+        topology = f"[topology]\nedges = {[list(edge) for edge in self.edges]}\n"
+        text = f'network = "test"\n{extra}' + ('topology = "auto"\n' if self.auto else topology)
         for name in self.robots:
             link = f"sim:{self.runtime}/{name}/mesh.sock" if kind == "sim" else f"tcp:127.0.0.1:{self.ports[name]}"
             text += f'[[robots]]\nname = "{name}"\nlink = "{link}"\n'
@@ -164,8 +167,9 @@ def build(processes: Processes) -> Iterator[Build]:
         model: str = "",
         times: str = "",
         key: Path | None = None,
+        auto: bool = False,
     ) -> Swarm:
-        built.append(Swarm(processes, kind, list(edges), extra, model, times, key))
+        built.append(Swarm(processes, kind, list(edges), extra, model, times, key, auto))
         return built[-1]
 
     yield make

@@ -21,9 +21,11 @@ from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.core.dialler import dials
 from services.mesh.core.frames import Hello
 from services.mesh.core.handshake import Local
+from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
+from services.mesh.core.topology import Ground
 from services.mesh.links import pybluez, rfcomm
 from services.mesh.links.pipe import Pipe
 from services.mesh.links.rfcomm import Radio
@@ -254,6 +256,7 @@ class Mesh:
             incarnation=own.incarnation,
             random=random.random,
             counters=self.counters,
+            start=Start(Ground(config.names, config.edges, auto=False), own.dials),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
         )
@@ -272,6 +275,7 @@ class Mesh:
             dial=self.network.dial,
             deliver=lambda key, payload, _: self.inbox.append((key, payload)),
             changed=lambda: None,
+            keep=lambda: None,
         )
         self.runner.start()
 

@@ -24,7 +24,7 @@ RECOVERY = {
     ESTIMATE: "restart the balancer",
     CLOCK: "restart the balancer: its clock stands still or goes back",
     BATTERY: "charge or change the batteries, then set/mode stand",
-    STOPPED: "take the stop back (swarm/<robot>/mesh/set/arm), then set/mode stand",
+    STOPPED: "take the stop back (swarm arm), then set/mode stand",
 }
 
 

@@ -30,6 +30,16 @@ def dials(me: Robot, peer: Robot) -> bool:
     return me.name < peer.name
 
 
+def can_link(a: Robot, b: Robot) -> bool:
+    """Whether there can be a link between two robots: the one that is dialled has an address."""
+    return has_address(b if dials(a, b) else a)
+
+
+def has_address(robot: Robot) -> bool:
+    """Whether a robot can be called at all."""
+    return robot.link is not None or robot.bluetooth is not None
+
+
 def _address(text: str) -> bytes:
     return bytes.fromhex(text.replace(":", ""))
 

@@ -81,7 +81,9 @@ NEIGHBOURS, FLOOD, UNICAST = 0, 1, 2
     SILENT,
     BAD_KEY,
     BAD_TAG,
-) = range(1, 13)
+    UNWANTED,
+    FULL,
+) = range(1, 15)
 """Why one end says BYE."""
 
 BYE_TEXT = {
@@ -97,6 +99,8 @@ BYE_TEXT = {
     SILENT: "silence",
     BAD_KEY: "another key",
     BAD_TAG: "a wrong tag",
+    UNWANTED: "not a link of the topology, or not any more",
+    FULL: "it has as many links as a robot may have",
 }
 
 

@@ -14,7 +14,15 @@ from collections.abc import Callable
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.frames import CONTROL, FLOOD
-from services.mesh.core.packets import MAX_REASON, Halt, Mark, decode_halt, encode_halts
+from services.mesh.core.packets import (
+    MAX_INCARNATION,
+    MAX_REASON,
+    MAX_SEQUENCE,
+    Halt,
+    Mark,
+    decode_halt,
+    encode_halts,
+)
 from swarm.errors import FrameError
 from swarm.keys import key as key_of
 
@@ -67,7 +75,9 @@ class Register:
             return
         self._stopped_at, self._waiting = now, None
         greatest = max(self._stops.get(self._me, (_NONE, ""))[0], self._arms.get(self._me, _NONE))
-        mark = max(Mark(self._incarnation(), 1), Mark(greatest.incarnation, greatest.number + 1))
+        mark = max(Mark(self._incarnation(), 1), _above(greatest))
+        if mark.incarnation > MAX_INCARNATION:
+            return  # somebody has taken back the greatest mark there is in our name (docs/security.md)
         self._merge(Halt({self._me: (mark, reason.encode()[:MAX_REASON].decode(errors="ignore"))}, {}), None, now)
 
     def arm(self, now: float) -> None:
@@ -122,3 +132,10 @@ class Register:
     def _send(self, peer: str, halt: Halt) -> None:
         for data in encode_halts(halt):
             self._emit(Transmit(peer, FLOOD, self._channel, data, CONTROL))
+
+
+def _above(mark: Mark) -> Mark:
+    """The next mark."""
+    if mark.number < MAX_SEQUENCE:
+        return Mark(mark.incarnation, mark.number + 1)
+    return Mark(mark.incarnation + 1, 1)

@@ -1,6 +1,6 @@
 """Who may be at the other end of a connection: what a HELLO must say to be accepted."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from services.mesh.core import frames
@@ -18,6 +18,7 @@ REFUSED = {
     frames.SILENT: "silent",
     frames.BAD_KEY: "refused_key",
     frames.BAD_TAG: "bad_tags",
+    frames.FULL: "refused_full",
 }
 """Which counter counts what we end a connection for."""
 
@@ -33,7 +34,7 @@ class Local:
     insecure: bool
     """True = no link of ours is authenticated, and `keys` is empty."""
     dials: Mapping[str, bool]
-    """The neighbours, and whether this robot dials them (the other end does otherwise)."""
+    """The robots it may be linked with, and whether it dials them (the other end does otherwise)."""
     robots: frozenset[str]
     """All robots of the swarm."""
     heartbeat: float = 0.5
@@ -44,11 +45,18 @@ class Local:
     """Pre-shared keys by id; the newest one has the highest id."""
 
 
-def refusal(hello: Hello, local: Local, *, dialled: str | None, expected: str | None) -> tuple[int, str] | None:
+def refusal(
+    hello: Hello,
+    local: Local,
+    *,
+    dialled: str | None,
+    expected: str | None,
+    has_room: Callable[[str], bool],
+) -> tuple[int, str] | None:
     """Why the sender of a HELLO is refused, as code of BYE and text; None = it may prove that it holds the key.
 
     `dialled` names whom we called, None where we were called; `expected` names the robot whose address a caller has,
-    where the transport knows it.
+    where the transport knows it; `has_room(robot)` says whether that one may have a link with us.
     """
     key_id = newest_common(local.keys, hello.key_ids)
     refused = None
@@ -66,13 +74,15 @@ def refusal(hello: Hello, local: Local, *, dialled: str | None, expected: str | 
     elif expected is not None and hello.robot != expected:
         refused = frames.BAD_ROBOT, f"robot {hello.robot} calls from the address of {expected}"
     elif hello.robot not in local.dials:
-        refused = frames.NOT_NEIGHBOUR, f"robot {hello.robot} is not our neighbour in the topology"
+        refused = frames.NOT_NEIGHBOUR, f"robot {hello.robot} has no address that links could lead to"
     elif hello.dialler == (dialled is not None):
         refused = frames.BAD_ROLE, "both ends claim the same role"
     elif hello.dialler and local.dials[hello.robot]:
         refused = frames.BAD_ROLE, f"{local.robot} is to dial {hello.robot}, not the other way round"
     elif not local.insecure and key_id is None:
         refused = frames.BAD_KEY, f"robot {hello.robot} has keys {_ids(hello.key_ids)}, we have {_ids(local.keys)}"
+    elif not has_room(hello.robot):
+        refused = frames.FULL, f"robot {hello.robot} calls, but there is no room for another link"
     return refused
 
 

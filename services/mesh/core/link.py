@@ -8,12 +8,14 @@ from swarm.messages import LinkState
 
 
 class Link:
-    """One configured neighbour."""
+    """One robot that this one has a link with, or is to have."""
 
-    def __init__(self, peer: str, dialler: Dialler | None) -> None:
+    def __init__(self, peer: str) -> None:
         self.peer = peer
-        self.dialler = dialler
-        """None where the neighbour dials us."""
+        self.dialler: Dialler | None = None
+        """None where the neighbour dials us, or is only called once."""
+        self.lasting = False
+        """Whether the link is to be there; else it is one as long as it is up."""
         self.session: Session | None = None
         """The connection in use, once it is up."""
         self.attempt = False

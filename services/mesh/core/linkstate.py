@@ -126,6 +126,7 @@ class LinkState:
         self._refresh_at = _NEVER
         self._credit, self._credit_at = float(BURST), 0.0
         self._leaving = False
+        self._topology = self._heard = 0
         self._routes: dict[str, Route] | None = {}
         self._trust_ends = _NEVER
         self._oldest_at = _NEVER
@@ -159,6 +160,12 @@ class LinkState:
             self._changed()
             self._due = min(self._due, now + HOLD_DOWN)
 
+    def tell(self, topology: int, heard: int, now: float) -> None:
+        """What else the others are to know of this robot: the topology that holds here, and whom it hears."""
+        if (topology, heard) != (self._topology, self._heard):
+            self._topology, self._heard = topology, heard
+            self._due = min(self._due, now + HOLD_DOWN)
+
     def leave(self, now: float) -> None:
         """This robot's mesh stops: tell the others that it is no accident."""
         self._leaving = True
@@ -185,7 +192,9 @@ class LinkState:
                 self._due = _NEVER
                 self._refresh_at = now + REFRESH * (0.9 + 0.2 * self._random())
                 times = {peer: link.level.time for peer, link in self._links.items()}
-                self._publish(encode_advertisement(Advertisement({} if self._leaving else times, self._leaving)))
+                links = {} if self._leaving else times
+                told = Advertisement(links, self._leaving, self._topology, self._heard)
+                self._publish(encode_advertisement(told))
             else:
                 self._due = now + (1.0 - self._credit) / RATE + _ROUNDING
         if now >= self._trust_ends:
@@ -256,6 +265,20 @@ class LinkState:
         """The incarnation of a robot's LSA; 0 = none is known."""
         known = self._known.get(name)
         return known.incarnation if known is not None else 0
+
+    def topology(self, name: str) -> int:
+        """Which topology holds at a robot, as far as it is known."""
+        if name == self._me:
+            return self._topology
+        known = self._known.get(name)
+        return known.advertisement.topology if known is not None else -1
+
+    def heard(self, name: str) -> int:
+        """The robots that a robot has reached by calling them, as bits."""
+        if name == self._me:
+            return self._heard
+        known = self._known.get(name)
+        return known.advertisement.heard if known is not None else 0
 
     def has_left(self, name: str) -> bool:
         """Whether a robot has said that it stops."""

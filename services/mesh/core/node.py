@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from services.mesh.core import frames, packets, probe
-from services.mesh.core.actions import Transmit
+from services.mesh.core.actions import Connect, Disconnect, Keep, Report, Transmit
 from services.mesh.core.callers import MAX_HALF_OPEN, UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
 from services.mesh.core.clock import ClockState, MeshClock
@@ -19,7 +19,7 @@ from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, 
 from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.handshake import Local
 from services.mesh.core.link import Link
-from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note
+from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay, Send
 from services.mesh.core.session import DOWN, Session
@@ -51,16 +51,18 @@ class Node:
         nonce: Callable[[], bytes],
         counters: Counter[str],
     ) -> None:
-        """`random` gives uniform numbers from 0 up to 1, `nonce` 16 bytes nobody can foresee."""
+        """`random` gives uniform numbers from 0 up to 1, `nonce` 16 bytes nobody can foresee. Which links there are
+        is said by `overlays.linking`."""
+        assert overlays.linking is not None
         self._local = local
+        self._random = random
+        self._has_room = overlays.linking.has_room
         self._relay = relay
         self.overlays = overlays
         self._nonce = nonce
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
-        self._links = {
-            peer: Link(peer, Dialler(random) if dials else None) for peer, dials in sorted(local.dials.items())
-        }
+        self._links: dict[str, Link] = {}
         self._prober = probe.Prober(local.dials)
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._sessions: list[Session] = []
@@ -69,6 +71,7 @@ class Node:
         self._ready: list[Session] = []
         self._actions: list[Action] = []
         self._noted: set[str] = set()
+        self._serve_overlays()
 
     # -- inputs ------------------------------------------------------------------------------------
 
@@ -93,12 +96,14 @@ class Node:
 
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """The connection that we asked for could not be made."""
-        link = self._links[peer]
-        assert link.dialler is not None
-        link.dialler.ended(now)
-        link.attempt = False
-        link.reason = reason
-        self._actions.append(LinksChanged())
+        if (link := self._links.get(peer)) is not None:
+            if link.dialler is not None:
+                link.dialler.ended(now)
+            link.attempt = False
+            link.reason = reason
+            self._actions.append(LinksChanged())
+        self.overlays.dial_failed(peer, reason, now)
+        self._serve_overlays()
 
     def receive(self, session: Session, data: bytes, now: float) -> None:
         """Bytes arrived on a session's transport."""
@@ -144,7 +149,7 @@ class Node:
         for session in tuple(self._sessions):
             session.handle_timer(now)
             self._digest(session, now)
-        for link in self._links.values():
+        for link in tuple(self._links.values()):
             if link.session is None and link.dialler is not None and link.dialler.take(now):
                 link.attempt = True
                 self._actions += (Dial(link.peer), LinksChanged())
@@ -195,7 +200,8 @@ class Node:
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
-        return tuple(link.state() for link in self._links.values())
+        links = sorted(self._links.items())
+        return tuple(link.state() for _, link in links if link.lasting or link.session is not None)
 
     def clock(self, now: float) -> ClockState:
         """The mesh clock."""
@@ -213,6 +219,7 @@ class Node:
             clock=self._clock,
             counters=self._counters,
             expected=expected,
+            has_room=self._has_room,
         )
         self._sessions.append(session)
         self._ready.append(session)
@@ -237,10 +244,13 @@ class Node:
             self._serve_overlays()
             return
         for peer in leg.peers:
-            session = self._links[peer].session
+            link = self._links.get(peer)
+            if link is None:
+                continue
+            session = link.session
             if session is None:
                 self._counters["no_link"] += 1
-                self._links[peer].dropped += 1
+                link.dropped += 1
                 continue
             session.send(leg.priority, leg.key, payload, latest=leg.latest)
             self._ready.append(session)
@@ -249,13 +259,53 @@ class Node:
         """Carry out what the overlays want."""
         for action in self.overlays.actions():
             if type(action) is Transmit:
-                session = self._links[action.peer].session
+                link = self._links.get(action.peer)
+                session = link.session if link is not None else None
                 if session is not None and session.is_up:
                     name = name_of(action.overlay, action.key)
                     session.send(action.priority, name, action.payload, latest=action.latest)
                     self._ready.append(session)
             elif type(action) is Received:
                 self._actions.append(action)
+            else:
+                self._on_topology(action)
+
+    def _on_topology(self, action: Connect | Disconnect | Keep | Report | Transmit | Received) -> None:
+        """What the topology wants of this robot's links."""
+        match action:
+            case Connect(peer, once):
+                link = self._links.setdefault(peer, Link(peer))
+                if once:
+                    link.attempt = True
+                    self._actions.append(Dial(peer))
+                    return
+                link.lasting = True
+                if link.dialler is None and self._local.dials.get(peer):
+                    link.dialler = Dialler(self._random)
+                    if link.attempt or link.session is not None:
+                        link.dialler.take(0.0)  # its first call is under way already
+                self._links_changed()
+            case Disconnect(peer, code):
+                self._drop_link(peer, code)
+            case Keep():
+                self._actions.append(Write())
+            case Report(text, problem):
+                if problem:
+                    self._note(text, text)
+                else:
+                    self._tell(text)
+
+    def _drop_link(self, peer: str, code: int) -> None:
+        """Have no link with a robot any more."""
+        link = self._links.get(peer)
+        if link is not None and link.session is not None:
+            self._end(link, link.session, code, frames.BYE_TEXT[code], self.overlays.now)
+        if self._links.pop(peer, None) is not None:
+            self._links_changed()
+
+    def _links_changed(self) -> None:
+        self._relay.set_peers(link.peer for link in self._links.values() if link.lasting or link.session is not None)
+        self._actions.append(LinksChanged())
 
     def _on_packet(self, session: Session, event: Received, now: float) -> None:
         if session.peer is not None:
@@ -314,18 +364,23 @@ class Node:
         peer = session.peer
         match event:
             case LinkUp(name):
-                link = self._links[name]
                 if (caller := self._half_open.pop(session, None)) is not None:
                     self._callers.confirmed(caller)
-                if link.session is not None:
-                    self._replace(link, link.session, now)
+                old = self._links.get(name)
+                if old is not None and old.session is not None:
+                    # It was started anew, perhaps: no need to wait for silence.
+                    self._end(old, old.session, frames.REPLACED, "replaced by a newer connection", now)
+                link = self._links.setdefault(name, Link(name))
                 link.session = session
                 link.attempt = False
                 link.connection += 1
                 if link.dialler is not None:
                     link.dialler.up(now)
-                self._tell(f"link up peer={name} connection={link.connection}")
-                self.overlays.link_up(name, now)
+                if self.overlays.link_up(name, now):
+                    self._tell(f"link up peer={name} connection={link.connection}")
+                    self._links_changed()
+                else:
+                    self._drop_link(name, frames.UNWANTED)
                 self._serve_overlays()
             case LinkSuspect():
                 self._tell(f"link suspect peer={peer}")
@@ -333,11 +388,10 @@ class Node:
                 self._tell(f"link heard again peer={peer}")
             case LinkDown(reason, code):
                 assert peer is not None
-                link = self._links[peer]
                 if code in (frames.BAD_FRAME, frames.BAD_TAG):
                     self._note(f"{peer} {code}", f"connection ended peer={peer} reason={reason}")
-                if link.session is session:
-                    self._detach(link, session, reason, now)
+                if (down := self._links.get(peer)) is not None and down.session is session:
+                    self._detach(down, session, reason, now)
                     self._tell(f"link down peer={peer} reason={reason}")
             case HandshakeFailed(reason, code):
                 self._on_failed(session, reason, code, now)
@@ -356,12 +410,12 @@ class Node:
         if session.dialled is not None:
             self.dial_failed(session.dialled, reason, now)
 
-    def _replace(self, link: Link, old: Session, now: float) -> None:
-        """The peer has connected anew, perhaps since it was started anew: no need to wait for silence."""
-        self._detach(link, old, "replaced by a newer connection", now)
-        old.close(frames.REPLACED, "replaced by a newer connection")
-        old.events()
-        self._remove(old)
+    def _end(self, link: Link, session: Session, code: int, reason: str, now: float) -> None:
+        """Close the connection of a link from our side."""
+        self._detach(link, session, reason, now)
+        session.close(code, reason)
+        session.events()
+        self._remove(session)
 
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
         self._clock.lost(link.peer)

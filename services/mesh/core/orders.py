@@ -34,4 +34,9 @@ class Note:
     """Whether it is worth a warning."""
 
 
-Action = Dial | Close | LinksChanged | Note | Received
+@dataclass(frozen=True, slots=True)
+class Write:
+    """Another topology holds (`Linking.to_file`): keep it through restarts."""
+
+
+Action = Dial | Close | LinksChanged | Note | Write | Received

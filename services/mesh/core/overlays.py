@@ -10,11 +10,12 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from services.mesh.core import flood, packets, unicast
-from services.mesh.core.actions import Transmit
+from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
 from services.mesh.core.frames import BULK, CONTROL, FLOOD, PRIORITIES
 from services.mesh.core.halt import Register
+from services.mesh.core.linking import Linking, Start
 from services.mesh.core.linkstate import HOPS, LinkState
 from services.mesh.core.membership import SETTLE, Membership
 from services.mesh.core.survey import Survey
@@ -23,7 +24,19 @@ from swarm.codec import encode
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import STOP, is_name, parse
 from swarm.keys import key as key_of
-from swarm.messages import Flooded, FloodRequest, Members, MeshGraph, SendRequest, Sent, Stop, Stopped
+from swarm.messages import (
+    Flooded,
+    FloodRequest,
+    Members,
+    MeshGraph,
+    SendRequest,
+    Sent,
+    Stop,
+    Stopped,
+    Topology,
+    TopologyRequest,
+    TopologySet,
+)
 
 MAX_TICKETS = 1024
 """Requests of apps whose answers are remembered, so that a repeated request is answered again, not done again."""
@@ -46,7 +59,7 @@ LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
-COUNTERS = (*flood.COUNTERS, *unicast.COUNTERS, "bad_packets")
+COUNTERS = (*flood.COUNTERS, *unicast.COUNTERS, "bad_packets", "topology_foreign")
 
 _NEVER = float("inf")
 
@@ -60,7 +73,7 @@ class _Ticket:
     announce: bool = False
 
 
-Action = Transmit | Received
+Action = Transmit | Received | LinkAction
 
 
 class Overlays:
@@ -75,11 +88,13 @@ class Overlays:
         random: Callable[[], float],
         counters: Counter[str],
         metric: str = HOPS,
+        start: Start | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
-        `admits_flood(key)`, `admits_unicast(sender, key)`: which keys the relay rules let in."""
+        `start` is where the topology begins; without it links are the caller's matter. `admits_flood(key)`,
+        `admits_unicast(sender, key)`: which keys the relay rules let in."""
         self.me = me
         self._robots = frozenset(robots) | {me}
         self._counters = counters
@@ -112,22 +127,34 @@ class Overlays:
         self._stop_at = _NEVER
         self._confirm_at = _NEVER
         self._confirmed: dict[str, str] = {}
-        self._tickets: OrderedDict[str, Flooded | Sent | None] = OrderedDict()
+        self._tickets: OrderedDict[str, Flooded | Sent | TopologySet | None] = OrderedDict()
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
         self._stopped_key = key_of(me, "mesh", "stopped")
+        self._topology_set_key = key_of(me, "mesh", "topology_set")
+        self.linking: Linking | None = None
+        """Which links there are to be; None where that is the caller's matter."""
+        if start is not None:
+            self.linking = Linking(
+                me, start, self._map,
+                emit=emit, act=emit, random=random, counters=counters,
+            )  # fmt: skip
         self._flooded_key = key_of(me, "mesh", "flooded")
         self._sent_key = key_of(me, "mesh", "sent")
+        self._answer_keys = {Flooded: self._flooded_key, Sent: self._sent_key, TopologySet: self._topology_set_key}
 
     # -- links and packets -------------------------------------------------------------------------------------
 
-    def link_up(self, peer: str, now: float) -> None:
-        """A link to a neighbour is up."""
+    def link_up(self, peer: str, now: float) -> bool:
+        """A link to a neighbour is up; False where this robot has no use for it and is to close it."""
         self._now = now
+        if self.linking is not None and not self.linking.link_up(peer, now):
+            return False
         self._register.link_up(peer)
         self._map.link_up(peer, now)
         self._flood.link_up(peer, now)
         self._routes_changed(now)
+        return True
 
     def link_down(self, peer: str, now: float) -> None:
         """It is down."""
@@ -139,6 +166,14 @@ class Overlays:
         self._flood.link_down(peer, now)
         self._unicast.link_down(peer, now)
         self._routes_changed(now)
+        if self.linking is not None:
+            self.linking.link_down(peer, now)
+
+    def dial_failed(self, peer: str, reason: str, now: float) -> None:
+        """A robot that was called does not answer."""
+        self._now = now
+        if self.linking is not None:
+            self.linking.dial_failed(peer, reason, now)
 
     def measured(self, peer: str, rtt: float, now: float) -> None:
         """The smoothed round-trip time of a link, s."""
@@ -155,7 +190,7 @@ class Overlays:
             return False
         if overlay != FLOOD:
             return robot == peer and (service, topic) == ("mesh", "unicast")
-        if service == "mesh" and topic in ("digest", "halt"):
+        if service == "mesh" and topic in ("digest", "halt", "topology"):
             return robot == peer
         if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped")):
             return True
@@ -170,6 +205,8 @@ class Overlays:
                 self._unicast.receive(peer, data, priority, now)
             elif packets.kind_of(data) == packets.HALT:
                 self._register.receive(peer, data, now)
+            elif packets.kind_of(data) == packets.TOPOLOGY and self.linking is not None:
+                self.linking.receive(peer, data, now)
             else:
                 self._flood.receive(peer, key, data, priority, now)
         except (FrameError, PayloadError):
@@ -222,6 +259,16 @@ class Overlays:
         priority = PRIORITIES[request.priority]
         self._unicast.send(token, request.to, key, request.payload, priority, now, timeout=request.timeout)
 
+    def request_topology(self, request: TopologyRequest, now: float) -> None:
+        """Somebody's wish for other links; the answer goes to `mesh/topology_set`."""
+        self._now = now
+        if self.linking is None or self._is_known(request.ticket):
+            return
+        problem = self.linking.set(request.shape, request.edges, request.after, now)
+        answer = TopologySet(now, request.ticket, self.linking.value.version, problem)
+        self._tickets[request.ticket] = answer
+        self._to_bus(self._topology_set_key, encode(answer), CONTROL)
+
     def stop(self, stop: Stop, now: float) -> None:
         """Somebody on this robot has published `swarm/stop`."""
         self._now = now
@@ -248,6 +295,8 @@ class Overlays:
         self._register.handle_timer(now)
         if self._version != self._map.version:
             self._routes_changed(now)
+        if self.linking is not None:
+            self.linking.handle_timer(now)
         if now >= self._look_at:
             self._look(now)
         if now >= self._members_at:
@@ -257,6 +306,11 @@ class Overlays:
             self._tell_stop(now)
         if now >= self._confirm_at:
             self._confirm(now)
+
+    @property
+    def now(self) -> float:
+        """The time of the last call."""
+        return self._now
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
@@ -270,6 +324,7 @@ class Overlays:
             self._flood.next_deadline(),
             self._unicast.next_deadline(),
             self._register.next_deadline(),
+            _NEVER if self.linking is None else self.linking.next_deadline(),
             self._look_at,
             self._members_at,
             self._stop_at,
@@ -291,6 +346,22 @@ class Overlays:
     def graph(self, now: float, after: str = "") -> MeshGraph:
         """For the key `mesh/graph`: robots with names behind `after`."""
         return self._survey.graph(now, stopped=bool(self._register.stops), after=after)
+
+    def topology(self, now: float) -> Topology:
+        """For the key `mesh/topology`."""
+        linking = self.linking
+        assert linking is not None
+        value = linking.value
+        since = now if linking.adopted is None else linking.adopted
+        return Topology(
+            now, value.version, value.step, value.issuer, value.auto, since, value.edges,
+            tuple(sorted(linking.wanted)), linking.up, linking.kept, dict(linking.missing),
+        )  # fmt: skip
+
+    def topology_file(self) -> bytes:
+        """What is to be kept of it through restarts."""
+        assert self.linking is not None
+        return self.linking.to_file()
 
     # -- inside ------------------------------------------------------------------------------------------------
 
@@ -325,6 +396,8 @@ class Overlays:
         self._version = self._map.version
         self._look_at = min(self._look_at, now + SETTLE)
         self._unicast.routes_changed(now)
+        if self.linking is not None:
+            self.linking.map_changed(now)
 
     def _look(self, now: float) -> None:
         self._look_at = _NEVER
@@ -334,6 +407,8 @@ class Overlays:
             self._members_at = now
 
     def _admits_message(self, sender: str, key: str) -> bool:
+        if sender == self.me:
+            return False  # what we send ourselves crosses no link: somebody pretends to be us
         robot, service, topic = parse(key)
         if robot == sender and service == "app":
             chunks = topic.split("/")
@@ -348,8 +423,7 @@ class Overlays:
         if ticket in self._tickets:
             answer = self._tickets[ticket]
             if answer is not None:
-                key = self._flooded_key if isinstance(answer, Flooded) else self._sent_key
-                self._to_bus(key, encode(answer), CONTROL)
+                self._to_bus(self._answer_keys[type(answer)], encode(answer), CONTROL)
             return True
         if len(self._tickets) >= MAX_TICKETS:
             self._tickets.popitem(last=False)

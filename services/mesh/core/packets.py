@@ -13,8 +13,8 @@ from services.mesh.core.frames import MAX_PAYLOAD
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import is_name, parse
 
-SPREAD, ECHO, DIGEST, SUMMARY, HALT = 1, 2, 3, 4, 5
-"""Kinds of packets on flood channels."""
+SPREAD, ECHO, DIGEST, SUMMARY, HALT, TOPOLOGY = 1, 2, 3, 4, 5, 6
+"""Kinds of packets on flood channels; the last one is made in `topology`."""
 
 MESSAGE, ACK = 1, 2
 """Kinds of packets on unicast channels."""
@@ -116,6 +116,10 @@ class Advertisement(NamedTuple):
     neighbours: dict[str, int]
     """One-way time to each, in units of 0.1 ms."""
     leaving: bool = False
+    topology: int = 0
+    """Which topology holds there (its tag, u32); 0 = the configuration's own."""
+    heard: int = 0
+    """The robots it has reached by calling them, with the automatic topology: bit i = robot i of the configuration."""
 
 
 class Message(NamedTuple):
@@ -304,7 +308,10 @@ def decode_halt(data: bytes) -> Halt:
 def encode_advertisement(packet: Advertisement) -> bytes:
     """The payload of a flooded LSA."""
     names = b"".join(_packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
-    return _LSA.pack(packet.leaving, len(packet.neighbours)) + names
+    heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
+    flags = packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2
+    tail = (_FIRST.pack(packet.topology) if packet.topology else b"") + (bytes((len(heard),)) + heard if heard else b"")
+    return _LSA.pack(flags, len(packet.neighbours)) + names + tail
 
 
 @lru_cache(maxsize=1024)
@@ -313,15 +320,17 @@ def decode_advertisement(data: bytes) -> Advertisement:
     if len(data) < _LSA.size:
         raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
     flags, count = _LSA.unpack_from(data)
-    if flags > 1:
-        raise FrameError(f"LSA flags {flags:#x}: bit 0 is known")
+    if flags > 7:
+        raise FrameError(f"LSA flags {flags:#x}: bits 0 to 2 are known")
     reader = _Reader(data, _LSA.size)
     neighbours: dict[str, int] = {}
     for _ in range(count):
         name = reader.name()
         (neighbours[name],) = reader.unpack(_METRIC)
+    topology = reader.unpack(_FIRST)[0] if flags & 2 else 0
+    heard = int.from_bytes(reader.octets(), "little") if flags & 4 else 0
     reader.end()
-    return Advertisement(neighbours, bool(flags))
+    return Advertisement(neighbours, bool(flags & 1), topology, heard)
 
 
 # -- unicast channels ------------------------------------------------------------------------------------------
@@ -416,6 +425,9 @@ class _Reader:
             return self._text(limit).decode()
         except UnicodeDecodeError:
             raise FrameError("overlay packet: a text is not UTF-8") from None
+
+    def octets(self) -> bytes:
+        return self._text(255)
 
     def end(self) -> None:
         if self.at != len(self._data):

@@ -7,8 +7,9 @@ unicast rules that name them: then, and only then, a key of another robot leaves
 """
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 from services.mesh.core.frames import FLOOD, NEIGHBOURS, PRIORITIES, UNICAST
@@ -96,9 +97,6 @@ class Send(NamedTuple):
 class _Rule:
     config: RelayRule
     overlay: int
-    to_peer: dict[str, re.Pattern[str]]
-    """Neighbours only, like the next."""
-    from_peer: dict[str, re.Pattern[str]]
     open: re.Pattern[str]
     """With the names left open, for flood and unicast."""
 
@@ -111,9 +109,9 @@ class Relay:
     ) -> None:
         """`robots` are all of the swarm, where that is more than this one and its peers."""
         self._me = me
-        self._peers = tuple(peers)
+        self._peers = tuple(sorted(peers))
         self._robots = frozenset(robots if robots is not None else (me, *peers))
-        self._rules = [_compile(rule, me, self._peers) for rule in rules]
+        self._rules = [_compile(rule) for rule in rules]
         self._routes: dict[str, Route] = {}
         self._held: list[Leg] = []
         self.subscriptions = tuple(dict.fromkeys(instantiate(rule.keys, me, "*") for rule in rules))
@@ -123,7 +121,8 @@ class Relay:
     def admits(self, peer: str, key: str) -> bool:
         """Whether a key of `peer` may appear on our bus."""
         return may_cross(key, peer) and any(
-            rule.overlay == NEIGHBOURS and matches(rule.from_peer[peer], key) for rule in self._rules
+            rule.overlay == NEIGHBOURS and matches(_between(rule.config.keys, peer, self._me), key)
+            for rule in self._rules
         )
 
     def admits_flood(self, key: str) -> bool:
@@ -136,6 +135,17 @@ class Relay:
     def admits_unicast(self, sender: str, key: str) -> bool:
         """Whether a message of `sender` to this robot may appear on our bus."""
         return any(self._receiver(rule, key, sender) == self._me for rule in self._rules)
+
+    def set_peers(self, peers: Iterable[str]) -> None:
+        """There are other neighbours now. What is held back leaves when it would have, to those who are there then."""
+        self._peers = tuple(sorted(peers))
+        held, self._held = self._held, []
+        self._routes.clear()
+        for old in held:
+            for leg in self._find(old.key).legs:
+                if leg.overlay == old.overlay and leg.interval and leg.held is None:
+                    leg.held, leg.next_at = old.held, old.next_at
+                    self._held.append(leg)
 
     def publish(self, source: int, key: str, payload: bytes, now: float) -> list[Send]:
         """What leaves because of a sample that subscription number `source` delivered."""
@@ -189,7 +199,11 @@ class Relay:
                     open_peers.discard(to)
                     legs.append(_leg(key, rule, (to,)))
             else:
-                peers = tuple(peer for peer in self._peers if peer in open_peers and matches(rule.to_peer[peer], key))
+                peers = tuple(
+                    peer
+                    for peer in self._peers
+                    if peer in open_peers and matches(_between(rule.config.keys, self._me, peer), key)
+                )
                 if peers:
                     open_peers.difference_update(peers)
                     legs.append(_leg(key, rule, peers))
@@ -221,11 +235,11 @@ def _leg(key: str, rule: _Rule, peers: tuple[str, ...]) -> Leg:
     return Leg(key, PRIORITIES[config.priority], config.queue == "latest", interval, peers, rule.overlay)
 
 
-def _compile(rule: RelayRule, me: str, peers: tuple[str, ...]) -> _Rule:
-    return _Rule(
-        rule,
-        OVERLAYS[rule.overlay],
-        {peer: pattern(instantiate(rule.keys, me, peer)) for peer in peers},
-        {peer: pattern(instantiate(rule.keys, peer, me)) for peer in peers},
-        pattern(rule.keys),
-    )
+@cache
+def _between(keys: str, sender: str, receiver: str) -> re.Pattern[str]:
+    """What a rule carries from one robot to its neighbour. There may be any neighbour; few ever are."""
+    return pattern(instantiate(keys, sender, receiver))
+
+
+def _compile(rule: RelayRule) -> _Rule:
+    return _Rule(rule, OVERLAYS[rule.overlay], pattern(rule.keys))

@@ -60,13 +60,16 @@ class Session:
         clock: MeshClock,
         counters: Counter[str],
         expected: str | None = None,
+        has_room: Callable[[str], bool] = lambda robot: True,
     ) -> None:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called;
         `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does).
 
-        `admit(peer, overlay, key)` says whether that peer may use a channel.
+        `admit(peer, overlay, key)` says whether that peer may use a channel, `has_room(robot)` whether a robot may
+        have a link with us now.
         """
         self._local = local
+        self._has_room = has_room
         self._admit = admit
         self._clock = clock
         self._counters = counters
@@ -333,7 +336,9 @@ class Session:
     def _on_hello(self, hello: Hello, frame: Frame) -> None:
         local = self._local
         key_id = newest_common(local.keys, hello.key_ids)
-        refusal = handshake.refusal(hello, local, dialled=self.dialled, expected=self._expected)
+        refusal = handshake.refusal(
+            hello, local, dialled=self.dialled, expected=self._expected, has_room=self._has_room
+        )
         if refusal is not None:
             self._end(*refusal)
             return
