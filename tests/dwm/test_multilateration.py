@@ -37,8 +37,18 @@ def test_one_range_that_is_far_too_long_moves_the_place_little():
     measured[2] += 1.0
     fix = multilaterate(wide, measured, 0.0, 0.04)
     assert math.hypot(fix.x - 1.5, fix.y - 2.5) < 0.06  # least squares without weights: 0.3 m
-    assert fix.weights[2] < 0.1
+    assert fix.weights[2] == 0.0
     assert fix.residuals[2] == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("blocked", [0, 2, 3])  # without the second the others lie in a line
+def test_of_four_ranges_one_without_line_of_sight_is_given_up(blocked):
+    measured = ranges(TABLE, 1.2, 0.6)
+    measured[blocked] += 0.8
+    fix = multilaterate(TABLE, measured, 0.0, 0.04)
+    assert math.hypot(fix.x - 1.2, fix.y - 0.6) < 0.01
+    assert fix.weights[blocked] == 0.0
+    assert fix.residuals[blocked] == pytest.approx(0.8, abs=0.01)
 
 
 def test_the_covariance_is_that_of_the_geometry():

@@ -396,11 +396,11 @@ def test_stops_on_all_robots_at_once_make_one_confirmation_of_each() -> None:
 
 
 def test_what_is_told_of_a_stop_is_bounded() -> None:
-    world = World(line(40))
+    world = World(line(MAX_NAMED + 4))
     world.settle()
     for name in world.names:
         stop(world, name, "x" * 500)
-    world.run(5.0)
+    world.run(2.0)
     shown = stopped(world, "r0")
     assert shown.stopped
     assert len(shown.by) == MAX_NAMED

@@ -3,15 +3,21 @@
 Least squares of the range errors under Huber's loss: Gauss-Newton steps with weights made anew from the residuals
 (iteratively reweighted least squares; Huber, "Robust Statistics", 1981, 7.8), steps damped while they do not pay.
 A wall in between makes a range longer, never shorter, by decimetres: such a one shall not carry its square's weight.
+With four ranges one that is far too long still drags the place along; so each is left out in turn, and stays out where
+the others then agree so much better that its being too long is the smaller wonder.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import fsum, hypot, sqrt
 from statistics import median
 
 TUNING = 1.345
 """Huber's constant: residuals beyond so many standard deviations count linearly; 95 % efficient without outliers."""
+
+TOO_LONG = 2.576
+"""Standard deviations beyond which a range that is too long costs no more: it is taken for one without line of sight
+(99 % of those with one are nearer)."""
 
 _STEPS = 50
 _CONVERGED = 1e-6
@@ -53,6 +59,33 @@ def multilaterate(anchors: Sequence[Point], distances: Sequence[float], height: 
     `anchors` are (x, y, z) in m. Anchors in a line leave the side of the line open, and fewer than three any
     side: both give `NoFix` with the reason, as does an iteration that leads nowhere.
     """
+    fix = _solve(anchors, distances, height, sigma)
+    if len(anchors) < 4 or isinstance(fix, NoFix):
+        return fix
+    cost = _wonder(fix.residuals, sigma)
+    for i in range(len(anchors)):
+        rest = [anchor for j, anchor in enumerate(anchors) if j != i]
+        other = _solve(rest, [d for j, d in enumerate(distances) if j != i], height, sigma)
+        if isinstance(other, Fix):
+            residual = _terms(anchors[i], distances[i], height, other.x, other.y)[2]
+            if residual > TOO_LONG * sigma and _wonder((*other.residuals, residual), sigma) < cost:
+                cost = _wonder((*other.residuals, residual), sigma)
+                fix = replace(
+                    other,
+                    residuals=(*other.residuals[:i], residual, *other.residuals[i:]),
+                    weights=(*other.weights[:i], 0.0, *other.weights[i:]),
+                )
+    return fix
+
+
+def _wonder(residuals: Sequence[float], sigma: float) -> float:
+    """How unlikely residuals are: squares, but too long by more than `TOO_LONG` sigma is no more so than by as much."""
+    limit = TOO_LONG * sigma
+    return fsum(r * r if r <= limit else limit * limit for r in residuals)
+
+
+def _solve(anchors: Sequence[Point], distances: Sequence[float], height: float, sigma: float) -> Fix | NoFix:
+    """The place with the least of Huber's loss."""
     if len(anchors) < 3:
         return NoFix(f"{len(anchors)} ranges, three are needed")
     if (problem := degenerate(anchors)) is not None:

@@ -46,7 +46,6 @@ def draw(path: Path, robot: str, what: str, series: Sequence[Series]) -> None:
         if times is not None:
             title = f"from {robot}: mean, standard deviation"
             times.set(xlabel="payload / bytes", ylabel="round trip / ms", ylim=(0, None), title=title)
-            times.legend()
 
 
 def _rate(row: Figures) -> str:
