@@ -86,6 +86,7 @@ class Chores:
         balancer = self._balancer
         if not balancer.connected:
             self._was_connected = False
+            self._mailbox.expire(now)
         else:
             if not self._was_connected:
                 self._was_connected = True
@@ -154,7 +155,9 @@ class Chores:
         if shown == self._shown:
             return None
         if self._shown is None or self._shown[0] != screen.present:
-            _log.info("display %s", "found" if screen.present else f"not there (0x{ADDRESS:02X}): nothing is shown")
+            text = "found" if screen.present else f"not there (0x{ADDRESS:02X}): nothing is shown"
+            _log.info("display %s", text)
+            self._balancer.notices.append(("display", text))
         self._shown = shown
         return Display(now, *shown)
 
