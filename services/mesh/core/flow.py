@@ -17,8 +17,9 @@ from collections import deque
 from services.mesh.core import fragments, frames
 from swarm.errors import FrameError
 
-FIRST_WINDOW = 4096
-"""Bytes; near the bandwidth-delay product of the thesis' links, 78 kB/s x 60 ms."""
+FIRST_WINDOW = 6144
+"""Bytes; the bandwidth-delay product of the thesis' links, 78 kB/s x 60 ms, a write, and the delay of an ACK.
+Where several links in a row begin too small, none of them sees the backlog that would make it grow."""
 
 MIN_WINDOW = 1024
 MAX_WINDOW = 32 * 1024
