@@ -10,8 +10,9 @@ import pytest
 from conftest import CONFIG, wait_until
 from dwm_rig import ANCHORS, DWM, working
 
-from services.dwm.core.calls import Settings, UpdateRate
+from services.dwm.core.calls import NODE_ID_GET, Settings, UpdateRate
 from services.dwm.core.tlv import Position
+from services.dwm.line import NoAnswerError, PortLine
 from swarm import config as configuration
 from swarm.bus import Bus
 from swarm.ranging import Ranging
@@ -183,6 +184,15 @@ def test_a_port_that_is_not_there(run):
     code, _, error = run("check", "--port", "/dev/nothing")
     assert code == 2
     assert "/dev/nothing: No such file" in error
+
+
+def test_a_module_that_is_unplugged_meanwhile(board, runtime):
+    line = PortLine(anchor(runtime, "D001"))
+    assert line.ask(NODE_ID_GET) & 0xFFFF == 0xD001
+    board.remove("D001")
+    with pytest.raises(NoAnswerError, match=r"D001\.tty"):
+        line.ask(NODE_ID_GET)
+    line.close()
 
 
 def test_anchors_take_turns_and_are_laid_out(run, board, runtime):
