@@ -98,6 +98,10 @@ class Chores:
                 news.append(self._sample(now))
         if self._health.found is not None:
             balancer.battery = self._health.found.battery
+        for remark in self._health.remarks:
+            _log.warning("%s", remark)
+            balancer.notices.append(("board", remark))
+        self._health.remarks.clear()
         if (display := self._display(now)) is not None:
             news.append(display)
         for chore in (self._health, self._uwb, self._mailbox, self._meter):

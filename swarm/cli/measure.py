@@ -23,7 +23,7 @@ from swarm.errors import LocalError
 from swarm.keys import is_name
 from swarm.messages import GraphRobot
 
-HELP = "round trips, throughput or signal of links and paths, by payload size; i2c: rates of a robot's bus"
+HELP = "round trips, throughput, signal of links and paths; i2c: rates of a robot's bus"
 
 SIZES = (50, 200, 500, 750, 1000)
 """Bytes; those of the thesis' figure 3.19."""

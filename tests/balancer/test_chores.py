@@ -101,6 +101,17 @@ def test_battery_each_second() -> None:
     assert ticking.rig.balancer.battery == 6.9
 
 
+def test_what_the_firmware_noticed_is_told_once() -> None:
+    ticking = Ticking().run(2.0)
+    ticking.robot.atmega._buffer[balboa.BUS_RESETS] = 3
+    ticking.robot.atmega._buffer[balboa.ENCODER_ERRORS] = 1
+    ticking.run(2.0)
+    assert [text for about, text in ticking.rig.balancer.notices if about == "board"] == [
+        "encoders: both channels changed at once, left and right (1, 0)",
+        "the ATmega dropped a transfer that had stopped in the middle, 3 so far",
+    ]
+
+
 def test_every_press_is_told_and_counted() -> None:
     ticking = Ticking().run(0.1)
     for down in (1, 0, 1, 3, 2, 0, 4, 0):
