@@ -169,6 +169,8 @@ class Linking:
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """A robot could not be reached."""
         self._search.ended(peer, now)
+        if peer in self._links:
+            return  # a second call crossed the one that succeeded
         if peer not in self._map.routes():
             self.missing[peer] = reason
         if peer not in self.wanted:
