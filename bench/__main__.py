@@ -10,6 +10,7 @@ AREAS = {
     "cpu": "CPU time of one robot's bus, mesh and app for 100 lockstep iterations",
     "start": "all robots at once until all links are up, beside the time a radio takes to connect",
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
+    "transfer": "a megabyte over three hops of 78 kB/s, by unicast and by flood, beside lockstep",
     "balancer": "lateness of the 100 Hz loop under load, beside cyclictest (needs the package rt-tests)",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "localization": "the pose of a moving robot beside moving averages and multilateration, and what it costs",

@@ -150,13 +150,13 @@ def draw(path: Path) -> None:
     left.set_xlabel("x (m)")
     left.set_ylabel("y (m)")
     left.set_title("12 s at 0.5 m/s")
-    left.legend(fontsize=8)
+    left.legend(fontsize=8, loc="upper left")
     for index, (name, speed, hidden, _) in enumerate(SCENARIOS):
         outcomes = [run(speed, hidden, seed) for seed in range(SEEDS)]
         for shift, (method, colour) in enumerate(zip(methods, colours, strict=True)):
             right.bar(index + 0.2 * (shift - 1.5), 100 * _rms(outcomes, method), 0.2, color=colour,
                       label=method if index == 0 else None)  # fmt: skip
-        right.text(index, -9, name.replace(", ", "\n"), ha="center", fontsize=8)
+        right.text(index, -4, name.replace(", ", "\n"), ha="center", fontsize=8)
     right.set_xticks([])
     right.set_ylabel("rms error (cm)")
     right.set_title(f"{SEEDS} runs of a minute each")

@@ -164,7 +164,7 @@ class Robot:
 
     def distance(self, robot: str) -> float | None:
         """The measured distance to another robot, m; None where neither has measured it within the last second: one of
-        the two modules has to be an anchor (docs/localization.md). See `clock`."""
+        the two modules has to be an anchor (docs/uwb.md). See `clock`."""
         if robot not in self.swarm:
             raise AppError(f"robot.distance({robot!r}): there is no such robot")
         return self._ranging().distance(robot)

@@ -39,23 +39,30 @@ def encode(message: object) -> bytes:
         data: bytes = msgpack.packb(message, default=_plain)
     except (TypeError, ValueError, OverflowError) as error:
         raise LocalError(f"{type(message).__name__}: {error}") from None
-    if len(data) > MAX_PAYLOAD:
-        raise LocalError(f"{type(message).__name__}: {len(data)} bytes, the bus takes at most {MAX_PAYLOAD}")
+    if len(data) > (limit := limit_of(type(message))):
+        raise LocalError(f"{type(message).__name__}: {len(data)} bytes, the bus takes at most {limit}")
     return data
 
 
 def decode(kind: type[T], payload: bytes, key: str) -> T:
     """Unpack `payload` into the dataclass `kind`; `PayloadError` names `key` and the field at fault."""
     try:
-        return typing.cast(T, _checker(typing.cast(Any, kind))(unpack(payload), ""))
+        return typing.cast(T, _checker(typing.cast(Any, kind))(unpack(payload, limit_of(kind)), ""))
     except PayloadError as error:
         raise PayloadError(f"{key}: {error}") from None
 
 
-def unpack(payload: bytes) -> Any:
+def limit_of(kind: type) -> int:
+    """Bytes that a packed message of a type may have: its `LIMIT`, for those that carry what apps send, or the usual
+    bound."""
+    limit: int = getattr(kind, "LIMIT", MAX_PAYLOAD)
+    return limit
+
+
+def unpack(payload: bytes, limit: int = MAX_PAYLOAD) -> Any:
     """Unpack any msgpack payload with limits; raises `PayloadError` (without a key) where it is none."""
-    if len(payload) > MAX_PAYLOAD:
-        raise PayloadError(f"payload of {len(payload)} bytes, at most {MAX_PAYLOAD} are accepted")
+    if len(payload) > limit:
+        raise PayloadError(f"payload of {len(payload)} bytes, at most {limit} are accepted")
     try:
         return msgpack.unpackb(payload, strict_map_key=True)
     except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:

@@ -12,14 +12,15 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
 from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.codec import decode, encode
 from swarm.errors import PayloadError
 from swarm.keys import key, parse
-from swarm.messages import Arm, Flooded, FloodRequest, SendRequest, Sent
+from swarm.messages import Arm, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
 
 REPEAT = 0.5
 """s after which a request without an answer is published again."""
@@ -27,11 +28,15 @@ REPEAT = 0.5
 MAX_OPEN = 1024
 """Requests that are remembered, answered or not; the oldest ones are forgotten."""
 
+SMALL = 4096
+"""Bytes of a payload up to which the whole request is repeated; of larger ones only its ticket is."""
+
 MAX_COLLECTED = 256
 MAX_COLLECTED_BYTES = 4 * 1024 * 1024
 """Messages of others that wait to be looked at, and their payloads; the oldest ones are lost."""
 
 A = TypeVar("A", Flooded, Sent)
+B = TypeVar("B", Flooded, Sent, Progress)
 
 OnPayload = Callable[[str, bytes], None]
 
@@ -47,10 +52,14 @@ class Message(NamedTuple):
 class Handle(Generic[A]):
     """One request under way: wait for its `result`, look at its `answer`, or have a callback (`on_done`)."""
 
-    def __init__(self, ticket: str, ask: Callable[[], None]) -> None:
+    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None]) -> None:
+        """`ask()` makes the request, `remind()` repeats it."""
         self.ticket = ticket
         """Names the request: what an app keeps of it (`Overlays.answer`)."""
+        self.moved = 0
+        """Bytes of a large payload that have arrived, as of the last reminder."""
         self._ask = ask
+        self._remind = remind
         self._asked_at = clock.now()
         self._done = threading.Event()
         self._answer: A | None = None
@@ -83,6 +92,11 @@ class Handle(Generic[A]):
     def ask_again(self) -> None:
         """Repeat the request: where it has arrived before, only the answer comes again."""
         self._asked_at = clock.now()
+        self._remind()
+
+    def ask(self) -> None:
+        """Make the request, payload and all."""
+        self._asked_at = clock.now()
         self._ask()
 
     def on_done(self, callback: Callable[[A], None]) -> None:
@@ -99,7 +113,7 @@ class Handle(Generic[A]):
             first = self._answer is None
             self._answer = answer
             callback = self._callback
-            self._ask = _nothing  # and let go of the payload
+            self._ask = self._remind = _nothing  # and let go of the payload
         self._done.set()
         if first and callback is not None:
             callback(answer)
@@ -121,19 +135,21 @@ class Overlays:
         self._collected_bytes = 0
         self._flood_key = key(robot, "mesh", "set", "flood")
         self._send_key = key(robot, "mesh", "set", "send")
+        self._remind_key = key(robot, "mesh", "set", "remind")
         bus.subscribe(key(robot, "mesh", "flooded"), self._on_flooded)
         bus.subscribe(key(robot, "mesh", "sent"), self._on_sent)
+        bus.subscribe(key(robot, "mesh", "progress"), self._on_progress)
         bus.on_change(self._on_bus)
 
     def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> Handle[Flooded]:
         """To all robots. With `announce` all of them learn when it is complete."""
         request = FloodRequest(self._ticket(), self._app, payload, priority, announce)
-        return self._open(Handle(request.ticket, lambda: self._bus.publish(self._flood_key, request, urgent=True)))
+        return self._open(request, self._flood_key)
 
     def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
         """To one robot. After `timeout` s the mesh gives it up, if not sooner."""
         request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
-        return self._open(Handle(request.ticket, lambda: self._bus.publish(self._send_key, request, urgent=True)))
+        return self._open(request, self._send_key)
 
     def answer(self, ticket: str) -> Flooded | Sent | None:
         """The answer to a request of this process, by its ticket; None as long as there is none, or of another one."""
@@ -185,12 +201,18 @@ class Overlays:
             self._count += 1
             return f"{self._prefix}-{self._count}"
 
-    def _open(self, handle: Handle[A]) -> Handle[A]:
+    def _open(self, request: FloodRequest | SendRequest, key: str) -> Handle[Any]:
+        small = len(request.payload) <= SMALL
+        encode(request)  # what is too large is refused here and now
+        # The bus has room for large ones in its ordinary queue alone.
+        ask = partial(self._bus.publish, key, request, urgent=small)
+        remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)
+        handle: Handle[Any] = Handle(request.ticket, ask, remind)
         with self._lock:
             if len(self._handles) >= MAX_OPEN:
                 del self._handles[next(iter(self._handles))]
             self._handles[handle.ticket] = handle
-        handle.ask_again()
+        handle.ask()
         return handle
 
     def _take(self, message: Message) -> None:
@@ -206,7 +228,7 @@ class Overlays:
             with self._lock:
                 waiting = [handle for handle in self._handles.values() if not handle.done]
             for handle in waiting:
-                handle.ask_again()
+                handle.ask()
 
     def _subscribe(self, keys: str, callback: OnPayload) -> None:
         def handle(name: str, payload: bytes) -> None:
@@ -222,6 +244,16 @@ class Overlays:
     def _on_sent(self, name: str, payload: bytes) -> None:
         self._finish(_decoded(Sent, name, payload))
 
+    def _on_progress(self, name: str, payload: bytes) -> None:
+        progress = _decoded(Progress, name, payload)
+        if progress is not None:
+            with self._lock:
+                handle = self._handles.get(progress.ticket)
+            if handle is not None and progress.known:
+                handle.moved = progress.moved
+            elif handle is not None and not handle.done:
+                handle.ask()
+
     def _finish(self, answer: Flooded | Sent | None) -> None:
         if answer is not None:
             with self._lock:
@@ -234,7 +266,7 @@ def _nothing() -> None:
     """What is done to repeat a request that was answered."""
 
 
-def _decoded(kind: type[A], name: str, payload: bytes) -> A | None:
+def _decoded(kind: type[B], name: str, payload: bytes) -> B | None:
     """The answer; None where it is none, which only a broken process could have published."""
     try:
         return decode(kind, payload, name)

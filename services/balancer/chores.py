@@ -86,6 +86,7 @@ class Chores:
         balancer = self._balancer
         if not balancer.connected:
             self._was_connected = False
+            self._mailbox.expire(now)
         else:
             if not self._was_connected:
                 self._was_connected = True
@@ -97,6 +98,10 @@ class Chores:
                 news.append(self._sample(now))
         if self._health.found is not None:
             balancer.battery = self._health.found.battery
+        for remark in self._health.remarks:
+            _log.warning("%s", remark)
+            balancer.notices.append(("board", remark))
+        self._health.remarks.clear()
         if (display := self._display(now)) is not None:
             news.append(display)
         for chore in (self._health, self._uwb, self._mailbox, self._meter):
@@ -154,7 +159,9 @@ class Chores:
         if shown == self._shown:
             return None
         if self._shown is None or self._shown[0] != screen.present:
-            _log.info("display %s", "found" if screen.present else f"not there (0x{ADDRESS:02X}): nothing is shown")
+            text = "found" if screen.present else f"not there (0x{ADDRESS:02X}): nothing is shown"
+            _log.info("display %s", text)
+            self._balancer.notices.append(("display", text))
         self._shown = shown
         return Display(now, *shown)
 

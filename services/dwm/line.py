@@ -6,6 +6,7 @@ The service owns its port, so that requests to a robot's module go over its bus,
 import os
 import queue
 import select
+import termios
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -73,7 +74,6 @@ class PortLine:
             hint = "; a service owns it: ask the robot, without --port" if "lock" in str(error) else ""
             # pyserial's own text repeats the path and the number
             raise LocalError(f"{path}: {os.strerror(error.errno) if error.errno else error}{hint}") from None
-        self._port.reset_input_buffer()
 
     def ask(self, call: Call[T]) -> T:
         """See `Line`."""
@@ -104,8 +104,8 @@ class PortLine:
                     outcome = exchange.receive(self._port.read(4096))
                     if outcome is not None:
                         return outcome
-        except OSError as error:
-            return Trouble("silent", f"{self.name}: {error.strerror or error}")
+        except (OSError, termios.error) as error:  # the port went away; pyserial lets the second one through
+            return Trouble("silent", f"{self.name}: {error}")
         return exchange.expire()
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from services.dwm.core import calibration_file
 from services.dwm.core.calibration import Calibration, RangeModel
 from services.dwm.core.diagnosis import Watch
+from services.dwm.core.motion import Increments
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.tlv import Location
 from swarm import clock
@@ -75,7 +76,7 @@ class Localizer:
         is_tag = config.robot(robot).uwb_role == "tag"
         self._watch = Watch(config.anchors, known_modules(config), clock.now()) if is_tag else None
         self._odometry: queue.SimpleQueue[Odometry] = queue.SimpleQueue()
-        self._last: Odometry | None = None
+        self._increments = Increments()
         if kind in ("auto", "ekf"):
             service.bus.subscribe(key(robot, "balancer", "odometry"), self._take)
 
@@ -104,12 +105,6 @@ class Localizer:
             self._odometry.get_nowait()
 
     def _move(self) -> None:
-        """Give the filter the motion since the last report. Messages hold sums: a lost one costs nothing."""
+        """Give the filter the motion since the last report."""
         for _ in range(self._odometry.qsize()):
-            new, last = self._odometry.get_nowait(), self._last
-            self._last = new
-            if last is None or new.sequence <= last.sequence:  # the balancer began anew, and its sums with it
-                self._pipeline.tracker.odometry(new.t, 0.0, 0.0, new.tilt)
-                continue
-            distance = 0.5 * (new.left + new.right - last.left - last.right)
-            self._pipeline.tracker.odometry(new.t, distance, new.gyro_heading - last.gyro_heading, new.tilt)
+            self._pipeline.tracker.odometry(*self._increments.take(self._odometry.get_nowait()))

@@ -5,6 +5,7 @@ What others want of the module (`swarm dwm`) comes over the bus, since the port 
 
 import os
 import select
+import termios
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,11 +47,12 @@ def serve(service: Service, path: Path) -> None:
             # exclusive: two processes polling one module would read each other's answers
             with serial.Serial(str(path), BAUD, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True) as port:
                 _poll(service, port, localizer, requests, wake)
-        except OSError as error:  # pyserial's own errors are OSErrors too
+        except (OSError, termios.error) as error:  # pyserial's own are OSErrors, but it lets the second one through
             service.counters["port_errors"] += 1
-            service.degraded(f"{path}: {error.strerror or error}")
+            reason = f"{path}: {(isinstance(error, OSError) and error.strerror) or error}"
+            service.degraded(reason)
             for request in requests.new():
-                requests.answer(request.ticket, b"", f"{path}: {error.strerror or error}")
+                requests.answer(request.ticket, b"", reason)
         if service.counters["reports"] > before:
             pause = _FIRST_PAUSE
         service.watchdog()

@@ -37,6 +37,9 @@ def main() -> None:
     """Our own errors are one line and exit code 2, never a traceback."""
     try:
         code = _run(_options())
+    except NoAnswerError as error:
+        sys.stderr.write(f"swarm: {error}\n")
+        code = 1
     except SwarmError as error:
         sys.stderr.write(f"swarm: {error}\n")
         code = 2

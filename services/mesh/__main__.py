@@ -25,7 +25,18 @@ from swarm.config import Config
 from swarm.errors import PayloadError
 from swarm.keyfile import read_keys
 from swarm.keys import STOP, key
-from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Links, SendRequest, Stop, TopologyRequest, read
+from swarm.messages import (
+    Arm,
+    Clock,
+    EchoRequest,
+    FloodRequest,
+    Links,
+    Reminder,
+    SendRequest,
+    Stop,
+    TopologyRequest,
+    read,
+)
 from swarm.paths import state_dir
 from swarm.service import Service
 
@@ -110,12 +121,8 @@ class _Commands:
             self._service.log.warning("request refused: %s", error)
             return
         match message:
-            case FloodRequest():
-                self._mesh.ask(lambda each, now: each.request_flood(message, now))
-            case SendRequest():
-                self._mesh.ask(lambda each, now: each.request_send(message, now))
-            case TopologyRequest():
-                self._mesh.ask(lambda each, now: each.request_topology(message, now))
+            case FloodRequest() | SendRequest() | Reminder() | TopologyRequest():
+                self._mesh.ask(lambda each, now: each.request(message, now))
             case EchoRequest():
                 self._mesh.ping(message)
             case Stop(_, origin, reason):

@@ -143,7 +143,8 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="swarm sim",
         description="Run a simulated swarm: for each robot the processes that run on a Pi, in one simulated world.",
-        epilog="Watch it from another terminal: z_sub 'swarm/**'. End one of its services: swarm kill r0 mesh.",
+        epilog="Watch it from another terminal: z_sub 'swarm/**'. End one of its services: swarm kill r0 mesh. "
+        "Lay hands on a robot: swarm push r0, swarm lay r1 back, swarm press r2 A.",
     )
     p.add_argument(
         "app",

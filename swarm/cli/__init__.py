@@ -16,7 +16,10 @@ from typing import NoReturn
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
-VERBS = ("arm", "config", "key", "kill", "lay", "measure", "mesh", "press", "push", "stop", "topology")
+VERBS = (
+    "arm", "command", "config", "deploy", "estop", "key", "kill", "lay", "logs", "measure", "mesh", "press", "push",
+    "restart", "run", "start", "status", "stop", "topology",
+)  # fmt: skip
 """Modules of this package."""
 
 HANDED_ON = {

@@ -1,4 +1,4 @@
-"""What `swarm stop` and `swarm arm` have in common: give the command, then wait until every robot confirms it.
+"""What `swarm estop` and `swarm arm` have in common: give the command, then wait until every robot confirms it.
 
 The command goes to every bus that can be reached, so that these robots obey even where their meshes are dead; the mesh
 carries it to the others. It is given again until it is confirmed, since a bus may lose it. A robot confirms by its

@@ -3,7 +3,7 @@
 
 `rtt` sends one message at a time and waits for its answer. `throughput` measures what is carried when messages follow
 each other. A link is measured by the `neighbours` overlay, a longer path by `unicast`; `--overlay all` compares all of
-them. `rssi` asks the Bluetooth adapter for the signal of a link.
+them. `rssi` asks the Bluetooth adapter for the signal of a link. `swarm measure i2c` is a command of its own.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from swarm.errors import LocalError
 from swarm.keys import is_name
 from swarm.messages import GraphRobot
 
-HELP = "round trips, throughput or signal of links and paths, by payload size"
+HELP = "round trips, throughput, signal of links and paths; i2c: rates of a robot's bus"
 
 SIZES = (50, 200, 500, 750, 1000)
 """Bytes; those of the thesis' figure 3.19."""

@@ -1,18 +1,14 @@
-"""`swarm stop [REASON]`: every robot switches its motors off, and stays so until `swarm arm`."""
+"""`swarm stop [SERVICE...]`: systemd's, on all robots."""
 
 import argparse
 
-from swarm.cli import halt
+from swarm.fleet import control
 
-HELP = "stop every robot, and say who has obeyed"
+HELP = "stop services or apps of all robots, over ssh (motors at once: estop)"
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`[REASON] [--timeout S] [--robot NAME] [--run-dir DIR] [--json]`."""
-    parser.add_argument("reason", nargs="?", default="swarm stop", help="what the robots' logs and faults will say")
-    halt.add_arguments(parser)
+add_arguments = control.add_arguments
 
 
 def run(args: argparse.Namespace) -> int:
-    """Code 1 where a robot that can be reached has not confirmed in time."""
-    return halt.run(args, stop=True, reason=args.reason)
+    """0 where it succeeded on every robot."""
+    return control.run(args, "stop")

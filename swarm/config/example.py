@@ -32,6 +32,7 @@ bluetooth = "B8:27:EB:00:00:13"
 [[robots]]
 name = "r4"
 board = "pi4"
+host = "pi@192.168.1.14"            # how ssh reaches it from a laptop, where that is not by its name
 bluetooth = "B8:27:EB:00:00:14"
 
 [[robots]]

@@ -31,6 +31,7 @@ _TABLES = (
 
 _NAME = "a name: a lower-case letter, then up to 15 lower-case letters, digits, _ or -"
 _NETWORK = re.compile(r"[A-Za-z0-9._-]{1,32}")
+_HOST = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:%@-]*")
 _ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
 _KEY_CHUNK = re.compile(r"[A-Za-z0-9_.:-]+|\*\*?")
 _LINK = "tcp:HOST:PORT, sim:SOCKET or rfcomm:ADDRESS"
@@ -108,7 +109,7 @@ def who_am_i(config: Config) -> str:
 def _robots(top: Table) -> tuple[Robot, ...]:
     robots: list[Robot] = []
     taken: dict[str, str] = {}
-    tables = top.tables("robots", ("name", "board", "bluetooth", "link", "uwb", "uwb_role"))
+    tables = top.tables("robots", ("name", "board", "bluetooth", "link", "host", "uwb", "uwb_role"))
     if not tables:
         raise top.error("robots", 'missing; expected at least one robot, written [[robots]] with name = "r0"')
     for table in tables:
@@ -143,7 +144,8 @@ def _robot(table: Table) -> Robot:
     board = table.choice("board", "zero2w", ("zero2w", "pi4"))
     uwb = sections.uwb_address(table, "uwb") if "uwb" in table else None
     role = table.choice("uwb_role", "tag", ("tag", "anchor"))
-    return Robot(name, board, bluetooth.upper() if bluetooth else None, link, uwb, role)
+    host = table.text("host", None, expected="a host as ssh knows it: r0.local or pi@192.168.1.15", pattern=_HOST)
+    return Robot(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role)
 
 
 def _topology(top: Table, robots: Sequence[Robot]) -> Graph:

@@ -26,6 +26,8 @@ class Robot:
     """Address of the Bluetooth adapter, B8:27:EB:12:34:56."""
     link: str | None = None
     """How others reach it where that is not Bluetooth: `tcp:HOST:PORT`, or `sim:SOCKET` in a simulation."""
+    host: str | None = None
+    """What ssh calls it (a name of ~/.ssh/config, user@address); None = its name."""
     uwb: str | None = None
     """Short address of its DWM1001, C933; `dwm/ranges` of the others name the robot by it."""
     uwb_role: str = "tag"

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from swarm.codec import MAX_BINARY
+
 
 @dataclass(frozen=True, slots=True)
 class LinkState:
@@ -92,6 +94,7 @@ class FloodRequest:
     It appears on every other robot's bus, raw, under `swarm/<this robot>/app/<app>/flood`.
     """
 
+    LIMIT = MAX_BINARY
     ticket: str
     """Names this request; a repetition of it is not flooded again but gets the answer again."""
     app: str
@@ -125,6 +128,7 @@ class SendRequest:
     It appears on that robot's bus, raw, under `swarm/<this robot>/app/<app>/send/<to>`.
     """
 
+    LIMIT = MAX_BINARY
     ticket: str
     app: str
     to: str
@@ -132,6 +136,27 @@ class SendRequest:
     priority: str
     timeout: float
     """s after which it is given up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reminder:
+    """Command on `mesh/set/remind`: tell the answer to a request again or, where there is none yet, a `Progress`."""
+
+    ticket: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a request is, on `swarm/<robot>/mesh/progress`."""
+
+    t: float
+    ticket: str
+    known: bool
+    """Whether there is such a request here: one that is not known was lost, and is to be made again."""
+    size: int
+    """Bytes of its payload; 0 where it is small, which takes no time worth telling."""
+    moved: int
+    """Bytes that have arrived: at the receiver, or at every neighbour that hands a flood on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,6 +347,8 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "graph"): MeshGraph,
     ("mesh", "set/flood"): FloodRequest,
     ("mesh", "set/send"): SendRequest,
+    ("mesh", "set/remind"): Reminder,
+    ("mesh", "progress"): Progress,
     ("mesh", "set/arm"): Arm,
     ("mesh", "clock"): Clock,
     ("mesh", "echo"): Echo,

@@ -179,6 +179,18 @@ def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher:
     assert watcher.last().mode == "balancing"
 
 
+def test_a_robot_has_the_controller_and_body_that_the_file_gives_it(processes: Processes, watcher: Watcher) -> None:
+    with processes.config.open("a") as file:
+        file.write('[balancing.robots.r0]\ncontroller = "pololu"\nmax_speed = 0.3\n[body.robots.r0]\ntrim = 0.19\n')
+    processes.start("-m", "services.sim.body")
+    state = watcher.wait_mode("balancing")
+    assert state.posture == "upright", "with its trim taken out"
+    wait_until(lambda: watcher.last("parameters") is not None, 20, "the parameters")
+    told = watcher.last("parameters")
+    assert (told.controller, told.parameters["trim"], told.parameters["max_speed"]) == ("pololu", 0.19, 0.3)
+    assert told.parameters["angle_response"] == 11.0
+
+
 def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
     """No router anywhere: it balances, and READY comes from the loop."""
     robot = runtime / "r0"

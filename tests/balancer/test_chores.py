@@ -1,6 +1,8 @@
 """Chores in the slack, in virtual time: what is told when, and that no tick suffers."""
 
+import errno
 import logging
+import random
 
 import pytest
 from balancer_rig import Rig
@@ -15,6 +17,7 @@ from services.balancer.core.mailbox import check_request
 from services.balancer.core.requests import check
 from services.balancer.core.screen import ScreenText
 from services.balancer.core.transfers import Transfer, duration, read
+from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from services.sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import (
@@ -23,6 +26,7 @@ from swarm.messages import (
     Display,
     ImuRequest,
     ImuSample,
+    ModuleAnswer,
     ModuleRequest,
     Note,
     SetDisplay,
@@ -97,6 +101,17 @@ def test_battery_each_second() -> None:
     assert ticking.rig.balancer.battery == 6.9
 
 
+def test_what_the_firmware_noticed_is_told_once() -> None:
+    ticking = Ticking().run(2.0)
+    ticking.robot.atmega._buffer[balboa.BUS_RESETS] = 3
+    ticking.robot.atmega._buffer[balboa.ENCODER_ERRORS] = 1
+    ticking.run(2.0)
+    assert [text for about, text in ticking.rig.balancer.notices if about == "board"] == [
+        "encoders: both channels changed at once, left and right (1, 0)",
+        "the ATmega dropped a transfer that had stopped in the middle, 3 so far",
+    ]
+
+
 def test_every_press_is_told_and_counted() -> None:
     ticking = Ticking().run(0.1)
     for down in (1, 0, 1, 3, 2, 0, 4, 0):
@@ -162,6 +177,7 @@ def test_a_robot_without_a_display_is_a_whole_robot(caplog: pytest.LogCaptureFix
         ticking.run(25.0)
     assert [(each.present, each.lines) for each in ticking.of(Display)] == [(False, ())]
     assert caplog.text.count("display not there (0x3C)") == 1
+    assert ("display", "not there (0x3C): nothing is shown") in ticking.rig.balancer.notices
     assert (ticking.chores.errors, ticking.rig.balancer.mode, ticking.rig.balancer.fault) == (0, "balancing", None)
 
 
@@ -186,6 +202,63 @@ def test_nonsense_from_the_atmega_is_an_error_and_no_news(caplog: pytest.LogCapt
     assert ticking.of(Uwb) == []
     assert ticking.chores.errors > 0
     assert "there is none" in caplog.text or "quality" in caplog.text
+
+
+def test_a_request_while_the_devices_are_away_has_an_end() -> None:
+    ticking = Ticking().run(4.0)
+    ticking.robot.devices.pop(balboa.ADDRESS)
+    ticking.run(1.0)
+    ticking.chores.obey(ModuleRequest("mine", b"\x08\x00"), ticking.rig.now)
+    ticking.run(3.5)
+    assert [(each.ticket, each.problem) for each in ticking.of(ModuleAnswer)] == [("mine", "no answer within 3 s")]
+
+
+def test_a_clock_that_goes_back_stops_no_chore_for_good() -> None:
+    ticking = Ticking().run(4.0)
+    ticking.rig.now -= 3.0
+    ticking.rig.deadline -= 3.0
+    ticking.run(2.0)
+    ticking.news.clear()
+    ticking.run(3.0)
+    assert ticking.of(Battery)
+    assert ticking.of(Uwb)
+    assert ticking.chores.errors == 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_requests_and_reports_come_through_a_bus_with_failures(seed: int) -> None:
+    """One transfer in ten fails; what is told is whole all the same."""
+    chance = random.Random(seed)
+    ticking = Ticking().run(4.0)
+    line, reply = ticking.robot.atmega.line, bytes.fromhex("400100 46025010")
+    told = 0
+    for number in range(3):
+        request = b"\x99\xc8" + bytes((number,)) * 200
+        ticking.chores.obey(ModuleRequest(str(number), request), ticking.rig.now)
+        for _ in range(320):
+            ticking.robot.failures = [errno.EREMOTEIO if chance.random() < 0.1 else 0 for _ in range(20)]
+            ticking.run(PERIOD_S)
+            sent = line.to_send()
+            if sent == request:
+                line.receive(reply, ticking.rig.now)
+            elif sent == LOC_GET.request:
+                line.receive(encode_location(location(told)), ticking.rig.now)
+                told += 1
+    ticking.robot.failures = []
+    assert [(each.ticket, each.answer, each.problem) for each in ticking.of(ModuleAnswer)] == [
+        (str(number), reply, "") for number in range(3)
+    ]
+    reports = [each for each in ticking.of(Uwb) if each.ranges]
+    assert len({each.sequence for each in reports}) > 80
+    for each in reports:
+        assert len({round(found.distance - n, 3) for n, found in enumerate(each.ranges)}) == 1, "of one report"
+    assert reports[-1].sequence + reports[-1].lost in range(told - 2, told + 1)
+
+
+def location(number: int) -> Location:
+    """All of it tells the number."""
+    ranges = (AnchorRange(f"{n:04X}", n + number / 100, 90, Position(0.0, 0.0, 0.0, 100)) for n in range(4))
+    return Location(Position(number / 100, 0.0, 0.0, 90), tuple(ranges))
 
 
 @given(st.binary(max_size=110))

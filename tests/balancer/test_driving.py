@@ -94,6 +94,25 @@ def test_heading_is_held_for_minutes_with_unlike_motors() -> None:
     assert rig.body.heading == pytest.approx(0.0, abs=math.radians(3))
 
 
+@BODIES
+def test_a_weaker_motor_does_not_turn_it_while_it_drives(plant) -> None:
+    rig = upright(plant=plant).run(3)
+    drive = rig.body.drive
+    rig.body.drive = lambda left, right: drive(0.9 * left, right)
+    driving(rig, 0.5, 0.0, 3.0)
+    assert rig.body.heading == pytest.approx(0.0, abs=math.radians(1.5))
+
+
+@pytest.mark.parametrize(("plant", "lag"), [(CONFIGURED, 0.06), (OTHER, 0.2)], ids=["configured", "other"])
+def test_it_keeps_up_with_its_place_while_that_speeds_up_and_slows_down(plant, lag: float) -> None:
+    """Feed-forward of lean and duty: without the lean it lags by 15 and 24 cm."""
+    rig = upright(plant=plant).run(3)
+    drive, lags = rig.balancer._controller._drive, []
+    rig.balancer.drive(0.5, 0.0, 3.0, rig.now)
+    rig.run(6, until=lambda rig: lags.append(abs(rig.body.travel - drive.way)))
+    assert max(lags) < lag
+
+
 def test_a_command_that_is_not_renewed_runs_out() -> None:
     rig = upright().run(3)
     rig.balancer.drive(0.3, 1.0, 1.0, rig.now)

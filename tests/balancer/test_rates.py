@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from pathlib import Path
 
 import pytest
 from test_balancer_registers import Bench
@@ -10,6 +11,7 @@ from test_chores import Ticking
 from services.balancer import rates
 from services.balancer.core.rates import FAILURES, check_measurement
 from services.balancer.core.transfers import duration
+from services.sim.i2c import SimulatedBus
 from swarm.cli import i2c
 from swarm.errors import LocalError
 from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
@@ -129,3 +131,42 @@ def test_arguments_out_of_range(bad: tuple[str, str], capsys: pytest.CaptureFixt
     with pytest.raises(SystemExit):
         arguments(*bad)
     assert "expected" in capsys.readouterr().err
+
+
+class Real(Bench):
+    """In place of the kernel's bus."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.closed = False
+
+    def open(self) -> SimulatedBus:
+        self.bus.close = self.close
+        return self.bus
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_without_a_balancer_the_bus_is_taken_directly(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = Real()
+    monkeypatch.setattr(rates, "KernelBus", real.open)
+    monkeypatch.setattr("sys.argv", ["rates", "r4", "--sizes", "4", "--count", "3"])
+    rates.main()
+    assert capsys.readouterr().out.startswith("r4: I2C with the ATmega")
+    assert real.closed
+    assert real.robot.atmega.motors == (0.0, 0.0)
+    del real.robot.devices[20]
+    with pytest.raises(LocalError, match="the ATmega does not answer"):
+        rates.main()
+
+
+def test_a_balancer_of_a_simulation_that_is_silent_is_no_reason_to_touch_a_bus(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(i2c.buses, "find", lambda _: {"r0": tmp_path})
+    monkeypatch.setattr(i2c, "PATIENCE", 0.0)
+    with pytest.raises(LocalError, match="the balancer of r0 does not answer"):
+        i2c.run(arguments("r0"))

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from balancer_rig import CONFIGURED, OTHER, PLANTS, upright
+from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, scaled, upright
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -50,8 +50,6 @@ def test_each_bears_a_push_and_a_stall(controller: str) -> None:
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_pololu_stands_up_too(side: int) -> None:
-    from balancer_rig import Rig
-
     rig = Rig(tilt=side * math.radians(110), held=False, controller="pololu").run(15)
     assert rig.balancer.mode == "balancing"
 
@@ -63,6 +61,16 @@ def test_each_board_and_payload_has_gains_that_hold_it(board: str, payload: floa
     rig = upright(plant=body, believed=body).run(20)
     assert rig.balancer.mode == "balancing"
     assert rig.worst_tilt < math.radians(8)
+
+
+@pytest.mark.parametrize("name", ["mass", "lever", "inertia", "stall_torque", "free_speed"])
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_pi_4_stands_and_gets_up_with_each_parameter_a_fifth_off(name: str, factor: float) -> None:
+    body = body_model("pi4", Body())
+    rig = Rig(scaled(body, name, factor), believed=body, tilt=math.radians(-110), held=False).run(15)
+    assert rig.balancer.mode == "balancing"
+    rig.worst_tilt = 0.0
+    assert rig.run(20).worst_tilt < math.radians(8)
 
 
 @pytest.mark.parametrize("trim", [0.19, -0.15])

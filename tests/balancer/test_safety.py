@@ -152,6 +152,34 @@ def test_a_clock_that_stands_still_is_a_fault() -> None:
     assert rig.robot.atmega.motors == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("manoeuvre", ["stand", "lie"])
+def test_a_clock_that_goes_back_ends_a_manoeuvre(manoeuvre: str) -> None:
+    """Full power for 0.4 s may not become full power until the clock is there again."""
+    if manoeuvre == "stand":
+        rig = Rig(start_mode="rest", tilt=REST_TILT, held=False).run(4)
+        rig.balancer.command("stand", rig.now)
+        rig.run(0.5)
+    else:
+        rig = upright().run(2)
+        rig.balancer.command("lie", rig.now)
+        rig.run(0.05)
+    assert rig.balancer.duty != (0.0, 0.0)
+    rig.balancer.step(rig.now - 100.0)
+    assert rig.balancer.fault.name == "clock"
+    assert rig.robot.atmega.motors == (0.0, 0.0)
+
+
+def test_a_clock_that_goes_back_makes_no_command_last_longer() -> None:
+    rig = upright().run(2)
+    rig.balancer.drive(0.3, 0.0, 5.0, rig.now)
+    rig.run(1.5)
+    assert rig.balancer.demand[0] == pytest.approx(0.3)
+    rig.balancer.step(rig.now - 100.0)
+    rig.run(2.0)
+    assert rig.balancer.mode == "balancing"
+    assert rig.balancer.demand == (0.0, 0.0)
+
+
 def test_a_clock_that_jumps_ahead_makes_no_lurch() -> None:
     rig = upright().run(2)
     rig.now += 1000.0

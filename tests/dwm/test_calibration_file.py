@@ -1,3 +1,4 @@
+import contextlib
 import re
 from dataclasses import replace
 
@@ -93,3 +94,15 @@ def test_what_is_wrong_is_named(old, new, words):
     with pytest.raises(ConfigError) as caught:
         parse(text.replace(old, new, 1), "f")
     assert str(caught.value).startswith(words)
+
+
+@given(st.text(max_size=100) | st.tuples(st.integers(0, 900), st.integers(0, 30), st.text(max_size=10)))
+def test_any_text_is_a_calibration_or_refused(change):
+    text = text_of(FILE)
+    if isinstance(change, str):
+        text = change
+    else:
+        at, length, new = change
+        text = text[:at] + new + text[at + length :]
+    with contextlib.suppress(ConfigError):
+        assert isinstance(parse(text, "f"), CalibrationFile)

@@ -10,8 +10,9 @@ import pytest
 from conftest import CONFIG, wait_until
 from dwm_rig import ANCHORS, DWM, working
 
-from services.dwm.core.calls import Settings, UpdateRate
-from services.dwm.core.tlv import Position
+from services.dwm.core.calls import NODE_ID_GET, Settings, UpdateRate
+from services.dwm.core.tlv import NOWHERE, AnchorRange, Position
+from services.dwm.line import NoAnswerError, PortLine
 from swarm import config as configuration
 from swarm.bus import Bus
 from swarm.ranging import Ranging
@@ -185,6 +186,16 @@ def test_a_port_that_is_not_there(run):
     assert "/dev/nothing: No such file" in error
 
 
+def test_a_module_that_is_unplugged_meanwhile(board, runtime):
+    line = PortLine(anchor(runtime, "D001"))
+    assert line.ask(NODE_ID_GET) & 0xFFFF == 0xD001
+    board.remove("D001")
+    with pytest.raises(NoAnswerError, match=r"D001\.tty"):
+        line.ask(NODE_ID_GET)
+    line.close()
+
+
+@pytest.mark.slow
 def test_anchors_take_turns_and_are_laid_out(run, board, runtime):
     ports = [word for address in ("D001", "D002", "D003") for word in ("--port", anchor(runtime, address))]
     code, told, error = run("anchors", "--auto", "--seconds", "2", "--json", *ports)
@@ -195,6 +206,22 @@ def test_anchors_take_turns_and_are_laid_out(run, board, runtime):
         assert board.module(address).settings.anchor
     assert [a for a in places if board.module(a).settings.initiator] == ["D001"]
     assert told["rms"] < 0.1
+
+
+def test_the_phone_apps_auto_positioning_is_used_where_it_was_done(run, board, runtime):
+    places = {"D001": (0.0, 0.0), "D002": (1.94, 0.0), "D003": (1.0, 1.94)}
+    for address, place in places.items():
+        board.module(address).survey = tuple(
+            AnchorRange(other, (math.dist(place, there) + 0.05964849) / 0.946976, 100, NOWHERE)
+            for other, there in places.items()
+            if other != address
+        )
+    ports = [word for address in places for word in ("--port", anchor(runtime, address))]
+    code, told, error = run("anchors", "--auto", "--json", *ports)
+    assert code == 0
+    assert "auto-positioning are there" in error
+    for address, place in places.items():
+        assert told["anchors"][address] == pytest.approx(place, abs=0.003)
 
 
 def test_a_tag_is_carried_from_anchor_to_anchor(run, service, board, processes):

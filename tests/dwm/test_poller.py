@@ -177,6 +177,8 @@ def test_a_reset_leaves_the_module_time_to_come_back():
         (b"dwm> ", "shell mode"),
         (GOLDEN[:40], "garbled"),
         (bytes(range(128, 200)), "wrong baud rate"),
+        # LEAPS' newer firmware: time stamp (4 bytes) and flags before the count of ranges
+        (GOLDEN[:18] + b"\x49\x56" + bytes(5) + GOLDEN[20:], "another layout (loc_get: part 49 of 86 bytes"),
         (GOLDEN[:3] + b"\x47" + GOLDEN[4:], "another layout (loc_get: part of type 47"),
     ],
 )

@@ -3,8 +3,9 @@ import random
 
 import pytest
 
-from services.dwm.core.motion import KEPT, Motion
+from services.dwm.core.motion import KEPT, Increments, Motion
 from services.dwm.core.tracker import LATENCY, SILENCE, Tracker
+from swarm.messages import Odometry
 
 ANCHORS = {"D001": (0.0, 0.0, 0.0), "D002": (1.94, 0.0, 0.0), "D003": (1.0, 1.94, 0.0), "C933": (0.5, 1.0, 0.0)}
 
@@ -73,6 +74,14 @@ def test_late_ranges_do_not_hold_a_fast_robot_back():
     robot = Robot(late, x=1.0, y=0.6)
     robot.drive(12.0, speed=0.5, rate=1.2)
     assert robot.error() > 0.02  # so the compensation is what does it
+
+
+def test_the_estimate_is_for_the_moment_asked_for():
+    robot = Robot(Tracker(ANCHORS))
+    robot.drive(10.0, speed=0.4, rate=1.0)
+    now, soon = robot.tracker.estimate(robot.t), robot.tracker.estimate(robot.t + 0.04)
+    assert math.hypot(soon.x - now.x, soon.y - now.y) == pytest.approx(0.016, abs=0.002)
+    assert soon.heading - now.heading == pytest.approx(0.04, abs=0.002)
 
 
 def test_a_leaning_robot_has_its_antenna_ahead():
@@ -152,3 +161,15 @@ def test_track_gives_the_robot_at_any_time():
     for i in range(1, 100):
         motion.add(10.2 + 0.04 * i, 0.0, 0.0, 0.0)
     assert motion.newest.t - motion._nodes[0].t <= KEPT + 0.04 + 1e-9
+
+
+def odometry(t, sequence, rolled, heading):
+    return Odometry(t, sequence, rolled - 0.01, rolled + 0.01, 0.0, 0.0, 0.0, heading, 0.0, 0.1)
+
+
+def test_increments_of_sums():
+    increments = Increments()
+    assert increments.take(odometry(1.0, 10, 5.0, 2.0)) == (1.0, 0.0, 0.0, 0.1)
+    assert increments.take(odometry(1.1, 13, 5.2, 2.1)) == pytest.approx((1.1, 0.2, 0.1, 0.1))  # two were lost
+    assert increments.take(odometry(1.2, 1, 0.0, 0.0)) == (1.2, 0.0, 0.0, 0.1)  # the balancer began anew
+    assert increments.take(odometry(1.3, 2, -0.1, 0.3)) == pytest.approx((1.3, -0.1, 0.3, 0.1))

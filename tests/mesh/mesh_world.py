@@ -3,7 +3,7 @@
 import heapq
 import itertools
 import random
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from services.mesh.core.callers import UNKNOWN, Caller
+from services.mesh.core.delay import AirModel, DelayLine
 from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
 from services.mesh.core.handshake import Local
@@ -24,6 +25,8 @@ from services.mesh.core.topology import Ground, Topology
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
 from swarm.messages import LinkState
 
+SOCKET = 50_000
+"""Bytes that an RFCOMM socket takes."""
 ACCIDENTS = st.one_of(
     st.tuples(st.just("publish"), st.sampled_from(("r0", "r1"))),
     st.tuples(st.just("cut"), st.floats(0.1, 12.0)),
@@ -49,6 +52,10 @@ class End:
     """The rest of what it sends is lost, as on a stream: never bytes from the middle."""
     heard: bytearray = field(default_factory=bytearray)
     """What arrived here, where it is a stranger's end."""
+    line: DelayLine | None = None
+    """The air from here to the other end, where it has a bandwidth."""
+    socket: deque[bytes] = field(default_factory=deque)
+    """Writes that wait for the air."""
 
 
 @dataclass
@@ -75,10 +82,15 @@ class World:
         latency: float = 0.03,
         seed: int = 0,
         keys: Mapping[int, bytes] | None = None,
+        bandwidth: float | None = None,
+        jitter: float = 0.0,
         auto: bool = False,
     ) -> None:
-        """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`. With `auto` the
-        robots find their links themselves."""
+        """With `keys` all links are authenticated; a robot's own ones may be put into `overrides`. With a `bandwidth`,
+        bytes/s, each end has a socket of 50 kB before the air. With `auto` the robots find their links themselves."""
+        self.air = AirModel(latency, jitter, bandwidth)
+        self.written: Counter[tuple[str, str]] = Counter()
+        """Bytes on the air from one robot to another."""
         self.auto = auto
         self.topology: Sequence[tuple[str, str]] = () if auto else list(edges)
         """The configuration's."""
@@ -301,6 +313,9 @@ class World:
 
     def _flush(self, end: End) -> None:
         assert end.session is not None
+        if self.air.bandwidth is not None:
+            self._write(end)
+            return
         while data := end.session.data_to_send(self.now, 4096):
             if self.tap is not None:
                 data = self.tap(end, data)
@@ -308,6 +323,23 @@ class World:
                 cut = self.random.randint(1, len(data))
                 self.send(end, data[:cut])
                 data = data[cut:]
+
+    def _write(self, end: End) -> None:
+        """From the session into the socket, from there onto the air at its own pace."""
+        if end.line is None:
+            end.line = DelayLine(self.air, self.random.gauss)
+        session, line, other = end.session, end.line, end.peer
+        assert session is not None
+        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(self.now, 4096)):
+            end.socket.append(data)
+        waited = bool(end.socket)
+        while end.socket and line.free_at <= self.now:
+            data = end.socket.popleft()
+            self.written[end.robot, other.robot if other is not None else ""] += len(data)
+            line.push(data, self.now)
+            self._at(line._last_arrival, lambda data=data: self._arrive(end, data))  # type: ignore[misc]
+        if waited:
+            self._at(line.free_at, lambda: self._write(end) if end.alive else None)
 
     def send(self, end: End, data: bytes) -> None:
         """Put bytes on the way to the other end."""

@@ -176,18 +176,20 @@ class World:
                 bot.times.append(self.now)
         self._arm(name)
 
-    def flood(self, name: str, payload: bytes, ticket: str = "", announce: bool = False) -> str:
+    def flood(self, name: str, payload: bytes, ticket: str = "", announce: bool = False, priority: str = "sync") -> str:
         """What an app asks for."""
         ticket = ticket or f"t{next(self._order)}"
-        request = FloodRequest(ticket, "test", payload, "sync", announce)
-        self.step(name, lambda overlays: overlays.request_flood(request, self.now))
+        request = FloodRequest(ticket, "test", payload, priority, announce)
+        self.step(name, lambda overlays: overlays.request(request, self.now))
         return ticket
 
-    def send(self, name: str, to: str, payload: bytes, ticket: str = "", timeout: float = 60.0) -> str:
+    def send(
+        self, name: str, to: str, payload: bytes, ticket: str = "", timeout: float = 60.0, priority: str = "sync"
+    ) -> str:
         """What an app asks for."""
         ticket = ticket or f"t{next(self._order)}"
-        request = SendRequest(ticket, "test", to, payload, "sync", timeout)
-        self.step(name, lambda overlays: overlays.request_send(request, self.now))
+        request = SendRequest(ticket, "test", to, payload, priority, timeout)
+        self.step(name, lambda overlays: overlays.request(request, self.now))
         return ticket
 
     # -- what a test looks at --

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from overlay_world import World, full, line, ring, thesis_d
 
-from services.mesh.core import echo, flood, packets, store
+from services.mesh.core import catchup, echo, flood, packets, store
 from services.mesh.core.frames import BULK, CONTROL, FLOOD
-from services.mesh.core.overlays import MAX_TICKETS
 from services.mesh.core.packets import Spread
+from services.mesh.core.requests import MAX_TICKETS
 from swarm.messages import FloodRequest
 
 GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(6)}
@@ -109,7 +109,7 @@ def test_a_repeated_request_is_answered_again_but_done_once() -> None:
 def test_wrong_requests_are_answered(request_: FloodRequest, text: str) -> None:
     world = World(line(2))
     world.settle()
-    world.step("r0", lambda each: each.request_flood(request_, world.now))
+    world.step("r0", lambda each: each.request(request_, world.now))
     answer = world.flooded("r0", "t")
     assert answer is not None
     assert text in answer.problem
@@ -124,7 +124,7 @@ def test_too_many_floods_at_once_are_refused_and_nothing_grows_without_end() -> 
     for _ in range(count):
         world.flood("r0", b"x")
     assert len(world.got("r0", "/mesh/flooded")) == count - flood.MAX_ATTEMPTS, "the others are refused"
-    assert len(world.bots["r0"].overlays._tickets) == MAX_TICKETS
+    assert len(world.bots["r0"].overlays._requests._tickets) == MAX_TICKETS
     assert len(world.bots["r0"].overlays._flood._waves) <= echo.MAX_WAVES
     world.run(60.0)
     assert not world.bots["r0"].overlays._flood._attempts
@@ -256,7 +256,7 @@ def test_what_full_queues_lost_is_repaired_by_comparing() -> None:
         publish(world, "r0", f"x{n}", b"%d" % n)
     world.run(1.0)
     world.loss = 0.0
-    world.run(2.5 * flood.COMPARE_PERIOD)
+    world.run(2.5 * catchup.COMPARE_PERIOD)
     for name in world.names[1:]:
         assert sorted(world.got(name, "")) == sorted(b"%d" % n for n in range(20))
 
@@ -356,7 +356,7 @@ def test_whatever_happens_once_to_each_and_all_agree_in_the_end(
     world.run(4.0)
     for edge in world.edges:
         world.join(*sorted(edge))
-    world.run(2.5 * flood.COMPARE_PERIOD)
+    world.run(2.5 * catchup.COMPARE_PERIOD)
     for name, bot in world.bots.items():
         floods = [(key.split("/")[1], payload) for key, payload in bot.inbox if key.endswith("/flood")]
         assert len(floods) == len(set(floods)), "delivered twice"
@@ -432,7 +432,7 @@ def test_what_is_forgotten_does_not_come_back() -> None:
 
 def test_what_was_missed_long_ago_is_new_and_what_is_older_than_the_kept_value_is_not() -> None:
     kept = store.Store()
-    assert kept.take("r0", "often", Spread(1, 500, b"x", latest=True), BULK) == store.NEW
+    assert kept.take("r0", "often", Spread(1, 5000, b"x", latest=True), BULK) == store.NEW
     assert kept.take("r0", "rare", Spread(1, 3, b"y", latest=True), BULK) == store.NEW
-    assert kept.take("r0", "often", Spread(1, 499, b"older", latest=True), BULK) == store.DUPLICATE
+    assert kept.take("r0", "often", Spread(1, 4999, b"older", latest=True), BULK) == store.DUPLICATE
     assert kept.take("r0", "plain", Spread(1, 4, b"z"), BULK) == store.DUPLICATE

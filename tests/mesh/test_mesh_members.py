@@ -53,7 +53,7 @@ def heard(watched: Watched, robot: str, key: str) -> list[bytes]:
 def flood(watched: Watched, robot: str, payload: bytes) -> None:
     request = FloodRequest(f"t{payload.hex()}", "x", payload, "bulk", False)
     world = watched.world
-    world.step(robot, lambda node: node.ask(lambda each, now: each.request_flood(request, now), world.now))
+    world.step(robot, lambda node: node.ask(lambda each, now: each.request(request, now), world.now))
     watched.run(SOON)
 
 

@@ -10,7 +10,9 @@ from mesh_world import ACCIDENTS, End, World
 from test_mesh_session import KEYS, hello
 
 from services.mesh.core import frames, packets
+from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.frames import BULK, FLOOD, NEIGHBOURS, SYNC, UNICAST
+from services.mesh.core.outbox import LIMITS
 from services.mesh.core.packets import Spread
 from services.mesh.core.relay import Relay, matches, pattern
 from swarm.config.types import DEFAULT_RELAY, RelayRule
@@ -120,7 +122,7 @@ def test_rules_carry_across_the_swarm() -> None:
 
 
 def test_a_value_too_long_for_its_overlay_is_counted() -> None:
-    world = World(LINE, rules=RULES)
+    world = World(LINE, rules=[RelayRule(rule.keys, overlay=rule.overlay, priority="sync") for rule in RULES])
     world.run(1.0)
     for key, limit in (("swarm/r0/dwm/pose", packets.MAX_SPREAD), ("swarm/r0/app/x/report/r3", packets.MAX_MESSAGE)):
         world.publish("r0", key, bytes(limit + 1), source_of(key))
@@ -128,6 +130,35 @@ def test_a_value_too_long_for_its_overlay_is_counted() -> None:
     world.run(1.0)
     assert world.bots["r0"].counters["too_large"] == 2
     assert sorted(len(payload) for _, payload in world.bots["r3"].inbox) == [packets.MAX_MESSAGE, packets.MAX_SPREAD]
+
+
+def test_in_the_bulk_class_rules_carry_a_mebibyte() -> None:
+    world = World(LINE, rules=RULES)
+    world.run(1.0)
+    largest = bytes(MAX_MESSAGE)
+    for key in ("swarm/r0/dwm/pose", "swarm/r0/app/x/report/r3"):
+        world.publish("r0", key, largest, source_of(key))
+        world.publish("r0", key, largest + b"!", source_of(key))
+    world.run(20.0)
+    assert world.bots["r0"].counters["too_large"] == 2
+    assert sorted(world.bots["r3"].inbox) == [("swarm/r0/app/x/report/r3", largest), ("swarm/r0/dwm/pose", largest)]
+    assert world.bots["r1"].inbox == [("swarm/r0/dwm/pose", largest)]
+
+
+def test_a_flood_that_finds_a_queue_full_waits_for_it() -> None:
+    world = World(LINE, rules=RULES, bandwidth=78_000.0)
+    world.run(1.0)
+    key = "swarm/r0/log/x"
+    count = LIMITS[BULK].messages + 150
+    for n in range(count):
+        world.publish("r0", key, b"%d" % n, source_of(key))
+    assert world.bots["r0"].counters["pushed_back"] > 0
+    world.run(10.0)
+    assert [payload for _, payload in world.bots["r3"].inbox] == [b"%d" % n for n in range(count)]
+    assert all(bot.counters["flood_lost"] == 0 for bot in world.bots.values())
+    for n in range(5 * count):
+        world.publish("r0", key, b"%d" % n, source_of(key))
+    assert world.bots["r0"].counters["flood_lost"] > 0
 
 
 def test_a_maximum_rate_holds_for_floods() -> None:
@@ -250,8 +281,8 @@ def ask(world: World, name: str, count: int) -> None:
     to = "r2" if name == "r0" else "r0"
     flood = FloodRequest(f"f{count}", "x", b"%d" % count, "sync", False)
     send = SendRequest(f"s{count}", "x", to, b"%d" % count, "sync", 20.0)
-    world.step(name, lambda node: node.ask(lambda each, now: each.request_flood(flood, now), world.now))
-    world.step(name, lambda node: node.ask(lambda each, now: each.request_send(send, now), world.now))
+    world.step(name, lambda node: node.ask(lambda each, now: each.request(flood, now), world.now))
+    world.step(name, lambda node: node.ask(lambda each, now: each.request(send, now), world.now))
 
 
 def fragmented(world: World, change: Callable[[End, bytes], bytes] | None = None) -> None:
@@ -262,8 +293,8 @@ def fragmented(world: World, change: Callable[[End, bytes], bytes] | None = None
     flood = replace(flood, payload=flood.payload[: packets.MAX_SPREAD])
     send = SendRequest("s", "x", "r2", flood.payload[::-1][: packets.MAX_MESSAGE], "bulk", 20.0)
     world.tap = change
-    world.step("r0", lambda node: node.ask(lambda each, now: each.request_flood(flood, now), world.now))
-    world.step("r0", lambda node: node.ask(lambda each, now: each.request_send(send, now), world.now))
+    world.step("r0", lambda node: node.ask(lambda each, now: each.request(flood, now), world.now))
+    world.step("r0", lambda node: node.ask(lambda each, now: each.request(send, now), world.now))
     for number in range(100):
         for name in ("r1", "r2"):
             world.publish(name, f"swarm/{name}/app/y/sync/a", number.to_bytes(2, "big"))

@@ -9,13 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core import packets
+from services.mesh.core import packets, pieces
 from services.mesh.core.frames import MAX_PAYLOAD
 from services.mesh.core.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
+from services.mesh.core.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, Id, Packet
 from services.mesh.core.window import Window
 from swarm.errors import FrameError
 
 DOCUMENT = Path(__file__).parents[2] / "docs/overlays.md"
+
+LARGE = Id("r0", 1, 5, flood=False)
 
 GOLDEN = {
     "spread": packets.encode_spread(Spread(0x0006_0000_0000_0001, 7, b"hi", latest=True)),
@@ -28,6 +31,12 @@ GOLDEN = {
     "lsa": packets.encode_advertisement(Advertisement({"r1": 300, "r2": 291})),
     "message": packets.encode_message(Message("r0", "r3", 1, 5, "swarm/r0/app/x/send/r3", b"hi", 32)),
     "ack": packets.encode_ack(Ack("r3", "r0", 1, 5, refused=False, ttl=32)),
+    "announce": packets.encode_spread(Spread(0x0006_0000_0000_0001, 7, b"", echo=True, size=1_000_000)),
+    "offer": pieces.encode(Packet(OFFER, "r0", "r3", LARGE, pieces.encode_offer(5000, "swarm/r0/app/x/send/r3"), 32)),
+    "want": pieces.encode(Packet(WANT, "r3", "r0", LARGE, pieces.encode_want(0, (0, 1, 2)), 32)),
+    "piece": pieces.encode(Packet(PIECE, "r0", "r3", LARGE, pieces.encode_piece(2, b"abc"), 32)),
+    "state": pieces.encode(Packet(STATE, "r3", "r0", LARGE, pieces.encode_state(DONE), 32)),
+    "gone": pieces.encode(Packet(GONE, "r1", "r2", Id("r0", 1, 7, flood=True), b"", 32)),
 }
 
 DECODERS: dict[str, Callable[[bytes], object]] = {
@@ -41,6 +50,12 @@ DECODERS: dict[str, Callable[[bytes], object]] = {
     "lsa": packets.decode_advertisement,
     "message": packets.decode_message,
     "ack": packets.decode_ack,
+    "announce": packets.decode_spread,
+    "offer": lambda data: pieces.decode_offer(pieces.decode(data).body),
+    "want": lambda data: pieces.decode_want(pieces.decode(data).body),
+    "piece": lambda data: pieces.decode_piece(pieces.decode(data).body),
+    "state": lambda data: pieces.decode_state(pieces.decode(data).body),
+    "gone": pieces.decode,
 }
 
 
@@ -53,13 +68,16 @@ def test_the_bytes_are_those_of_the_document(name: str) -> None:
 names = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)
 u64 = st.integers(0, 2**64 - 1)
 u32 = st.integers(1, 2**32 - 1)
+none, below_9, large = st.just(0), st.integers(1, 8), st.integers(1, packets.MAX_LARGE)
 keys = st.sampled_from(("swarm/r0/app/x/send/r3", "swarm/r3/balancer/set/mode"))
 
 
 spreads = st.one_of(
-    st.builds(Spread, u64, u32, st.binary(max_size=99), st.booleans(), latest=st.just(False), first=st.just(0)),
-    st.builds(Spread, u64, u32, st.binary(max_size=99), st.just(False), latest=st.just(True), first=st.just(0)),
-    st.builds(Spread, u64, st.just(9), st.binary(max_size=9), st.just(True), st.just(False), first=st.integers(1, 8)),
+    st.builds(Spread, u64, u32, st.binary(max_size=99), st.booleans(), latest=st.just(False), first=none, size=none),
+    st.builds(Spread, u64, u32, st.binary(max_size=99), st.just(False), latest=st.just(True), first=none, size=none),
+    st.builds(Spread, u64, st.just(9), st.binary(max_size=9), st.just(True), st.just(False), first=below_9, size=none),
+    st.builds(Spread, u64, st.just(9), st.just(b""), st.just(True), st.just(False), first=below_9, size=large),
+    st.builds(Spread, u64, u32, st.just(b""), st.just(False), st.booleans(), first=none, size=large),
 )
 
 
@@ -127,6 +145,33 @@ def test_message_round_trip(packet: Message) -> None:
 @given(st.builds(Ack, names, names, u64, u32, st.booleans(), st.integers(0, 255)))
 def test_ack_round_trip(packet: Ack) -> None:
     assert packets.decode_ack(packets.encode_ack(packet)) == packet
+
+
+@given(
+    st.integers(OFFER, GONE), names, names, names, u64, u32, st.binary(max_size=99), st.integers(0, 255), st.booleans()
+)
+def test_pieces_round_trip(
+    kind: int, sender: str, to: str, origin: str, incarnation: int, number: int, body: bytes, ttl: int, flood: bool
+) -> None:
+    offers = to if kind in (WANT, STATE) else sender
+    packet = Packet(kind, sender, to, Id(origin if flood else offers, incarnation, number, flood), body, ttl)
+    data = pieces.encode(packet)
+    assert pieces.decode(data) == packet
+    if ttl:
+        assert pieces.decode(pieces.passed_on(data)) == packet._replace(ttl=ttl - 1)
+
+
+@given(st.lists(st.integers(0, 600), max_size=pieces.MAX_RANGES, unique=True), st.integers(0, 65535))
+def test_wants_round_trip(indexes: list[int], have: int) -> None:
+    assert pieces.decode_want(pieces.encode_want(have, indexes)) == pieces.Want(have, tuple(indexes))
+
+
+def test_a_want_of_too_many_pieces_is_refused() -> None:
+    body = pieces.encode_want(0, range(pieces.MAX_WANTED + 1))
+    with pytest.raises(FrameError, match="more than"):
+        pieces.decode_want(body)
+    with pytest.raises(FrameError, match="runs"):
+        pieces.decode_want(b"\0\0\xff")
 
 
 @given(st.binary(max_size=200), st.sampled_from(sorted(DECODERS)))

@@ -231,8 +231,8 @@ def test_readings_are_printed(
 def test_a_link_without_a_radio_is_said(args: argparse.Namespace, runtime: Path) -> None:
     with pytest.raises(LocalError, match=r"r0 - r2: this link has no radio: r2 is reached by tcp:127\.0\.0\.1:4100"):
         rssi.run(args, "r0", "r2", runtime / "r0")
-    with pytest.raises(LocalError, match="r2 is not a neighbour of r1, it has r0"):
-        rssi.run(args, "r1", "r2", runtime / "r1")
+    with pytest.raises(LocalError, match="there is no robot r7, there are r0 r1 r2"):
+        rssi.run(args, "r0", "r7", runtime / "r0")
 
 
 def test_a_kernel_without_bluetooth_is_said(

@@ -1,4 +1,4 @@
-"""`swarm stop` and `swarm arm`: what counts as obeyed, and both between real meshes from one robot and from a run
+"""`swarm estop` and `swarm arm`: what counts as obeyed, and both between real meshes from one robot and from a run
 directory."""
 
 import json
@@ -103,7 +103,7 @@ def test_one_robots_bus_is_enough_to_stop_and_arm_all(
     robots.start()
     wait_here(robots)
     at(robots["r1"], monkeypatch)
-    code, text = swarm("stop", "smoke", "--timeout", "20")
+    code, text = swarm("estop", "smoke", "--timeout", "20")
     assert code == 0, text
     assert text.splitlines()[-1] == "stopped: 4 of 4 robots"
     wait_until(lambda: stops)
@@ -122,12 +122,12 @@ def test_one_robots_bus_is_enough_to_stop_and_arm_all(
         robots["r1"].bus.publish("swarm/r1/balancer/state", STATE if not ended else replace(STATE, mode="fault"))
 
     robots["r1"].bus.subscribe("swarm/r1/mesh/stopped", balance)
-    code, text = swarm("stop", "--timeout", "4")
+    code, text = swarm("estop", "--timeout", "4")
     assert code == 1
     assert "its motors are on" in text
     assert "out of reach: r3" in text
     ended = True
-    code, text = swarm("stop", "--timeout", "20")
+    code, text = swarm("estop", "--timeout", "20")
     assert code == 0, text
 
 
@@ -139,16 +139,16 @@ def test_a_run_directory_reaches_robots_whose_meshes_are_dead(build: Build, swar
     robots["r1"].start()
     (robots.runtime / LOCK).touch()
     with claim(robots.runtime):
-        code, text = swarm("stop", "--run-dir", str(robots.runtime), "--timeout", "2", "--json")
+        code, text = swarm("estop", "--run-dir", str(robots.runtime), "--timeout", "2", "--json")
         assert code == 1, text
         (row,) = (each for each in json.loads(text)["robots"] if each["robot"] == "r2")
         assert (row["state"], row["confirmed"]) == ("silent", False)
-        assert set(heard) == {"swarm stop"}
+        assert set(heard) == {"swarm estop"}
         robots["r2"].start()
-        code, text = swarm("stop", "again", "--run-dir", str(robots.runtime), "--timeout", "20")
+        code, text = swarm("estop", "again", "--run-dir", str(robots.runtime), "--timeout", "20")
         assert code == 0, text
         code, text = swarm("arm", "--run-dir", str(robots.runtime), "--robot", "r2", "--timeout", "20")
         assert code == 0, text
-    code, text = swarm("stop", "--run-dir", str(robots.runtime))
+    code, text = swarm("estop", "--run-dir", str(robots.runtime))
     assert code == 2
     assert "no simulation is running" in text

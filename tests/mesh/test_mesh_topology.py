@@ -152,7 +152,7 @@ def test_a_repeated_request_is_answered_again_and_done_once() -> None:
     world.run(3.0)
     request = TopologyRequest("once", "loop", (), None)
     for _ in range(3):
-        world.step("r0", lambda overlays: overlays.request_topology(request, world.now))
+        world.step("r0", lambda overlays: overlays.request(request, world.now))
     assert [answer.version for answer in answers(world, "r0")] == [1, 1, 1]
 
 

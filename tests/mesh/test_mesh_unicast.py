@@ -459,7 +459,7 @@ def test_wrong_requests_to_send_are_answered() -> None:
     world.settle()
     for ticket, app, priority in (("a", "No App", "sync"), ("b", "x", "soon")):
         request = SendRequest(ticket, app, "r1", b"", priority, 1.0)
-        world.step("r0", lambda each, request=request: each.request_send(request, world.now))
+        world.step("r0", lambda each, request=request: each.request(request, world.now))
         sent = world.sent("r0", ticket)
         assert sent is not None
         assert sent.problem

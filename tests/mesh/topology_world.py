@@ -61,7 +61,7 @@ class TopologyWorld(World):
         self, name: str, shape: str = "", edges: Sequence[tuple[str, str]] = (), after: int | None = None
     ) -> None:
         request = TopologyRequest(f"s{next(self._order)}", shape, tuple(edges), after)
-        self.step(name, lambda overlays: overlays.request_topology(request, self.now))
+        self.step(name, lambda overlays: overlays.request(request, self.now))
 
     def start(self, name: str) -> None:
         self.lasting[name].clear()

@@ -77,6 +77,7 @@ class Controller:
         self._count = 0
         self._full_power_s = 0.0
         self._stuck = 0
+        self._last = -math.inf
         self._trim = trim
 
     @property
@@ -166,6 +167,9 @@ class Controller:
         self._stuck = self._stuck + 1 if estimate.dt <= 0.0 else 0
         if self._stuck >= STUCK_TICKS:
             self.fail(Fault(faults.CLOCK, f"the clock has not advanced for {self._stuck} ticks"))
+        if estimate.t < self._last:
+            self._clock_went_back()
+        self._last = estimate.t
         duty = turn = 0.0
         if self.mode == STANDING_UP:
             duty = self._standing_up(estimate)
@@ -180,6 +184,12 @@ class Controller:
         if self.mode != BALANCING:
             turn = 0.0
         return duty - turn, duty + turn
+
+    def _clock_went_back(self) -> None:
+        """Balancing bears it; but what ends at a time (a command, a swing) might go on for as long as it went back."""
+        if self.mode in (STANDING_UP, LYING_DOWN):
+            self.fail(Fault(faults.CLOCK, f"the clock went back while {self.mode.replace('_', ' ')}"))
+        self._drive.halt()
 
     def _standing_up(self, estimate: Estimate) -> float:
         assert self._stand_up is not None  # of this mode

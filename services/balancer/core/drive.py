@@ -79,6 +79,10 @@ class Drive:
             cut.append(f"turn rate {turn_rate:.4g} is above the limit of {limits.turn_rate:g} rad/s")
         return ", ".join(cut)
 
+    def halt(self) -> None:
+        """Come to rest: the command in force is void."""
+        self._until = -math.inf
+
     def step(self, way: float, heading: float, now: float, dt: float) -> None:
         """Move the set-point on by one tick; `way` and `heading` are where the robot is."""
         speed, turn_rate = self._wanted if now < self._until else (0.0, 0.0)

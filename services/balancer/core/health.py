@@ -1,7 +1,5 @@
 """How the board fares: battery, and what the firmware counts."""
 
-import logging
-
 from services.balancer.core import balboa
 from services.balancer.core.transfers import Transfer, read
 from swarm.messages import Battery
@@ -11,17 +9,17 @@ TELL_S = 1.0
 
 _LOOK = read(balboa.BUTTONS, balboa.HOUSEKEEPING_SIZE)
 
-_log = logging.getLogger("balancer")
-
 
 class Health:
-    """A chore: reads the housekeeping twice a second; what the firmware noticed goes to the log."""
+    """A chore: reads the housekeeping twice a second."""
 
     def __init__(self, now: float) -> None:
         self.news: Battery | None = None
         """What is to be told; whoever takes it sets None."""
         self.found: balboa.Housekeeping | None = None
         """The last look."""
+        self.remarks: list[str] = []
+        """What the firmware noticed; whoever takes them clears the list."""
         self._look_at = self._tell_at = now
 
     def next(self, now: float) -> Transfer | None:
@@ -38,9 +36,11 @@ class Health:
         if before is None:
             return
         if found.encoder_errors != before.encoder_errors:
-            _log.warning("encoders: both channels changed at once left,right=%d,%d", *found.encoder_errors)
+            self.remarks.append(f"encoders: both channels changed at once, left and right {found.encoder_errors}")
         if found.bus_resets != before.bus_resets:
-            _log.warning("the ATmega dropped a transfer that had stopped in the middle resets=%d", found.bus_resets)
+            self.remarks.append(
+                f"the ATmega dropped a transfer that had stopped in the middle, {found.bus_resets} so far"
+            )
 
     def fail(self, error: OSError, now: float) -> None:
         """See `Chore`."""

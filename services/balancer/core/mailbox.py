@@ -94,15 +94,16 @@ class Mailbox:
         self._token = (self._token + 1) % 256
         self._give_up_at, self._look_at, self._failures = now + PATIENCE_S, now, 0
 
+    def expire(self, now: float) -> None:
+        """Give up a request whose time is over; `next` does that too, where it is called."""
+        if self._request is not None and now >= self._give_up_at:
+            self._end(now, f"no answer within {PATIENCE_S:g} s")
+
     def next(self, now: float) -> Transfer | None:
         """See `Chore`."""
+        self.expire(now)
         request = self._request
-        if request is None:
-            return None
-        if now >= self._give_up_at:
-            self._end(now, f"no answer within {PATIENCE_S:g} s")
-            return None
-        if now < self._look_at:
+        if request is None or now < self._look_at:
             return None
         if self._phase == "lay":
             at = self._page * balboa.WINDOW_SIZE

@@ -23,6 +23,8 @@ TELL_S = 1.0
 """Without reports the state of the line is told this often."""
 TORN_LIMIT = 3
 """Tries in a row to read one report."""
+FAILURES = 3
+"""Tries in a row to read one slice: what was read of a report before it still counts."""
 _RESET_JUMP = 1000
 """Reports that cannot have been missed: the ATmega was reset and counts from 1 again."""
 
@@ -103,7 +105,7 @@ class UwbReader:
         self._slices = bytearray()
         self._slice = -1
         """The slice that is read next; -1 = none, look."""
-        self._torn = 0
+        self._torn = self._failures = 0
         self._block_at = now
         self._seen = 0
         """The ATmega's number of the newest report that was read."""
@@ -122,6 +124,7 @@ class UwbReader:
         if self._slice < 0:
             self._looked(balboa.decode_progress(data), now)
             return
+        self._failures = 0
         if self._slice == 0:
             self._block_at = now
             self._slices.clear()
@@ -134,7 +137,9 @@ class UwbReader:
     def fail(self, error: OSError, now: float) -> None:
         """See `Chore`."""
         del error  # the control loop meets it too, and names it
-        self._slice, self._look_at = -1, now + LOOK_S
+        self._failures += 1
+        if self._slice < 0 or self._failures >= FAILURES:
+            self._slice, self._look_at, self._failures = -1, now + LOOK_S, 0
 
     def restart(self) -> None:
         """The ATmega was reset or was away."""

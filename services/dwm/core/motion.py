@@ -1,8 +1,10 @@
-"""The last half second of a robot's own motion: where it was when a range was measured that is only now reported."""
+"""A robot's own motion: from the balancer's sums, and where it was when a range was measured that is told only now."""
 
 from collections import deque
 from math import cos, sin
 from typing import NamedTuple
+
+from swarm.messages import Odometry
 
 KEPT = 0.5
 """s."""
@@ -58,3 +60,21 @@ class Motion:
         share = (min(t, second.t + _AHEAD) - first.t) / (second.t - first.t)
         u, v, heading, tilt = (a + share * (b - a) for a, b in zip(first[1:], second[1:], strict=True))
         return Node(t, u, v, heading, tilt if share <= 1.0 else second.tilt)
+
+
+class Increments:
+    """The motion from one odometry message to the next. They hold sums: a lost one costs nothing."""
+
+    def __init__(self) -> None:
+        self._last: Odometry | None = None
+
+    def take(self, new: Odometry) -> tuple[float, float, float, float]:
+        """Time, way (m), turn by the gyro (rad) and tilt, for `Tracker.odometry`.
+
+        The first message, and the first of a balancer that began anew and its sums with it, carry no motion.
+        """
+        last, self._last = self._last, new
+        if last is None or new.sequence <= last.sequence:
+            return new.t, 0.0, 0.0, new.tilt
+        way = 0.5 * (new.left + new.right - last.left - last.right)
+        return new.t, way, new.gyro_heading - last.gyro_heading, new.tilt

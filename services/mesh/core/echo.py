@@ -43,9 +43,11 @@ class Id(NamedTuple):
 class Wave:
     """This robot's part in one confirmed flood."""
 
-    __slots__ = ("began", "echoed_at", "key", "lost", "orphan", "parent", "pending", "priority", "robots", "spoken")
+    __slots__ = ("echoed_at", "ends", "key", "lost", "orphan", "parent", "pending", "priority", "robots", "spoken")
 
-    def __init__(self, key: str, priority: int, parent: str | None, pending: set[str], me: str, now: float) -> None:
+    def __init__(
+        self, key: str, priority: int, parent: str | None, pending: set[str], robots: Collection[str], ends: float
+    ) -> None:
         self.key = key
         self.priority = priority
         self.parent = parent
@@ -54,11 +56,12 @@ class Wave:
         """Neighbours that owe their message."""
         self.spoken = set(pending)
         """Neighbours that have had ours."""
-        self.robots = {me}
+        self.robots = set(robots)
         self.lost = False
         self.orphan = False
         self.echoed_at: float | None = None
-        self.began = now
+        self.ends = ends
+        """When it is forgotten."""
 
 
 class Waves:
@@ -70,10 +73,10 @@ class Waves:
         emit: Emit,
         *,
         towards: Callable[[str], str | None],
-        heard: Callable[[Id, Collection[str], bool, bool], None],
+        heard: Callable[[Id, Collection[str], bool, bool, float], None],
     ) -> None:
-        """`towards(robot)` is the neighbour on the way there; `heard(id, robots, lost, over)` is called at the origin,
-        with `over` when all edges have spoken, else when an orphan's echo came."""
+        """`towards(robot)` is the neighbour on the way there; `heard(id, robots, lost, over, now)` is called at the
+        origin, with `over` when all edges have spoken, else when an orphan's echo came."""
         self._me = me
         self._emit = emit
         self._towards = towards
@@ -83,13 +86,40 @@ class Waves:
     def __len__(self) -> int:
         return len(self._waves)
 
-    def begin(self, id: Id, key: str, priority: int, links: Collection[str], now: float) -> None:
-        """Our own flood has left on all links."""
-        self._join(id, Wave(key, priority, None, set(links), self._me, now), now)
+    def begin(self, id: Id, key: str, priority: int, links: Collection[str], now: float, life: float = 0.0) -> None:
+        """Our own flood has left on all links; it may take `life` s longer than a small one."""
+        self._join(id, Wave(key, priority, None, set(links), (self._me,), now + LIFE + life), now)
 
-    def join(self, id: Id, key: str, priority: int, parent: str, others: Collection[str], now: float) -> None:
-        """The first copy of another's flood came from `parent` and was passed on to the others."""
-        self._join(id, Wave(key, priority, parent, set(others), self._me, now), now)
+    def join(
+        self,
+        id: Id,
+        key: str,
+        priority: int,
+        parent: str,
+        others: Collection[str],
+        now: float,
+        robots: Collection[str] | None = None,
+        *,
+        coming: bool = False,
+        life: float = 0.0,
+    ) -> None:
+        """The first copy of another's flood came from `parent` and was passed on to the others. It has reached
+        `robots`, usually us; with `coming` we shall be one of them when `came` says so, and are waited for."""
+        wave = Wave(key, priority, parent, set(others), (self._me,) if robots is None else robots, now + LIFE + life)
+        wave.lost = robots is not None and not robots and not coming
+        if coming:
+            wave.pending.add(self._me)
+        self._join(id, wave, now)
+
+    def came(self, id: Id, now: float, *, complete: bool) -> None:
+        """The message that a flood has announced is there, or will never be."""
+        wave = self._waves.get(id)
+        if wave is not None and self._me in wave.pending:
+            if complete:
+                wave.robots.add(self._me)
+            else:
+                wave.lost = True
+            self._settle(id, wave, self._me, now)
 
     def again(self, id: Id, key: str, priority: int, peer: str, now: float) -> None:
         """A further copy, which is what that edge owed us; or it is a new edge, whose other end waits for us."""
@@ -111,7 +141,7 @@ class Waves:
         if echo.orphan:
             if id.origin == self._me:
                 wave.robots.update(echo.robots)
-                self._heard(id, wave.robots, True, wave.echoed_at is not None)
+                self._heard(id, wave.robots, True, wave.echoed_at is not None, now)
             elif wave.echoed_at is None:
                 wave.robots.update(echo.robots)
                 wave.lost |= echo.lost
@@ -139,7 +169,7 @@ class Waves:
         """Forget what is old; cheap enough to be called at any time."""
         while self._waves:
             id, wave = next(iter(self._waves.items()))
-            if wave.began + LIFE > now:
+            if wave.ends > now:
                 return
             del self._waves[id]
 
@@ -164,7 +194,7 @@ class Waves:
     def _over(self, id: Id, wave: Wave, now: float) -> None:
         wave.echoed_at = now
         if id.origin == self._me:
-            self._heard(id, wave.robots, wave.lost, True)
+            self._heard(id, wave.robots, wave.lost, True, now)
         else:
             self._answer(id, wave)
 

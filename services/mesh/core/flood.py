@@ -9,25 +9,17 @@ neighbours compare checksums when their link comes up and every 30 s, and hand e
 from collections import Counter
 from collections.abc import Callable, Collection
 
-from services.mesh.core import packets
+from services.mesh.core import largefloods, packets, pieces
 from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.catchup import CatchUp
 from services.mesh.core.echo import Id, Waves
+from services.mesh.core.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.frames import BULK, FLOOD
+from services.mesh.core.largefloods import LargeFloods
 from services.mesh.core.packets import Spread
 from services.mesh.core.store import NEW, OLD, Store
 from swarm.errors import FrameError
-from swarm.keys import key as key_of
 from swarm.keys import parse
-
-COMPARE_PERIOD = 30.0
-"""s between two comparisons of what two neighbours keep, each spread by a fifth. Repairs what full queues dropped."""
-
-ANSWER_PERIOD = 2.0
-"""s between two whole digests to one neighbour, the one at link-up aside."""
-
-REPAIR_PERIOD = 0.1
-REPAIR_BYTES = 4096
-"""Missing values leave in portions, 41 kB/s: half of what a Bluetooth link carries, in the class of each value."""
 
 MAX_ATTEMPTS = 64
 """Own confirmed floods under way; more are refused."""
@@ -35,7 +27,7 @@ MAX_ATTEMPTS = 64
 BEGIN_ANEW = 1.0
 """s between two changes of the own incarnation."""
 
-COUNTERS = ("flood_sent", "flood_duplicates", "flood_old", "flood_retries", "flood_unkept", "repaired", "wave_sent")
+COUNTERS = ("flood_sent", "flood_duplicates", "flood_old", "flood_retries", "flood_unkept", "wave_sent")
 
 _NEVER = float("inf")
 
@@ -43,33 +35,23 @@ _NEVER = float("inf")
 class Attempt:
     """An own flood whose echo is awaited."""
 
-    __slots__ = ("deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "token", "tries")
+    __slots__ = ("deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "settle",
+                 "token", "tries")  # fmt: skip
 
-    def __init__(self, token: object, key: str, payload: bytes, priority: int, patience: float) -> None:
+    def __init__(self, token: object, key: str, payload: bytes, priority: int, patience: float, settle: float) -> None:
         self.token = token
         self.key = key
         self.payload = payload
         self.priority = priority
         self.patience = patience
+        self.settle = settle
+        """s that echoes may still come after all edges have spoken."""
         self.first = 0
         self.tries = 0
         self.deadline = 0.0
         self.robots: set[str] = set()
         self.goal: set[str] = set()
         """Who could be reached when it began."""
-
-
-class Neighbour:
-    """What is under way to one neighbour."""
-
-    __slots__ = ("answered_at", "compare_at", "missing", "repair_at")
-
-    def __init__(self, compare_at: float) -> None:
-        self.compare_at = compare_at
-        self.answered_at = -_NEVER
-        self.missing: dict[tuple[str, str], None] = {}
-        """Values to be sent, by origin and key."""
-        self.repair_at = _NEVER
 
 
 class Flood:
@@ -97,33 +79,54 @@ class Flood:
         self._deliver = deliver
         self._reached = reached
         self._expected = expected
-        self._random = random
         self._counters = counters
         self._store = Store()
         self.incarnation = incarnation
         self._sequence = 0
         self._store.begin(me, incarnation)
         self._began_at = -_NEVER
-        self._links: dict[str, Neighbour] = {}
         self._attempts: dict[int, Attempt] = {}
         self._waves = Waves(me, self._emit_wave, towards=towards, heard=self._heard)
-        self._digest_key = key_of(me, "mesh", "digest")
+        self._neighbours = CatchUp(me, self._store, emit=emit, random=random, counters=counters)
+        self._links = self._neighbours.links
+        self.large = LargeFloods(
+            me, self._store, self._waves, pass_on=self._pass_on, deliver=deliver, counters=counters
+        )
 
     # -- own floods --------------------------------------------------------------------------------------------
 
-    def publish(self, key: str, payload: bytes, priority: int, *, latest: bool) -> None:
-        """Flood a value of an own key; with `latest` it is kept for those who come later."""
-        self._spread(key, Spread(self.incarnation, self._next(), payload, latest=latest), priority)
+    def publish(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> bool:
+        """Flood a value of an own key; with `latest` it is kept for those who come later. False where too many large
+        ones are under way."""
+        if len(payload) > packets.MAX_SPREAD and not self.large.has_room(len(payload)):
+            self._counters["flood_large_refused"] += 1
+            return False
+        self._spread(key, Spread(self.incarnation, self._next(now), payload, latest=latest), priority, now)
+        return True
 
     def confirm(self, token: object, key: str, payload: bytes, priority: int, patience: float, now: float) -> bool:
-        """Flood, and learn by `reached` whom; False where too many are under way. `patience` is how long a try may
-        take, s."""
+        """Flood, and learn by `reached` whom; False where too many are under way. `patience` is how long a try of a
+        small one may take, s."""
+        settle = patience
+        if len(payload) > packets.MAX_SPREAD:
+            if not self.large.has_room(len(payload)):
+                return False
+            patience += largefloods.patience(len(payload))
         if len(self._attempts) >= MAX_ATTEMPTS:
             return False
-        attempt = Attempt(token, key, payload, priority, patience)
+        attempt = Attempt(token, key, payload, priority, patience, settle)
         attempt.goal.update(self._expected())
         self._try(attempt, now)
         return True
+
+    def progress(self, token: object) -> tuple[int, int] | None:
+        """Bytes of an own large flood that every neighbour who fetches it has, and all its bytes; None where that flood
+        is not under way."""
+        for attempt in self._attempts.values():
+            if attempt.token == token:
+                id = pieces.Id(self._me, self.incarnation, attempt.first, flood=True)
+                return self.large.progress(id), len(attempt.payload)
+        return None
 
     def forget(self, origin: str) -> None:
         """A robot has been gone for long: its values are not handed on any more."""
@@ -137,12 +140,11 @@ class Flood:
 
     def link_up(self, peer: str, now: float) -> None:
         """Tell a new neighbour what we keep."""
-        self._links[peer] = Neighbour(now + self._compare_period())
-        self._send_digest(peer, answer=False)
+        self._neighbours.link_up(peer, now)
 
     def unlink(self, peer: str) -> None:
         """A neighbour is gone: nothing goes to it any more."""
-        self._links.pop(peer, None)
+        self._neighbours.unlink(peer)
 
     def link_down(self, peer: str, now: float) -> None:
         """After `unlink`, when routes know it, too: what echoes make of it."""
@@ -161,61 +163,71 @@ class Flood:
                     raise FrameError("ECHO with robots that are not in our configuration")
                 self._waves.echo(Id(parse(key).robot, echo.incarnation, echo.sequence), key, priority, peer, echo, now)
             case packets.DIGEST:
-                self._on_digest(peer, packets.decode_digest(data), now)
+                digest = packets.decode_digest(data)
+                incarnation, _ = digest.origins.get(self._me, (0, 0))
+                if incarnation > self.incarnation:
+                    self._go_above(incarnation, now)
+                self._neighbours.on_digest(peer, digest, now)
             case packets.SUMMARY:
-                if packets.decode_summary(data) != self._store.summary():
-                    self._answer(peer, now, answer=True)
+                self._neighbours.on_summary(peer, packets.decode_summary(data), now)
             case kind:
                 raise FrameError(f"flood packet kind {kind}: not known")
+
+    def pushed_back(self, packet: Transmit, now: float) -> None:
+        """The queue of a link had no room for one of our packets: it is sent later."""
+        self._neighbours.pushed_back(packet, now)
 
     def handle_timer(self, now: float) -> None:
         """Whatever is due."""
         self._waves.handle_timer(now)
+        self.large.handle_timer(now)
         for sequence, attempt in list(self._attempts.items()):
             if now >= attempt.deadline and self._attempts.get(sequence) is attempt:
                 self._expire(sequence, attempt, now)
-        for peer, link in self._links.items():
-            if now >= link.repair_at:
-                self._repair(peer, link, now)
-            if now >= link.compare_at:
-                link.compare_at = now + self._compare_period()
-                self._transmit(peer, self._digest_key, packets.encode_summary(self._store.summary()), BULK)
+        self._neighbours.handle_timer(now)
         self._counters["flood_unkept"] = self._store.unkept
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called."""
-        deadline = _NEVER
-        for attempt in self._attempts.values():
-            deadline = min(deadline, attempt.deadline)
-        for link in self._links.values():
-            deadline = min(deadline, link.repair_at, link.compare_at)
-        return deadline
+        deadline = min((attempt.deadline for attempt in self._attempts.values()), default=_NEVER)
+        return min(deadline, self.large.next_deadline(), self._neighbours.next_deadline())
 
     # -- spreading ---------------------------------------------------------------------------------------------
 
-    def _next(self) -> int:
+    def _next(self, now: float) -> int:
         if self._sequence == packets.MAX_SEQUENCE:
-            self._begin(self.incarnation + 1)
+            self._begin(self.incarnation + 1, now)
         self._sequence += 1
         return self._sequence
 
-    def _spread(self, key: str, packet: Spread, priority: int) -> None:
+    def _spread(self, key: str, packet: Spread, priority: int, now: float) -> None:
         """An own flood: noted as seen, and off."""
         self._store.take(self._me, key, packet, priority)
-        self._pass_on(key, packet, packets.encode_spread(packet), priority, None)
+        if len(packet.payload) > packets.MAX_SPREAD:
+            id = pieces.Id(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
+            self.large.hold(id, packet.payload, now, key if packet.latest else "")
+            packet = packet._replace(payload=b"", size=len(packet.payload))
+        self._pass_on(key, packet, priority, None)
 
-    def _pass_on(self, key: str, packet: Spread, data: bytes, priority: int, source: str | None) -> None:
-        """Send a flood on as it is; `data` is the packet's bytes."""
-        for peer in self._links:
-            if peer != source:
-                self._counters["flood_sent"] += 1
-                self._counters["wave_sent"] += packet.echo
-                self._emit(Transmit(peer, FLOOD, key, data, priority, packet.latest))
+    def _pass_on(
+        self, key: str, packet: Spread, priority: int, source: str | None, data: bytes | None = None
+    ) -> list[str]:
+        """Send a flood on as it is; `data` is the packet's bytes, where they are there."""
+        data = packets.encode_spread(packet) if data is None else data
+        others = [peer for peer in self._links if peer != source]
+        for peer in others:
+            self._counters["flood_sent"] += 1
+            self._counters["wave_sent"] += packet.echo
+            self._neighbours.spread(Transmit(peer, FLOOD, key, data, priority, packet.latest))
+        return others
 
     def _on_spread(self, peer: str, key: str, packet: Spread, data: bytes, priority: int, now: float) -> None:
         origin = parse(key).robot
         if origin == self._me:
             self._on_own(peer, key, packet, priority, now)
+            return
+        if packet.size:
+            self.large.announced(peer, origin, key, packet, now)
             return
         verdict = self._store.take(origin, key, packet, priority)
         if verdict == OLD:
@@ -227,12 +239,9 @@ class Flood:
             if packet.echo:
                 self._waves.again(id, key, priority, peer, now)
             return
+        others = self._pass_on(key, packet, priority, peer, data)
         if packet.echo:
-            others = [each for each in self._links if each != peer]
-            self._pass_on(key, packet, data, priority, peer)
             self._waves.join(id, key, priority, peer, others, now)
-        else:
-            self._pass_on(key, packet, data, priority, peer)
         if not packet.first or not self._store.has_seen(origin, packet.first):
             self._deliver(origin, key, packet.payload, priority, packet.incarnation)
 
@@ -247,14 +256,15 @@ class Flood:
         """Others know us by a higher incarnation: without this they would take all we say for old."""
         if now >= self._began_at + BEGIN_ANEW and incarnation < packets.MAX_INCARNATION:
             self._began_at = now
-            self._begin(incarnation + 1)
+            self._begin(incarnation + 1, now)
 
-    def _begin(self, incarnation: int) -> None:
+    def _begin(self, incarnation: int, now: float) -> None:
         kept = self._store.kept(self._me)
         self.incarnation, self._sequence = incarnation, 0
         self._store.begin(self._me, incarnation)
         for key, value in kept:
-            self.publish(key, value.payload, value.priority, latest=True)
+            packet = Spread(incarnation, self._next(now), value.payload, latest=True)
+            self._spread(key, packet, value.priority, now)
         # Tried again at the next timer; until then under numbers that no sequence can have.
         attempts = set(self._attempts.values())
         self._attempts = {-1 - place: attempt for place, attempt in enumerate(attempts)}
@@ -264,17 +274,18 @@ class Flood:
     # -- the echo at the origin --------------------------------------------------------------------------------
 
     def _try(self, attempt: Attempt, now: float) -> None:
-        sequence = self._next()
+        sequence = self._next(now)
         attempt.tries += 1
         attempt.deadline = now + attempt.patience
         self._attempts[sequence] = attempt
         packet = Spread(self.incarnation, sequence, attempt.payload, echo=True, first=attempt.first)
         attempt.first = attempt.first or sequence
-        self._spread(attempt.key, packet, attempt.priority)
+        self._spread(attempt.key, packet, attempt.priority, now)
         id = Id(self._me, self.incarnation, sequence)
-        self._waves.begin(id, attempt.key, attempt.priority, self._links, now)
+        life = largefloods.patience(len(attempt.payload))
+        self._waves.begin(id, attempt.key, attempt.priority, self._links, now, life)
 
-    def _heard(self, id: Id, robots: Collection[str], lost: bool, over: bool) -> None:
+    def _heard(self, id: Id, robots: Collection[str], lost: bool, over: bool, now: float) -> None:
         attempt = self._attempts.get(id.sequence)
         if attempt is None or id.incarnation != self.incarnation:
             return
@@ -282,6 +293,8 @@ class Flood:
         # Where a link broke, those behind it may be back in a moment: that is what the second try is for.
         if over and (not lost or attempt.robots.issuperset(attempt.goal.union(self._expected()))):
             self._end(attempt, complete=True)
+        elif over:
+            attempt.deadline = min(attempt.deadline, now + attempt.settle)
 
     def _expire(self, sequence: int, attempt: Attempt, now: float) -> None:
         if attempt.robots.issuperset(self._expected()):
@@ -299,55 +312,13 @@ class Flood:
             self._waves.forget(Id(self._me, self.incarnation, sequence))
         self._reached(attempt.token, frozenset(attempt.robots - {self._me}), complete)
 
-    # -- repair ------------------------------------------------------------------------------------------------
-
-    def _compare_period(self) -> float:
-        return COMPARE_PERIOD * (0.8 + 0.4 * self._random())
-
-    def _send_digest(self, peer: str, *, answer: bool) -> None:
-        for data in packets.encode_digests(self._store.digest(), answer=answer):
-            self._transmit(peer, self._digest_key, data, BULK)
-
-    def _answer(self, peer: str, now: float, *, answer: bool) -> None:
-        link = self._links[peer]
-        if now >= link.answered_at + ANSWER_PERIOD:
-            link.answered_at = now
-            self._send_digest(peer, answer=answer)
-
-    def _on_digest(self, peer: str, digest: packets.Digest, now: float) -> None:
-        incarnation, _ = digest.origins.get(self._me, (0, 0))
-        if incarnation > self.incarnation:
-            self._go_above(incarnation, now)
-        theirs, _ = digest.origins.get(peer, (0, 0))
-        if theirs > self._store.incarnation(peer):
-            self._store.begin(peer, theirs)  # it has begun anew: nobody else can know that better
-        link, differs = self._links[peer], False
-        for origin in self._store.lacking(digest.low, digest.high, digest.origins):
-            differs = True
-            if digest.origins.get(origin, (0, 0))[0] <= self._store.incarnation(origin):
-                link.missing |= {(origin, key): None for key, _ in self._store.kept(origin)}
-        if link.missing and link.repair_at == _NEVER:
-            self._repair(peer, link, now)
-        if digest.answer and (differs or digest.origins.keys() - self._store.digest().keys()):
-            self._answer(peer, now, answer=False)
-
-    def _repair(self, peer: str, link: Neighbour, now: float) -> None:
-        size = 0
-        while link.missing and size < REPAIR_BYTES:
-            origin, key = next(iter(link.missing))
-            del link.missing[origin, key]
-            kept = self._store.one(origin, key)
-            if kept is not None:
-                packet = Spread(self._store.incarnation(origin), kept.sequence, kept.payload, latest=True)
-                data = packets.encode_spread(packet)
-                size += len(data)
-                self._counters["repaired"] += 1
-                self._emit(Transmit(peer, FLOOD, key, data, kept.priority, latest=True))
-        link.repair_at = now + REPAIR_PERIOD if link.missing else _NEVER
-
-    def _transmit(self, peer: str, key: str, data: bytes, priority: int) -> None:
-        self._emit(Transmit(peer, FLOOD, key, data, priority))
+    # -- inside ------------------------------------------------------------------------------------------------
 
     def _emit_wave(self, packet: Transmit) -> None:
         self._counters["wave_sent"] += 1
         self._emit(packet)
+
+
+def limit_of(priority: int) -> int:
+    """Bytes that a flood of a class may have."""
+    return MAX_LARGE if priority == BULK else packets.MAX_SPREAD

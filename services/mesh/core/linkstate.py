@@ -215,6 +215,10 @@ class LinkState:
 
     # -- outputs -----------------------------------------------------------------------------------------------
 
+    def neighbours(self) -> Collection[str]:
+        """Robots that we have a link to."""
+        return self._links.keys()
+
     def route(self, to: str) -> Route | None:
         """The way to a robot; None where there is none."""
         return self.routes().get(to)

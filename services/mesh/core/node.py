@@ -8,7 +8,7 @@ The shell moves bytes between sessions and transports, carries out `actions()`, 
 from collections import Counter
 from collections.abc import Callable
 
-from services.mesh.core import frames, packets, probe
+from services.mesh.core import flood, frames, probe, unicast
 from services.mesh.core.actions import Connect, Disconnect, Keep, Report, Transmit
 from services.mesh.core.callers import MAX_HALF_OPEN, UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
@@ -29,10 +29,10 @@ from swarm.keys import key
 from swarm.messages import Echo, EchoRequest, LinkState
 
 _LIMITS = {
-    frames.FLOOD: packets.MAX_SPREAD,
-    frames.UNICAST: packets.MAX_MESSAGE,
+    frames.FLOOD: flood.limit_of,
+    frames.UNICAST: unicast.limit_of,
 }
-"""Longest payload of a value that flood and unicast relay, in bytes."""
+"""Longest payload of a value that flood and unicast relay, in bytes, by its class."""
 
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
@@ -230,7 +230,7 @@ class Node:
         if leg.overlay == frames.NEIGHBOURS:
             largest = MAX_MESSAGE if leg.priority == frames.BULK else frames.MAX_PAYLOAD
         else:
-            largest = _LIMITS[leg.overlay]
+            largest = _LIMITS[leg.overlay](leg.priority)
         if len(payload) > largest:
             self._counters["too_large"] += 1
             self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class")
@@ -263,7 +263,8 @@ class Node:
                 session = link.session if link is not None else None
                 if session is not None and session.is_up:
                     name = name_of(action.overlay, action.key)
-                    session.send(action.priority, name, action.payload, latest=action.latest)
+                    if not session.send(action.priority, name, action.payload, latest=action.latest):
+                        self.overlays.pushed_back(action)
                     self._ready.append(session)
             elif type(action) is Received:
                 self._actions.append(action)

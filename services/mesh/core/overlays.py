@@ -5,19 +5,21 @@ real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
 """
 
 import itertools
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 
-from services.mesh.core import flood, packets, unicast
+from services.mesh.core import catchup, exchange, flood, largefloods, packets, transfers, unicast
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
-from services.mesh.core.frames import BULK, CONTROL, FLOOD, PRIORITIES
+from services.mesh.core.frames import BULK, CONTROL, FLOOD
 from services.mesh.core.halt import Register
+from services.mesh.core.large import Large
 from services.mesh.core.linking import Linking, Start
 from services.mesh.core.linkstate import HOPS, LinkState
 from services.mesh.core.membership import SETTLE, Membership
+from services.mesh.core.pieces import Packet
+from services.mesh.core.requests import Requests
 from services.mesh.core.survey import Survey
 from services.mesh.core.unicast import Unicast
 from swarm.codec import encode
@@ -25,21 +27,16 @@ from swarm.errors import FrameError, PayloadError
 from swarm.keys import STOP, is_name, parse
 from swarm.keys import key as key_of
 from swarm.messages import (
-    Flooded,
     FloodRequest,
     Members,
     MeshGraph,
+    Reminder,
     SendRequest,
-    Sent,
     Stop,
     Stopped,
     Topology,
     TopologyRequest,
-    TopologySet,
 )
-
-MAX_TICKETS = 1024
-"""Requests of apps whose answers are remembered, so that a repeated request is answered again, not done again."""
 
 MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
@@ -59,18 +56,10 @@ LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
-COUNTERS = (*flood.COUNTERS, *unicast.COUNTERS, "bad_packets", "topology_foreign")
+COUNTERS = (*flood.COUNTERS, *catchup.COUNTERS, *largefloods.COUNTERS, *unicast.COUNTERS, *transfers.COUNTERS,
+            *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
 
 _NEVER = float("inf")
-
-
-@dataclass(frozen=True, slots=True)
-class _Ticket:
-    """Whose answer is awaited."""
-
-    ticket: str
-    app: str
-    announce: bool = False
 
 
 Action = Transmit | Received | LinkAction
@@ -103,16 +92,22 @@ class Overlays:
         self._admits_unicast = admits_unicast
         self._actions: list[Action] = []
         emit = self._actions.append
+        self._requests = Requests(me, to_bus=self._to_bus, patience=self._patience, now=lambda: self._now)
         self._flood = Flood(
             me, incarnation, self._robots,
-            emit=emit, deliver=self._on_flood, reached=self._on_reached, towards=self._towards,
+            emit=emit, deliver=self._on_flood, reached=self._requests.reached, towards=self._towards,
             expected=lambda: self._map.routes().keys(), random=random, counters=counters,
         )  # fmt: skip
         self._map = LinkState(me, metric=metric, publish=self._publish_links, aged=self._flood.forget, random=random)
         self._unicast = Unicast(
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
-            ended=self._on_sent, counters=counters,
+            ended=self._requests.sent, on_large=self._on_large, counters=counters,
+        )  # fmt: skip
+        self._requests.flood, self._requests.unicast = self._flood, self._unicast
+        self._large = Large(
+            me, self._unicast.transfers, self._flood.large,
+            emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
         )  # fmt: skip
         self._register = Register(
             me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._on_register
@@ -127,11 +122,9 @@ class Overlays:
         self._stop_at = _NEVER
         self._confirm_at = _NEVER
         self._confirmed: dict[str, str] = {}
-        self._tickets: OrderedDict[str, Flooded | Sent | TopologySet | None] = OrderedDict()
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
         self._stopped_key = key_of(me, "mesh", "stopped")
-        self._topology_set_key = key_of(me, "mesh", "topology_set")
         self.linking: Linking | None = None
         """Which links there are to be; None where that is the caller's matter."""
         if start is not None:
@@ -139,9 +132,6 @@ class Overlays:
                 me, start, self._map,
                 emit=emit, act=emit, random=random, counters=counters,
             )  # fmt: skip
-        self._flooded_key = key_of(me, "mesh", "flooded")
-        self._sent_key = key_of(me, "mesh", "sent")
-        self._answer_keys = {Flooded: self._flooded_key, Sent: self._sent_key, TopologySet: self._topology_set_key}
 
     # -- links and packets -------------------------------------------------------------------------------------
 
@@ -189,7 +179,7 @@ class Overlays:
         if robot not in self._robots:
             return False
         if overlay != FLOOD:
-            return robot == peer and (service, topic) == ("mesh", "unicast")
+            return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
         if service == "mesh" and topic in ("digest", "halt", "topology"):
             return robot == peer
         if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped")):
@@ -214,6 +204,12 @@ class Overlays:
         if self._version != self._map.version:
             self._routes_changed(now)
 
+    def pushed_back(self, packet: Transmit) -> None:
+        """The queue of a link has refused a packet. Unicast repeats end to end; a flood is offered again from here."""
+        if packet.overlay == FLOOD:
+            self._flood.pushed_back(packet, self._now)
+            self._deadline = min(self._deadline, self._flood.next_deadline())
+
     # -- what this robot wants ---------------------------------------------------------------------------------
 
     def flood(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
@@ -221,53 +217,25 @@ class Overlays:
         self._now = now
         if key == self._lsa_key:
             return  # nobody's business but the map's, whatever a rule with ** says
-        self._flood.publish(key, payload, priority, latest=latest)
+        self._flood.publish(key, payload, priority, now, latest=latest)
 
     def send(self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
         """Carry a value to one robot, as a relay rule says."""
         self._now = now
         self._unicast.send(None, to, key, payload, priority, now, latest=latest)
 
-    def request_flood(self, request: FloodRequest, now: float) -> None:
-        """An app's wish; the answer goes to `mesh/flooded`."""
+    def request(self, request: FloodRequest | SendRequest | Reminder | TopologyRequest, now: float) -> None:
+        """An app's wish; the answer goes to the own bus."""
         self._now = now
-        if self._is_known(request.ticket):
-            return
-        token = _Ticket(request.ticket, request.app, request.announce)
-        problem = _problem(request.app, request.priority)
-        if len(request.payload) > packets.MAX_SPREAD:
-            problem = f"{len(request.payload)} bytes, a flood has at most {packets.MAX_SPREAD}"
-        if not problem:
-            key = key_of(self.me, "app", request.app, "flood")
-            priority = PRIORITIES[request.priority]
-            if self._flood.confirm(token, key, request.payload, priority, self._patience(priority), now):
-                return
-            problem = "too many floods are under way"
-        self._answer_flood(token, (), complete=False, problem=problem)
-
-    def request_send(self, request: SendRequest, now: float) -> None:
-        """An app's wish; the answer goes to `mesh/sent`."""
-        self._now = now
-        if self._is_known(request.ticket):
-            return
-        token = _Ticket(request.ticket, request.app)
-        problem = _problem(request.app, request.priority) or ("" if is_name(request.to) else "that is no robot's name")
-        if problem:
-            self._on_sent(token, request.to, problem)
-            return
-        key = key_of(self.me, "app", request.app, "send", request.to)
-        priority = PRIORITIES[request.priority]
-        self._unicast.send(token, request.to, key, request.payload, priority, now, timeout=request.timeout)
-
-    def request_topology(self, request: TopologyRequest, now: float) -> None:
-        """Somebody's wish for other links; the answer goes to `mesh/topology_set`."""
-        self._now = now
-        if self.linking is None or self._is_known(request.ticket):
-            return
-        problem = self.linking.set(request.shape, request.edges, request.after, now)
-        answer = TopologySet(now, request.ticket, self.linking.value.version, problem)
-        self._tickets[request.ticket] = answer
-        self._to_bus(self._topology_set_key, encode(answer), CONTROL)
+        if isinstance(request, FloodRequest):
+            self._requests.request_flood(request)
+        elif isinstance(request, SendRequest):
+            self._requests.request_send(request)
+        elif isinstance(request, TopologyRequest):
+            if self.linking is not None:
+                self._requests.request_topology(request, self.linking)
+        else:
+            self._requests.remind(request)
 
     def stop(self, stop: Stop, now: float) -> None:
         """Somebody on this robot has published `swarm/stop`."""
@@ -292,6 +260,7 @@ class Overlays:
         self._map.handle_timer(now)
         self._flood.handle_timer(now)
         self._unicast.handle_timer(now)
+        self._large.handle_timer(now)
         self._register.handle_timer(now)
         if self._version != self._map.version:
             self._routes_changed(now)
@@ -323,6 +292,7 @@ class Overlays:
             self._map.next_deadline(),
             self._flood.next_deadline(),
             self._unicast.next_deadline(),
+            self._large.next_deadline(),
             self._register.next_deadline(),
             _NEVER if self.linking is None else self.linking.next_deadline(),
             self._look_at,
@@ -377,8 +347,11 @@ class Overlays:
             self._survey.heard(origin, incarnation, key, payload)
         self._to_bus(key, payload, priority)
 
+    def _on_large(self, packet: Packet, now: float) -> None:
+        self._large.receive(packet, now)
+
     def _publish_links(self, payload: bytes) -> None:
-        self._flood.publish(self._lsa_key, payload, CONTROL, latest=True)
+        self._flood.publish(self._lsa_key, payload, CONTROL, self._now, latest=True)
 
     def _towards(self, robot: str) -> str | None:
         route = self._map.route(robot)
@@ -396,6 +369,7 @@ class Overlays:
         self._version = self._map.version
         self._look_at = min(self._look_at, now + SETTLE)
         self._unicast.routes_changed(now)
+        self._large.ways_changed(now)
         if self.linking is not None:
             self.linking.map_changed(now)
 
@@ -416,39 +390,6 @@ class Overlays:
                 return True
         return self._admits_unicast(sender, key)
 
-    # -- answers to apps ---------------------------------------------------------------------------------------
-
-    def _is_known(self, ticket: str) -> bool:
-        """Whether a request was seen before; its answer, if it is there, is told again."""
-        if ticket in self._tickets:
-            answer = self._tickets[ticket]
-            if answer is not None:
-                self._to_bus(self._answer_keys[type(answer)], encode(answer), CONTROL)
-            return True
-        if len(self._tickets) >= MAX_TICKETS:
-            self._tickets.popitem(last=False)
-        self._tickets[ticket] = None
-        return False
-
-    def _on_reached(self, token: object, robots: frozenset[str], complete: bool) -> None:
-        if isinstance(token, _Ticket):
-            problem = "" if complete else "a link broke, or a robot did not answer"
-            self._answer_flood(token, packets.sorted_names(robots), complete=complete, problem=problem)
-
-    def _answer_flood(self, token: _Ticket, robots: tuple[str, ...], *, complete: bool, problem: str) -> None:
-        answer = Flooded(self._now, token.ticket, token.app, robots, complete, problem)
-        self._tickets[token.ticket] = answer
-        payload = encode(answer)
-        self._to_bus(self._flooded_key, payload, CONTROL)
-        if token.announce and complete and len(payload) <= packets.MAX_SPREAD:
-            self._flood.publish(self._flooded_key, payload, CONTROL, latest=False)
-
-    def _on_sent(self, token: object, to: str, problem: str) -> None:
-        if isinstance(token, _Ticket):
-            answer = Sent(self._now, token.ticket, token.app, to, not problem, problem)
-            self._tickets[token.ticket] = answer
-            self._to_bus(self._sent_key, encode(answer), CONTROL)
-
     # -- stop --------------------------------------------------------------------------------------------------
 
     def _on_register(self) -> None:
@@ -462,7 +403,7 @@ class Overlays:
         self._confirm_at = _NEVER
         if self._confirmed != (stops := self._register.stops):
             self._confirmed = stops
-            self._flood.publish(self._stopped_key, encode(self.stopped(now)), BULK, latest=True)
+            self._flood.publish(self._stopped_key, encode(self.stopped(now)), BULK, now, latest=True)
 
     def _tell_stop(self, now: float) -> None:
         stops = self._register.stops
@@ -476,12 +417,3 @@ class Overlays:
 def _is_app_flood(service: str, topic: str) -> bool:
     app, _, rest = topic.partition("/")
     return service == "app" and rest == "flood" and is_name(app)
-
-
-def _problem(app: str, priority: str) -> str:
-    """What is wrong with a request; empty where it is fine."""
-    if not is_name(app):
-        return f"{app[:40]!r} is no app's name"
-    if priority not in PRIORITIES:
-        return f"priority {priority[:40]!r}: expected {', '.join(PRIORITIES)}"
-    return ""

@@ -9,9 +9,11 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
+from services.mesh.core.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.frames import MAX_PAYLOAD
+from services.mesh.core.wire import Reader, packed
 from swarm.errors import FrameError, PayloadError
-from swarm.keys import is_name, parse
+from swarm.keys import parse
 
 SPREAD, ECHO, DIGEST, SUMMARY, HALT, TOPOLOGY = 1, 2, 3, 4, 5, 6
 """Kinds of packets on flood channels; the last one is made in `topology`."""
@@ -24,6 +26,7 @@ MAX_SEQUENCE = (1 << 32) - 1
 
 _SPREAD = struct.Struct("<BBQI")
 _FIRST = struct.Struct("<I")
+_SIZE = struct.Struct("<I")
 _ECHO = struct.Struct("<BBBQIH")
 _DIGEST = struct.Struct("<BBH")
 _DIGEST_ENTRY = struct.Struct("<QI")
@@ -36,10 +39,10 @@ _MESSAGE = struct.Struct("<BBQI")
 _ACK = struct.Struct("<BBBQI")
 
 MAX_SPREAD = MAX_PAYLOAD - _SPREAD.size - _FIRST.size
-"""Longest payload of a flood, in bytes."""
+"""Longest payload of a flood in one packet, in bytes."""
 
 MAX_MESSAGE = MAX_PAYLOAD - _MESSAGE.size - 2 * 17 - 256
-"""Longest payload of a unicast message, in bytes, whatever its names and key."""
+"""Longest payload of a unicast message in one packet, in bytes, whatever its names and key."""
 
 MAX_DIGEST = 1024
 """Bytes of one DIGEST packet: it must not hold up what is urgent."""
@@ -65,6 +68,8 @@ class Spread(NamedTuple):
     """The newest value of this key is kept for those who come later."""
     first: int = 0
     """The sequence of the first try where this is a second one: who saw that one must not deliver it again."""
+    size: int = 0
+    """Bytes of the message where this only announces it (`core.largefloods`); the payload is empty then."""
 
 
 class Echo(NamedTuple):
@@ -161,9 +166,10 @@ def kind_of(data: bytes) -> int:
 
 def encode_spread(packet: Spread) -> bytes:
     """A SPREAD packet: 14 bytes before the payload, 18 on the second try."""
-    flags = packet.echo | packet.latest << 1 | bool(packet.first) << 2
+    flags = packet.echo | packet.latest << 1 | bool(packet.first) << 2 | bool(packet.size) << 3
     head = _SPREAD.pack(SPREAD, flags, packet.incarnation, packet.sequence)
-    return head + (_FIRST.pack(packet.first) if packet.first else b"") + packet.payload
+    head += _FIRST.pack(packet.first) if packet.first else b""
+    return head + (_SIZE.pack(packet.size) if packet.size else packet.payload)
 
 
 def decode_spread(data: bytes) -> Spread:
@@ -175,7 +181,7 @@ def _decode_spread(data: bytes) -> Spread:
     if len(data) < _SPREAD.size:
         raise FrameError(f"SPREAD of {len(data)} bytes: it has at least {_SPREAD.size}")
     _, flags, incarnation, sequence = _SPREAD.unpack_from(data)
-    if flags > 7 or flags & 3 == 3 or not sequence:
+    if flags > 15 or flags & 3 == 3 or not sequence:
         raise FrameError(f"SPREAD flags {flags:#x}, sequence {sequence}: not known")
     at, first = _SPREAD.size, 0
     if flags & 4:
@@ -185,7 +191,14 @@ def _decode_spread(data: bytes) -> Spread:
         at += _FIRST.size
         if not 0 < first < sequence:
             raise FrameError(f"SPREAD {sequence} claims to repeat {first}")
-    return Spread(incarnation, sequence, data[at:], bool(flags & 1), bool(flags & 2), first)
+    payload, size = data[at:], 0
+    if flags & 8:
+        if len(payload) != _SIZE.size:
+            raise FrameError(f"SPREAD announces a message by {len(payload)} bytes: it takes {_SIZE.size}")
+        payload, (size,) = b"", _SIZE.unpack(payload)
+        if not 1 <= size <= MAX_LARGE:
+            raise FrameError(f"SPREAD announces a message of {size} bytes: 1 to {MAX_LARGE} are allowed")
+    return Spread(incarnation, sequence, payload, bool(flags & 1), bool(flags & 2), first, size)
 
 
 _SMALL = 256
@@ -202,7 +215,7 @@ def encode_echo(packet: Echo) -> bytes:
         if size > MAX_PAYLOAD:
             break
         fitting += 1
-    names = b"".join(_packed(name) for name in packet.robots[:fitting])
+    names = b"".join(packed(name) for name in packet.robots[:fitting])
     lost = packet.lost or fitting < len(packet.robots)
     flags = lost | packet.orphan << 1
     return _ECHO.pack(ECHO, flags, packet.ttl, packet.incarnation, packet.sequence, fitting) + names
@@ -215,7 +228,7 @@ def decode_echo(data: bytes) -> Echo:
     _, flags, ttl, incarnation, sequence, count = _ECHO.unpack_from(data)
     if flags > 3:
         raise FrameError(f"ECHO flags {flags:#x}: bits 0 and 1 are known")
-    reader = _Reader(data, _ECHO.size)
+    reader = Reader(data, _ECHO.size)
     robots = tuple(reader.name() for _ in range(count))
     reader.end()
     return Echo(incarnation, sequence, robots, bool(flags & 1), bool(flags & 2), ttl)
@@ -229,10 +242,10 @@ def encode_digests(origins: Mapping[str, tuple[int, int]], *, answer: bool) -> l
     while True:
         body, start = b"", at
         while at < len(names) and len(body) < MAX_DIGEST:
-            body += _packed(names[at]) + _DIGEST_ENTRY.pack(*origins[names[at]])
+            body += packed(names[at]) + _DIGEST_ENTRY.pack(*origins[names[at]])
             at += 1
         high = names[at - 1] if at < len(names) else ""
-        head = _DIGEST.pack(DIGEST, answer, at - start) + _packed(low) + _packed(high)
+        head = _DIGEST.pack(DIGEST, answer, at - start) + packed(low) + packed(high)
         packets.append(head + body)
         if at == len(names):
             return packets
@@ -246,7 +259,7 @@ def decode_digest(data: bytes) -> Digest:
     _, flags, count = _DIGEST.unpack_from(data)
     if flags > 1:
         raise FrameError(f"DIGEST flags {flags:#x}: bit 0 is known")
-    reader = _Reader(data, _DIGEST.size)
+    reader = Reader(data, _DIGEST.size)
     low, high = reader.name(empty=True), reader.name(empty=True)
     origins: dict[str, tuple[int, int]] = {}
     for _ in range(count):
@@ -272,9 +285,9 @@ def decode_summary(data: bytes) -> int:
 
 def encode_halts(halt: Halt) -> list[bytes]:
     """HALT packets: each may be understood without the others."""
-    stops = [_packed(name) + _MARK.pack(*mark) + _packed(reason, MAX_REASON)
+    stops = [packed(name) + _MARK.pack(*mark) + packed(reason, MAX_REASON)
              for name, (mark, reason) in sorted(halt.stops.items())]  # fmt: skip
-    arms = [_packed(name) + _MARK.pack(*mark) for name, mark in sorted(halt.arms.items())]
+    arms = [packed(name) + _MARK.pack(*mark) for name, mark in sorted(halt.arms.items())]
     packets = []
     # Stops first: should the rest be lost, the swarm rests.
     for part in _parts(stops):
@@ -293,7 +306,7 @@ def decode_halt(data: bytes) -> Halt:
     if len(data) < _HALT.size:
         raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
     _, stops, arms = _HALT.unpack_from(data)
-    reader = _Reader(data, _HALT.size)
+    reader = Reader(data, _HALT.size)
     halt = Halt({}, {})
     for _ in range(stops):
         name, mark = reader.name(), Mark(*reader.unpack(_MARK))
@@ -307,7 +320,7 @@ def decode_halt(data: bytes) -> Halt:
 
 def encode_advertisement(packet: Advertisement) -> bytes:
     """The payload of a flooded LSA."""
-    names = b"".join(_packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
+    names = b"".join(packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
     heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
     flags = packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2
     tail = (_FIRST.pack(packet.topology) if packet.topology else b"") + (bytes((len(heard),)) + heard if heard else b"")
@@ -322,7 +335,7 @@ def decode_advertisement(data: bytes) -> Advertisement:
     flags, count = _LSA.unpack_from(data)
     if flags > 7:
         raise FrameError(f"LSA flags {flags:#x}: bits 0 to 2 are known")
-    reader = _Reader(data, _LSA.size)
+    reader = Reader(data, _LSA.size)
     neighbours: dict[str, int] = {}
     for _ in range(count):
         name = reader.name()
@@ -339,7 +352,7 @@ def decode_advertisement(data: bytes) -> Advertisement:
 def encode_message(packet: Message) -> bytes:
     """A MESSAGE packet."""
     head = _MESSAGE.pack(MESSAGE, packet.ttl, packet.incarnation, packet.number)
-    return head + _packed(packet.sender) + _packed(packet.to) + _packed(packet.key, 255) + packet.payload
+    return head + packed(packet.sender) + packed(packet.to) + packed(packet.key, 255) + packet.payload
 
 
 def decode_message(data: bytes) -> Message:
@@ -347,7 +360,7 @@ def decode_message(data: bytes) -> Message:
     if len(data) < _MESSAGE.size:
         raise FrameError(f"MESSAGE of {len(data)} bytes: it has at least {_MESSAGE.size}")
     _, ttl, incarnation, number = _MESSAGE.unpack_from(data)
-    reader = _Reader(data, _MESSAGE.size)
+    reader = Reader(data, _MESSAGE.size)
     sender, to, key = reader.name(), reader.name(), reader.text(255)
     if not number:
         raise FrameError("MESSAGE 0: they count from 1")
@@ -361,7 +374,7 @@ def decode_message(data: bytes) -> Message:
 def encode_ack(packet: Ack) -> bytes:
     """An ACK packet."""
     head = _ACK.pack(ACK, packet.ttl, packet.refused, packet.incarnation, packet.number)
-    return head + _packed(packet.sender) + _packed(packet.to)
+    return head + packed(packet.sender) + packed(packet.to)
 
 
 def decode_ack(data: bytes) -> Ack:
@@ -371,7 +384,7 @@ def decode_ack(data: bytes) -> Ack:
     _, ttl, refused, incarnation, number = _ACK.unpack_from(data)
     if refused > 1:
         raise FrameError(f"ACK says {refused}: 0 and 1 are known")
-    reader = _Reader(data, _ACK.size)
+    reader = Reader(data, _ACK.size)
     sender, to = reader.name(), reader.name()
     reader.end()
     return Ack(sender, to, incarnation, number, bool(refused), ttl)
@@ -383,67 +396,3 @@ def decode_ack(data: bytes) -> Ack:
 def sorted_names(names: Iterable[str]) -> tuple[str, ...]:
     """Robots' names as results show them: r2 before r10."""
     return tuple(sorted(names, key=lambda name: (len(name), name)))
-
-
-def _packed(text: str, limit: int = 16) -> bytes:
-    data = text.encode()
-    if len(data) > limit:
-        data = data[:limit].decode(errors="ignore").encode()
-    return bytes((len(data),)) + data
-
-
-@lru_cache(maxsize=4096)
-def _name(data: bytes) -> str:
-    """A robot's name. There are few and they come often."""
-    text = data.decode("ascii", "replace")
-    if not is_name(text):
-        raise FrameError(f"{data!r} is not a robot's name")
-    return text
-
-
-class _Reader:
-    """Goes through a packet; raises `FrameError` where it ends too early."""
-
-    def __init__(self, data: bytes, at: int) -> None:
-        self._data = data
-        self.at = at
-
-    def unpack(self, layout: struct.Struct) -> tuple[int, ...]:
-        end = self.at + layout.size
-        if end > len(self._data):
-            raise self._short()
-        fields = layout.unpack_from(self._data, self.at)
-        self.at = end
-        return fields
-
-    def name(self, *, empty: bool = False) -> str:
-        data = self._text(16)
-        return "" if empty and not data else _name(data)
-
-    def text(self, limit: int) -> str:
-        try:
-            return self._text(limit).decode()
-        except UnicodeDecodeError:
-            raise FrameError("overlay packet: a text is not UTF-8") from None
-
-    def octets(self) -> bytes:
-        return self._text(255)
-
-    def end(self) -> None:
-        if self.at != len(self._data):
-            raise FrameError(f"overlay packet of {len(self._data)} bytes: {len(self._data) - self.at} too many")
-
-    def _text(self, limit: int) -> bytes:
-        if self.at >= len(self._data):
-            raise self._short()
-        start = self.at + 1
-        end = start + self._data[self.at]
-        if end - start > limit:
-            raise FrameError(f"overlay packet: a text of {end - start} bytes, at most {limit} are allowed")
-        if end > len(self._data):
-            raise self._short()
-        self.at = end
-        return self._data[start:end]
-
-    def _short(self) -> FrameError:
-        return FrameError(f"overlay packet of {len(self._data)} bytes ends too early")

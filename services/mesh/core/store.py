@@ -12,8 +12,8 @@ from typing import NamedTuple
 from services.mesh.core.packets import Spread
 from services.mesh.core.window import Window
 
-WINDOW = 64
-"""Floods of one origin that may overtake each other."""
+WINDOW = 2048
+"""Floods of one origin that may overtake each other: more than wait in a link's queue and for it."""
 
 KEPT_EACH = 64
 """Latest values kept of one origin; a value under a further key is carried, but not kept."""
@@ -96,6 +96,26 @@ class Store:
             elif self._keep(origin, key, Kept(packet.sequence, priority, packet.payload)):
                 unseen = True
         return NEW if unseen else DUPLICATE
+
+    def sight(self, name: str, key: str, packet: Spread) -> str:
+        """What an announcement is, as `take` of what it announces will say unless that has come meanwhile. Of latest
+        values nothing is noted."""
+        if not packet.latest:
+            return self.take(name, key, packet, 0)
+        origin = self._origins.get(name)
+        if origin is None or packet.incarnation > origin.incarnation:
+            origin = self.begin(name, packet.incarnation)
+        elif packet.incarnation < origin.incarnation:
+            return OLD
+        old = origin.latest.get(key)
+        return NEW if packet.sequence > (old.sequence if old is not None else origin.floor) else DUPLICATE
+
+    def payload(self, name: str, incarnation: int, sequence: int) -> bytes | None:
+        """The latest value of that number."""
+        origin = self._origins.get(name)
+        if origin is None or origin.incarnation != incarnation:
+            return None
+        return next((kept.payload for kept in origin.latest.values() if kept.sequence == sequence), None)
 
     def has_seen(self, name: str, sequence: int) -> bool:
         """Note a sequence; whether it was seen before."""

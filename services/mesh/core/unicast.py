@@ -10,11 +10,14 @@ another way at once. Nobody is busy meanwhile: many messages are in flight, in n
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 
-from services.mesh.core import packets
+from services.mesh.core import packets, pieces
 from services.mesh.core.actions import Emit, Transmit
-from services.mesh.core.frames import SYNC, UNICAST
+from services.mesh.core.fragments import MAX_MESSAGE as MAX_LARGE
+from services.mesh.core.frames import BULK, SYNC, UNICAST
 from services.mesh.core.packets import Ack, Message
+from services.mesh.core.pieces import Packet
 from services.mesh.core.routing import Route
+from services.mesh.core.transfers import Transfers
 from services.mesh.core.window import Window
 from swarm.errors import FrameError
 from swarm.keys import key as key_of
@@ -101,10 +104,12 @@ class Unicast:
         admits: Callable[[str, str], bool],
         deliver: Callable[[str, bytes, int], None],
         ended: Callable[[object, str, str], None],
+        on_large: Callable[[Packet, float], None],
         counters: Counter[str],
     ) -> None:
         """`admits(sender, key)` says what may come in; `ended(token, to, problem)` is called once for each `send`,
-        with an empty problem where the message was delivered."""
+        with an empty problem where the message was delivered; `on_large(packet, now)` takes what comes for this robot
+        about large messages."""
         self._me = me
         self._incarnation = incarnation
         self._robots = robots
@@ -114,7 +119,13 @@ class Unicast:
         self._deliver = deliver
         self._ended = ended
         self._counters = counters
+        self._on_large = on_large
+        self.transfers = Transfers(
+            me, incarnation, emit=self.carry, admits=admits, deliver=deliver, ended=ended, counters=counters
+        )
         self._channel = key_of(me, "mesh", "unicast")
+        # Pieces have a channel of their own, so that what is small and of their class need not wait behind them.
+        self._pieces_channel = key_of(me, "mesh", "pieces")
         self._receivers: dict[str, Receiver] = {}
         self._waiting = 0
         self._waiting_bytes = 0
@@ -140,11 +151,13 @@ class Unicast:
             self._give_up(to, key)
         if to not in self._robots:
             self._ended(token, to, f"there is no robot {to}")
-        elif len(payload) > packets.MAX_MESSAGE:
-            self._ended(token, to, f"{len(payload)} bytes, a message has at most {packets.MAX_MESSAGE}")
+        elif len(payload) > (limit := limit_of(priority)):
+            self._ended(token, to, f"{len(payload)} bytes, a message has at most {limit} in its class")
         elif to == self._me:
             self._deliver(key, payload, priority)
             self._ended(token, to, "")
+        elif len(payload) > packets.MAX_MESSAGE:
+            self.transfers.send(token, to, key, payload, now, now + timeout)
         elif self._waiting >= MAX_WAITING or self._waiting_bytes + len(payload) > MAX_WAITING_BYTES:
             self._ended(token, to, "too many messages wait for their answers")
         else:
@@ -174,8 +187,33 @@ class Unicast:
                     self._on_ack(ack, now)
                 else:
                     self._forward(ack, priority, now)
+            case kind if pieces.OFFER <= kind <= pieces.GONE:
+                packet = pieces.decode(data)
+                self._check(packet.sender, packet.to, packet.id.origin)
+                if packet.to == self._me:
+                    self._on_large(packet, now)
+                elif packet.ttl <= 1:
+                    self._counters["unicast_expired"] += 1
+                elif (route := self._route(packet.to)) is None:
+                    self._counters["unicast_no_route"] += 1
+                else:
+                    self._counters["unicast_forwarded"] += 1
+                    self._emit_large(route.next_hop, packet.kind, pieces.passed_on(data))
             case kind:
                 raise FrameError(f"unicast packet kind {kind}: not known")
+
+    def carry(self, packet: Packet) -> bool:
+        """Send a packet about a large message; False where there is no way. Nobody repeats it but who needs it."""
+        route = self._route(packet.to)
+        if route is None:
+            return False
+        data = pieces.encode(packet._replace(ttl=_ttl(route)))
+        self._emit_large(route.next_hop, packet.kind, data)
+        return True
+
+    def _emit_large(self, peer: str, kind: int, data: bytes) -> None:
+        channel = self._pieces_channel if kind == pieces.PIECE else self._channel
+        self._emit(Transmit(peer, UNICAST, channel, data, BULK))
 
     def link_down(self, peer: str, now: float) -> None:
         """A neighbour is gone; routes know it already. What it was handed lately goes another way."""
@@ -236,9 +274,8 @@ class Unicast:
         route = self._route(flight.to)
         flight.via = route.next_hop if route is not None else None
         if route is not None:
-            ttl = min(max(TTL, 2 * route.hops), 255)
             message = Message(
-                self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, ttl
+                self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, _ttl(route)
             )  # fmt: skip
             self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message),
                                 flight.priority))  # fmt: skip
@@ -262,6 +299,7 @@ class Unicast:
             self._end(receiver, flight, f"no answer from {flight.to} after {flight.tries} tries", now)
 
     def _give_up(self, to: str, key: str) -> None:
+        self.transfers.give_up(to, key)
         receiver = self._receivers.get(to)
         if receiver is not None:
             for flight in [*receiver.flights.values(), *receiver.waiting]:
@@ -298,7 +336,7 @@ class Unicast:
         ack = Ack(self._me, message.sender, message.incarnation, message.number, refused, TTL)
         route = self._route(message.sender)
         if route is not None:
-            ack = ack._replace(ttl=min(max(TTL, 2 * route.hops), 255))
+            ack = ack._replace(ttl=_ttl(route))
             self._hand_over(route.next_hop, message.sender, packets.encode_ack(ack), min(priority, SYNC), now)
         else:
             self._counters["unicast_no_route"] += 1
@@ -341,3 +379,12 @@ class Unicast:
             custody = self._custody[peer] = deque(maxlen=CUSTODY)
         custody.append((now, to, data, priority))
         self._emit(Transmit(peer, UNICAST, self._channel, data, priority))
+
+
+def limit_of(priority: int) -> int:
+    """Bytes that a message of a class may have."""
+    return MAX_LARGE if priority == BULK else packets.MAX_MESSAGE
+
+
+def _ttl(route: Route) -> int:
+    return min(max(TTL, 2 * route.hops), 255)

@@ -23,3 +23,8 @@ class Window:
             return False
         self._bits |= bit
         return True
+
+    def has(self, number: int) -> bool:
+        """Whether a number counts as seen."""
+        behind = self.highest - number
+        return behind >= self.size or (behind >= 0 and self._bits >> behind & 1 == 1)

@@ -111,8 +111,8 @@ class Signal:
 def run(args: argparse.Namespace, robot: str, peer: str, directory: Path) -> int:
     """Read `--count` times and print."""
     config = load(directory.parent / CONFIG if is_live(directory.parent) else None)
-    if peer not in config.neighbours(robot):
-        raise LocalError(f"{peer} is not a neighbour of {robot}, it has {' '.join(config.neighbours(robot)) or 'none'}")
+    if peer not in config.names:
+        raise LocalError(f"there is no robot {peer}, there are {' '.join(config.names)}")
     adapter, address = (_radio(config.robot(name), robot, peer) for name in (robot, peer))
     try:
         with contextlib.closing(Signal(adapter, address)) as signal:

@@ -1,0 +1,146 @@
+"""`swarm status [--watch]`: one row a robot: services, battery, links, pose, app, release."""
+
+import argparse
+import asyncio
+import json
+import sys
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from swarm.fleet import everyone
+from swarm.fleet.everyone import Outcome, Tell
+from swarm.fleet.ssh import Host, Ssh
+from swarm.fleet.units import SERVICES
+
+HELP = "services, battery, links, pose, app and release of all robots, over ssh"
+
+WATCH_EVERY_S = 2.0
+LISTEN_S = 1.3
+"""Long enough for what is sent once a second."""
+
+_MARK = "== "
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one robot says of itself; None where it says nothing."""
+
+    release: str
+    failed: list[str]
+    """Services and apps that do not run."""
+    battery_v: float | None
+    battery_left_s: float | None
+    mode: str | None
+    fault: str | None
+    links: dict[str, str]
+    """State by neighbour."""
+    pose: list[float] | None
+    """x, y in m."""
+    apps: dict[str, dict[str, Any]]
+    """Phase and iteration by app."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--watch`."""
+    parser.add_argument("--watch", action="store_true", help=f"again every {WATCH_EVERY_S:g} s, until Ctrl-C")
+    everyone.add_arguments(parser, timeout_s=20)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where every robot answers and all of its services run."""
+    _, robots, ssh = everyone.chosen(args)
+    while True:
+        outcomes, rows = asyncio.run(_look(ssh, robots, args.timeout))
+        if args.json:
+            answer = {o.robot: asdict(rows[o.robot]) if o.robot in rows else {"problem": o.text} for o in outcomes}
+            sys.stdout.write(json.dumps({"robots": answer}) + "\n")
+        else:
+            sys.stdout.write(("\x1b[2J\x1b[H" if args.watch else "") + table(outcomes, rows))
+        sys.stdout.flush()
+        if not args.watch:
+            return 0 if all(o.ok and not rows[o.robot].failed for o in outcomes) else 1
+        asyncio.run(asyncio.sleep(WATCH_EVERY_S))
+
+
+async def _look(ssh: Ssh, robots: tuple[Host, ...], timeout_s: float) -> tuple[list[Outcome], dict[str, Row]]:
+    rows: dict[str, Row] = {}
+
+    async def job(host: Host, tell: Tell) -> str:
+        rows[host.robot] = parse(host.robot, await ssh.check(host, question(host.robot)))
+        return ""
+
+    return await everyone.each(robots, job, timeout_s, lambda *_: None), rows
+
+
+def question(robot: str) -> str:
+    """For the robot's shell; `parse` reads the answer."""
+    units = " ".join(f"swarm-{name}" for name in SERVICES)
+    return (
+        f"echo '{_MARK}release'; readlink /opt/swarm/current; echo '{_MARK}units'; "
+        f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'; echo '{_MARK}bus'; "
+        f"sudo -n /opt/swarm/current/bin/z_sub 'swarm/{robot}/**' --seconds {LISTEN_S} --json; true"
+    )
+
+
+def parse(robot: str, text: str) -> Row:
+    """The answer of a robot; what it does not say stays empty."""
+    parts = {part.partition("\n")[0]: part.partition("\n")[2] for part in text.split(_MARK)[1:]}
+    newest: dict[str, Any] = {}
+    for line in parts.get("bus", "").splitlines():
+        try:
+            sample = json.loads(line)
+            newest[sample["key"].removeprefix(f"swarm/{robot}/")] = sample["value"]
+        except (ValueError, LookupError, TypeError, AttributeError):
+            continue  # raw bytes of an app, or a line cut by the end of the watch
+    running, failed = set(), []
+    for line in parts.get("units", "").splitlines():
+        name, _, state, *_ = [*line.split(), "", "", ""]
+        short = name.removeprefix("swarm-").removesuffix(".service")
+        running.add(short)
+        if state != "active":
+            failed.append(short)
+    failed += [name for name in SERVICES if name not in running]
+    body, power = newest.get("balancer/state", {}), newest.get("balancer/battery", {})
+    pose = newest.get("dwm/pose", {})
+    progress = {
+        key.split("/")[1]: value for key, value in newest.items() if key.startswith("app/") and "phase" in value
+    }
+    return Row(
+        release=parts.get("release", "").strip().rpartition("/")[2],
+        failed=sorted(failed),
+        battery_v=power.get("volts", body.get("battery")),
+        battery_left_s=power.get("time_left"),
+        mode=body.get("mode"),
+        fault=body.get("fault") or None,
+        links={link["peer"]: link["state"] for link in newest.get("mesh/links", {}).get("links", ())},
+        pose=[pose["x"], pose["y"]] if pose.get("quality") else None,
+        apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
+    )
+
+
+def table(outcomes: list[Outcome], rows: dict[str, Row]) -> str:
+    """For a terminal."""
+    cells = [("robot", "services", "battery", "body", "links", "pose", "apps", "release")]
+    for outcome in outcomes:
+        row = rows.get(outcome.robot)
+        if row is None:
+            cells.append((outcome.robot, outcome.text, "", "", "", "", "", ""))
+            continue
+        left = "" if row.battery_left_s is None else f" {row.battery_left_s / 60:.0f} min"
+        up = sum(state == "up" for state in row.links.values())
+        cells.append(
+            (
+                outcome.robot,
+                f"not running: {' '.join(row.failed)}" if row.failed else "all run",
+                "-" if row.battery_v is None else f"{row.battery_v:.1f} V{left}",
+                row.fault or row.mode or "-",
+                f"{up} of {len(row.links)}",
+                "-" if row.pose is None else f"{row.pose[0]:.2f} {row.pose[1]:.2f}",
+                " ".join(f"{app}:{value['phase']}@{value['k']}" for app, value in row.apps.items()) or "-",
+                row.release,
+            )
+        )
+    width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(8)]
+    return "".join(
+        "  ".join(cell.ljust(n) for cell, n in zip(row, width, strict=True)).rstrip() + "\n" for row in cells
+    )

@@ -1,0 +1,28 @@
+"""`swarm start`, `stop` and `restart`: systemd units of all robots."""
+
+import argparse
+
+from swarm.fleet import everyone
+from swarm.fleet.everyone import Tell
+from swarm.fleet.ssh import Host
+from swarm.fleet.units import units
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which services."""
+    parser.add_argument(
+        "services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app (default: all services)"
+    )
+    everyone.add_arguments(parser, timeout_s=60)
+
+
+def run(args: argparse.Namespace, action: str) -> int:
+    """`action` is systemctl's verb; 0 where it succeeded on every robot."""
+    names = units(args.services)
+    _, robots, ssh = everyone.chosen(args)
+
+    async def job(host: Host, tell: Tell) -> str:
+        await ssh.check(host, f"sudo -n systemctl {action} {' '.join(names)}")
+        return f"{action} {' '.join(names)}"
+
+    return everyone.run(args, robots, job)

@@ -1,0 +1,285 @@
+"""Commands for all robots, over real ssh servers: every robot has its outcome, none waits for another."""
+
+import io
+import json
+import os
+import re
+import shutil
+import tarfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from fake_robots import SSHD, FakeRobots
+
+from swarm.cli import main, status
+
+pytestmark = pytest.mark.skipif(
+    not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),
+    reason="needs an ssh server and client: sudo apt-get install openssh-server openssh-client",
+)
+
+Run = Callable[..., int]
+
+
+@pytest.fixture
+def robots(tmp_path: Path) -> Iterator[FakeRobots]:
+    robots = FakeRobots(tmp_path)
+    yield robots
+    robots.close()
+
+
+@pytest.fixture
+def run(robots: FakeRobots) -> Run:
+    def swarm(verb: str, *arguments: str) -> int:
+        robots.ready()
+        with pytest.raises(SystemExit) as end:
+            main([verb, *arguments, "--config", str(robots.config), "--ssh-config", str(robots.ssh_config)])
+        return int(str(end.value.code))
+
+    return swarm
+
+
+def outcomes(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]:
+    return dict(json.loads(capsys.readouterr().out)["robots"])
+
+
+def test_a_command_runs_on_every_robot(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("r0", "r1", "r2"):
+        robots.add(name)
+    assert run("command", "basename $HOME; echo more") == 0
+    said = capsys.readouterr().out
+    assert all(f"{name}: {name}\n" in said and f"{name}: more\n" in said for name in ("r0", "r1", "r2"))
+    assert run("command", "test $(basename $HOME) != r1 || { echo broken >&2; exit 3; }", "--json") == 1
+    found = outcomes(capsys)
+    assert [found[name]["ok"] for name in ("r0", "r1", "r2")] == [True, False, True]
+    assert found["r1"]["text"] == "exit code 3: broken"
+
+
+def test_only_the_robots_that_are_named(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("r0", "r1", "r2"):
+        robots.add(name)
+    assert run("command", "true", "--robots", "r2,r0", "--json") == 0
+    assert sorted(outcomes(capsys)) == ["r0", "r2"]
+    assert run("command", "true", "--robots", "r9") == 2
+    assert "r9 is no robot of" in capsys.readouterr().err
+
+
+def test_what_is_wrong_is_named_and_the_others_go_on(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0")
+    robots.add("r1", up=False)
+    robots.add("r2", known=False)
+    robots.add("r3", hook="kill -9 $PPID")
+    robots.add("r4", hook="exec sleep 1000")
+    assert run("command", "echo here", "--timeout", "12", "--json") == 1
+    found = {name: str(outcome["text"]) for name, outcome in outcomes(capsys).items()}
+    assert found["r0"] == ""
+    assert found["r1"] == "it runs no ssh server (or another port)"
+    assert found["r2"] == "its host key has changed; if set up anew: ssh-keygen -R r2"
+    assert "in the middle of it" in found["r3"]
+    assert found["r4"] == "not done within 12 s (--timeout)"
+
+
+def test_services_are_started_by_their_names(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    home = robots.add("r0")
+    assert run("restart", "mesh", "consensus") == 0
+    assert run("start") == 0
+    assert run("stop", "dwm") == 0
+    assert (home / "systemctl.log").read_text().splitlines() == [
+        "restart swarm-mesh.service swarm-app@consensus.service",
+        "start swarm.target",
+        "stop swarm-dwm.service",
+    ]
+    assert run("stop", "No Such") == 2
+    assert "'No Such': expected bus, mesh, balancer, dwm or the name of an app" in capsys.readouterr().err
+
+
+# -- deploy ------------------------------------------------------------------------------------------------------
+
+INSTALL = """#!/bin/sh
+echo "$@" >> $HOME/installed
+cat "$4" > $HOME/config
+echo "install: $(cat ID) runs as $2"
+"""
+
+
+def make_release(path: Path, identity: str, wheels: dict[str, bytes], install: str = INSTALL) -> Path:
+    machine, python = os.uname().machine, "3.11"
+    files = {"ID": identity.encode(), "FOR": f"{machine} {python}".encode(), "install": install.encode(), **wheels}
+    with tarfile.open(path, "w:gz") as archive:
+        for name, data in files.items():
+            entry = tarfile.TarInfo(f"balboa-swarm-{identity}/{name}")
+            entry.size, entry.mode = len(data), 0o755 if name == "install" else 0o644
+            archive.addfile(entry, io.BytesIO(data))
+    return path
+
+
+def add_python(home: Path) -> None:
+    python = home / "bin/python3.11"
+    python.write_text("#!/bin/sh\n")
+    python.chmod(0o755)
+
+
+def sent(outcome: dict[str, object]) -> int:
+    return int(str(outcome["text"]).rpartition("(")[2].split()[0])
+
+
+def test_a_release_is_brought_once(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    home = robots.add("r0")
+    add_python(home)
+    wheels = {"wheels/big.whl": os.urandom(3_000_000), "wheels/own.whl": b"first"}
+    first = make_release(robots.folder / "first.tar.gz", "1-aaa", wheels)
+    assert run("deploy", str(first), "--json") == 0
+    (outcome,) = outcomes(capsys).values()
+    assert str(outcome["text"]).startswith("1-aaa runs as r0")
+    whole = sent(outcome)
+    assert whole > 3_000_000
+    said = (home / "installed").read_text()
+    assert re.fullmatch(r"--name r0 --config /\S+/config\n", said)
+    assert (home / "config").read_bytes() == robots.config.read_bytes()
+    assert not Path(said.split()[-1]).parent.exists()
+
+    assert run("deploy", str(first), "--json") == 0
+    assert sent(outcomes(capsys)["r0"]) < whole / 100
+
+    second = make_release(robots.folder / "second.tar.gz", "1-bbb", {**wheels, "wheels/own.whl": b"second"})
+    assert run("deploy", str(second), "--json") == 0
+    assert sent(outcomes(capsys)["r0"]) < whole / 100
+    assert (home / ".cache/balboa-swarm/wheels/own.whl").read_bytes() == b"second"
+
+
+def test_a_file_of_an_older_release_does_not_stay(robots: FakeRobots, run: Run) -> None:
+    home = robots.add("r0")
+    add_python(home)
+    assert run("deploy", str(make_release(robots.folder / "a.tar.gz", "1-a", {"wheels/old.whl": b"x"}))) == 0
+    assert run("deploy", str(make_release(robots.folder / "b.tar.gz", "1-b", {"wheels/new.whl": b"x"}))) == 0
+    assert [path.name for path in (home / ".cache/balboa-swarm/wheels").iterdir()] == ["new.whl"]
+
+
+def test_a_transfer_that_breaks_goes_on_where_it_was(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first robot's disk is full in mid-transfer, the second is well; later the first has room."""
+    full = robots.add("r0", hook='case $SSH_ORIGINAL_COMMAND in *tar*) [ -e "$HOME/room" ] || ulimit -f 2000 ;; esac')
+    well = robots.add("r1")
+    for home in (full, well):
+        add_python(home)
+    wheels = {"wheels/a.whl": os.urandom(500_000), "wheels/b.whl": os.urandom(3_000_000)}
+    release = make_release(robots.folder / "a.tar.gz", "1-a", wheels)
+    assert run("deploy", str(release), "--json") == 1
+    found = outcomes(capsys)
+    assert (found["r0"]["ok"], found["r1"]["ok"]) == (False, True)
+    assert not (full / "installed").exists()
+    (full / "room").touch()
+    assert run("deploy", str(release), "--json") == 0
+    found = outcomes(capsys)
+    assert 3_000_000 < sent(found["r0"]) < 3_400_000
+
+
+def test_a_robot_that_no_release_fits(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    robots.add("r0")
+    (robots.folder / "r0/bin/uname").write_text("#!/bin/sh\necho riscv64\n")
+    (robots.folder / "r0/bin/uname").chmod(0o755)
+    release = make_release(robots.folder / "a.tar.gz", "1-a", {})
+    assert run("deploy", str(release), "--json") == 1
+    assert "it is riscv64 Python" in str(outcomes(capsys)["r0"]["text"])
+
+
+def test_what_is_no_release(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    robots.add("r0")
+    (robots.folder / "x.tar.gz").write_bytes(b"no tar")
+    assert run("deploy", str(robots.folder / "x.tar.gz")) == 2
+    assert "no release can be read" in capsys.readouterr().err
+
+
+def test_an_install_that_fails_says_why(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    add_python(robots.add("r0"))
+    bad = make_release(robots.folder / "a.tar.gz", "1-a", {}, "#!/bin/sh\necho 'install: no room' >&2\nexit 1\n")
+    assert run("deploy", str(bad), "--json") == 1
+    assert outcomes(capsys)["r0"]["text"] == "install: no room"
+
+
+# -- run ---------------------------------------------------------------------------------------------------------
+
+
+def add_writes(home: Path, release: str) -> None:
+    """A robot with this release, whose sudo only tells what it was to do."""
+    for name, text in (
+        ("readlink", f"echo /opt/swarm/releases/{release}"),
+        ("sudo", 'printf "%s\\n" "$*" >> $HOME/log; cat >> $HOME/log'),
+    ):
+        (home / "bin" / name).write_text(f"#!/bin/sh\n{text}\n")
+        (home / "bin" / name).chmod(0o755)
+
+
+def test_an_app_is_started_with_one_number_for_all(robots: FakeRobots, run: Run) -> None:
+    homes = [robots.add(name) for name in ("r0", "r1")]
+    for home in homes:
+        add_writes(home, "1-a")
+    app = robots.folder / "mine.py"
+    app.write_text("class Mine: ...\n")
+    assert run("run", str(app), "--iterations", "50") == 0
+    first, second = ((home / "log").read_text() for home in homes)
+    assert first == second
+    assert first.startswith("-n sh -c cat > /var/lib/swarm/apps/mine.py.new && mv")
+    assert "class Mine: ...\n" in first
+    assert re.search(r"^APP=/var/lib/swarm/apps/mine.py\nARGUMENTS=--run [0-9a-f]{16} --iterations 50$", first, re.M)
+    assert first.endswith("-n systemctl restart --no-block swarm-app@mine.service\n")
+
+
+def test_robots_with_different_releases_run_nothing(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    homes = [robots.add(name) for name in ("r0", "r1")]
+    add_writes(homes[0], "1-a")
+    add_writes(homes[1], "1-b")
+    assert run("run", "consensus") == 2
+    assert "different releases (r0 1-a, r1 1-b)" in capsys.readouterr().err
+    assert not any((home / "log").exists() for home in homes)
+    assert run("run", "mesh") == 2
+    assert run("run", "missing.py") == 2
+
+
+# -- status ------------------------------------------------------------------------------------------------------
+
+ANSWER = """== release
+/opt/swarm/releases/0.1.0-abc
+== units
+swarm-app@consensus.service loaded active running Balboa Swarm: the app consensus
+swarm-balancer.service loaded active running Balboa Swarm: the balancer
+swarm-bus.service loaded active running Balboa Swarm: the bus
+swarm-mesh.service loaded failed failed Balboa Swarm: the mesh
+== bus
+{"key": "swarm/r0/balancer/state", "value": {"mode": "balancing", "battery": 7.4, "fault": ""}}
+{"key": "swarm/r0/mesh/links", "value": {"links": [{"peer": "r1", "state": "up"}, {"peer": "r2", "state": "down"}]}}
+{"key": "swarm/r0/dwm/pose", "value": {"x": 1.5, "y": 2.0, "quality": 90}}
+{"key": "swarm/r0/app/consensus/progress", "value": {"phase": "running", "k": 12}}
+{"key": "swarm/r0/app/consensus/sync/x", "hex": "00"}
+{"key": "swarm/r0/dwm/po
+"""
+
+
+def test_the_status_of_a_robot_is_read() -> None:
+    row = status.parse("r0", ANSWER)
+    assert row == status.Row(
+        release="0.1.0-abc",
+        failed=["dwm", "mesh"],
+        battery_v=7.4,
+        battery_left_s=None,
+        mode="balancing",
+        fault=None,
+        links={"r1": "up", "r2": "down"},
+        pose=[1.5, 2.0],
+        apps={"consensus": {"phase": "running", "k": 12}},
+    )
+
+
+def test_a_robot_that_is_away_has_its_row_too(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    robots.add("r0")
+    robots.add("r1", up=False)
+    assert run("status") == 1
+    rows = capsys.readouterr().out.splitlines()
+    assert rows[1].startswith("r0     not running: balancer bus dwm mesh")
+    assert rows[2] == "r1     it runs no ssh server (or another port)"
