@@ -5,9 +5,10 @@ from collections.abc import Callable
 import pytest
 
 from swarm import clock, mesh_clock, overlays
-from swarm.codec import encode
+from swarm.codec import MAX_BINARY, encode
+from swarm.errors import LocalError
 from swarm.mesh_clock import MeshClock
-from swarm.messages import Clock, Flooded, FloodRequest, SendRequest, Sent
+from swarm.messages import Clock, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
 from swarm.overlays import MAX_COLLECTED, MAX_OPEN, Message, Overlays
 
 
@@ -156,3 +157,33 @@ def test_the_mesh_clock_is_asked_for_when_the_bus_comes(bus: FakeBus, now: list[
     assert each.monotonic(107.001) == pytest.approx(100.0)
     bus.come("swarm/r0/mesh/clock", b"no msgpack")
     assert mesh_clock.mesh_time(Clock(90.0, 7.0, 1e-4, "r1", 2, 0.003), 100.0) == each.now()
+
+
+def test_a_large_request_is_made_once_and_then_only_reminded_of(bus: FakeBus, now: list[float]) -> None:
+    each = client(bus)
+    handle = each.send("r1", bytes(500_000))
+    (request,) = bus.published
+    assert request[0] == "swarm/r0/mesh/set/send"
+    for moved in (0, 188_000):
+        now[0] += overlays.REPEAT
+        assert handle.answer is None
+        assert bus.published.pop() == ("swarm/r0/mesh/set/remind", Reminder(handle.ticket))
+        bus.come("swarm/r0/mesh/progress", encode(Progress(1.0, handle.ticket, True, 500_000, moved)))
+        assert handle.moved == moved
+    assert bus.published == [request]
+    bus.come("swarm/r0/mesh/progress", encode(Progress(1.0, handle.ticket, False, 0, 0)))
+    assert bus.published == [request, request], "it was lost, or the mesh was started anew"
+    bus.come("swarm/r0/mesh/sent", encode(Sent(1.0, handle.ticket, "test", "r1", True, "")))
+    assert handle.done
+    bus.come("swarm/r0/mesh/progress", encode(Progress(1.0, handle.ticket, False, 0, 0)))
+    bus.come("swarm/r0/mesh/progress", encode(Progress(1.0, "another", False, 0, 0)))
+    bus.come("swarm/r0/mesh/progress", b"nonsense")
+    assert len(bus.published) == 2
+
+
+def test_what_the_bus_cannot_carry_is_refused_at_once(bus: FakeBus) -> None:
+    each = client(bus)
+    for ask in (lambda: each.flood(bytes(MAX_BINARY)), lambda: each.send("r1", bytes(MAX_BINARY))):
+        with pytest.raises(LocalError, match="the bus takes at most"):
+            ask()
+    assert bus.published == []

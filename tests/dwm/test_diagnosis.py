@@ -118,6 +118,13 @@ def test_fewer_than_three_anchors():
     assert [code for code in found if code != "missing-anchor"] == ["few-anchors"]
 
 
+def test_target_and_robots_may_crowd_anchors_out():
+    robots = [Module(f"DE0{i}", 0.7 + 0.1 * i, 1.2, 0.0, Position(0.0, 0.0, 0.0, 0)) for i in (1, 2)]
+    found = all_of(answers([*modules(), *robots]), known={"DE01": "r1", "DE02": "r2"})
+    (few,) = [finding for finding in found if finding.code == "few-anchors"]
+    assert "a tag ranges to 4 modules, and DE01, DE02 take 2 of these places" in few.text
+
+
 def test_anchors_in_sight_in_a_line():
     line = (*ANCHORS[:2], Anchor("D005", 4.0, 0.0), Anchor("D006", 3.0, 5.0))
     found = codes(all_of(answers(modules(line[:3])), line))

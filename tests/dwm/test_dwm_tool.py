@@ -10,11 +10,14 @@ import pytest
 from conftest import CONFIG, wait_until
 from dwm_rig import ANCHORS, DWM, working
 
+from services.dwm.core import calibration_file
+from services.dwm.core.calibration_file import CalibrationFile, described, layout_of
 from services.dwm.core.calls import NODE_ID_GET, Settings, UpdateRate
-from services.dwm.core.tlv import Position
+from services.dwm.core.tlv import NOWHERE, AnchorRange, Position
 from services.dwm.line import NoAnswerError, PortLine
 from swarm import config as configuration
 from swarm.bus import Bus
+from swarm.config.types import Anchor
 from swarm.ranging import Ranging
 
 ROBOTS = CONFIG.replace('name = "r1"', 'name = "r1"\nuwb = "DE01"\nuwb_role = "anchor"')
@@ -40,7 +43,7 @@ def run(processes):
         process = processes.start("-m", "swarm.cli", "dwm", *map(str, arguments))
         said, error = process.communicate(answer, timeout=60)
         assert "Traceback" not in error
-        return process.returncode, json.loads(said) if "--json" in arguments else said, error
+        return process.returncode, json.loads(said or "null") if "--json" in arguments else said, error
 
     return run
 
@@ -101,6 +104,19 @@ def test_without_a_service_it_says_so(run, router, config):
     (finding,) = told["r0"]
     assert (code, finding["code"]) == (1, "no-module")
     assert "its dwm service does not answer" in finding["text"]
+
+
+def test_a_calibration_of_other_anchors_is_named_though_the_service_does_not_run(run, router, processes, runtime):
+    text = DWM.replace("target =", 'calibration = "of/{{robot}}.toml"\ntarget =', 1).format(directory=runtime)
+    processes.config.write_text(ROBOTS.format(runtime=runtime) + ANCHORS + text)
+    calibrated = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.90, 0.0), Anchor("D003", 1.0, 1.94))
+    file = CalibrationFile("r0", layout_of(calibrated), described(calibrated))
+    (runtime / "of").mkdir()
+    (runtime / "of" / "r0.toml").write_text(calibration_file.text_of(file))
+    code, told, error = run("check", "--json")
+    assert code == 1, error
+    assert [finding["code"] for finding in told["r0"]] == ["no-module", "calibration"]
+    assert "anchors" in told["r0"][1]["text"]
 
 
 def test_a_port_that_a_service_owns_is_not_taken(run, service, runtime):
@@ -195,6 +211,7 @@ def test_a_module_that_is_unplugged_meanwhile(board, runtime):
     line.close()
 
 
+@pytest.mark.slow
 def test_anchors_take_turns_and_are_laid_out(run, board, runtime):
     ports = [word for address in ("D001", "D002", "D003") for word in ("--port", anchor(runtime, address))]
     code, told, error = run("anchors", "--auto", "--seconds", "2", "--json", *ports)
@@ -205,6 +222,22 @@ def test_anchors_take_turns_and_are_laid_out(run, board, runtime):
         assert board.module(address).settings.anchor
     assert [a for a in places if board.module(a).settings.initiator] == ["D001"]
     assert told["rms"] < 0.1
+
+
+def test_the_phone_apps_auto_positioning_is_used_where_it_was_done(run, board, runtime):
+    places = {"D001": (0.0, 0.0), "D002": (1.94, 0.0), "D003": (1.0, 1.94)}
+    for address, place in places.items():
+        board.module(address).survey = tuple(
+            AnchorRange(other, (math.dist(place, there) + 0.05964849) / 0.946976, 100, NOWHERE)
+            for other, there in places.items()
+            if other != address
+        )
+    ports = [word for address in places for word in ("--port", anchor(runtime, address))]
+    code, told, error = run("anchors", "--auto", "--json", *ports)
+    assert code == 0
+    assert "auto-positioning are there" in error
+    for address, place in places.items():
+        assert told["anchors"][address] == pytest.approx(place, abs=0.003)
 
 
 def test_a_tag_is_carried_from_anchor_to_anchor(run, service, board, processes):

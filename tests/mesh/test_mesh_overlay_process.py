@@ -1,5 +1,7 @@
 """Overlays between real mesh processes with real buses: what apps, rules and the stop key get."""
 
+import os
+
 from conftest import stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
@@ -61,6 +63,26 @@ def test_apps_flood_and_send_and_learn_what_became_of_it(build: Build) -> None:
     answers: list[str] = []
     overlays["r0"].send("r9", b"x").on_done(lambda sent: answers.append(sent.problem))
     wait_until(lambda: answers == ["there is no robot r9"])
+
+
+def test_large_payloads_of_apps_cross_the_swarm(build: Build) -> None:
+    swarm = build(edges=LINE, model="latency=0.005,bandwidth=400000")
+    swarm.start()
+    wait_here(swarm)
+    overlays = {name: Overlays(robot.bus, name, "test") for name, robot in swarm.robots.items()}
+    came: list[tuple[str, bytes]] = []
+    for name in ("r1", "r2", "r3"):
+        overlays[name].on_flood(lambda origin, payload, name=name: came.append((name, payload)))  # type: ignore[misc]
+    overlays["r3"].on_message(lambda sender, payload: came.append((sender, payload)))
+    payload = os.urandom(950_000)
+    handle = overlays["r0"].send("r3", payload)
+    wait_until(lambda: handle.answer is None and 0 < handle.moved < len(payload), what="it is under way")
+    assert handle.result(60.0).delivered
+    wait_until(lambda: came == [("r0", payload)])
+    flooded = overlays["r0"].flood(payload).result(60.0)
+    assert flooded.complete
+    assert flooded.robots == ("r1", "r2", "r3")
+    wait_until(lambda: sorted(came[1:]) == [(name, payload) for name in ("r1", "r2", "r3")])
 
 
 def test_rules_flood_and_command_across_the_swarm(build: Build) -> None:

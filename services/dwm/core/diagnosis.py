@@ -22,6 +22,9 @@ FIRMWARE = (1, 3)
 ENOUGH = 3
 """Anchors that a place in the plane needs."""
 
+AT_ONCE = 4
+"""Modules that a tag ranges to at a time."""
+
 MOVED = 0.02
 """m: an anchor that says it is farther than this from where swarm.toml has it was set up otherwise."""
 
@@ -243,6 +246,9 @@ def _seen(locations: Sequence[Location], placed: Mapping[str, Anchor], known: Ma
         return [*found, Finding("no-ranges", "no anchor gives any range", remedy)]
     if len(good) < ENOUGH:
         text = f"{len(good)} anchors give ranges ({', '.join(sorted(good)) or 'none'}), a place needs {ENOUGH}"
+        others = sorted(often - placed.keys())
+        if others and len(often) >= AT_ONCE:
+            text += f"; a tag ranges to {AT_ONCE} modules, and {', '.join(others)} take {len(others)} of these places"
         return [*found, Finding("few-anchors", text, "put up more anchors, or bring them into sight")]
     places = [(placed[a].x, placed[a].y, placed[a].z) for a in sorted(good)]
     if (problem := degenerate(places)) is not None:

@@ -58,6 +58,13 @@ ROUND_TRIPS = 8
 REST = 4
 """Periods between two trials."""
 
+FIRST_REST = 3
+"""Periods before the first one: what begins speeds up by itself, which must not be taken for the merit of a trial."""
+
+BUSY = 0.5
+"""Share of the window that must be under way for a rate to be measured. Transfers that come over several links ask for
+what they can use, so a backlog here may vanish for a moment though the window is what limits them."""
+
 ACK_EVERY = 512
 """Bytes of bulk after which an ACK is sent by itself; an ACK that is due also rides with any other frame."""
 
@@ -128,7 +135,7 @@ class Window:
         self._trial = 0.0
         """The factor that is being tried; 0 = none."""
         self._next_trial = LARGER
-        self._rest = 1
+        self._rest = FIRST_REST
         self._rate = 0.0
         """Rate with the window as it was before the trial, bytes/s."""
 
@@ -150,12 +157,12 @@ class Window:
         """A sync message leaves."""
         self._busy_until = now + BUSY_FOR
 
-    def wrote(self, size: int, now: float, *, bulk: bool, waits: bool) -> None:
-        """So many bytes were written, `bulk` among them; `waits` = there is more bulk."""
+    def wrote(self, size: int, now: float, *, bulk: bool) -> None:
+        """So many bytes were written, `bulk` among them."""
         self.sent += size
         if bulk:
             self._marks.append((self.sent, now))
-        if not waits or self.free(0) > 0.0:
+        if self.in_flight < BUSY * self.limit:
             self._since = None
         elif self._since is None:
             self._begin(now)
