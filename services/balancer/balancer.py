@@ -27,6 +27,8 @@ TOLERATED_ERRORS = 5
 """Ticks in a row without data before it is a fault. The motors keep their last command for so long (50 ms)."""
 RETRY_S = 0.5
 """Between attempts to reach the devices again."""
+LEDS_AGAIN_S = 10.0
+"""LEDs that did not change are written again after this time: an ATmega that was reset has forgotten them."""
 
 _log = logging.getLogger("balancer")
 
@@ -62,6 +64,7 @@ class Balancer:
         self._errors_in_row = 0
         self._claim: tuple[Shown, float] | None = None
         self._leds: Shown | None = None
+        self._leds_again_at = 0.0
         self._now = 0.0
         self.notices: deque[tuple[str, str]] = deque(maxlen=8)
         """What happened and is no fault, as (about what, text), for who asks next."""
@@ -213,7 +216,7 @@ class Balancer:
             self._controller.lie_down(now, Fault(faults.BATTERY, f"battery empty: {volts}"))
 
     def show_leds(self) -> bool:
-        """Write the LEDs where they changed; for the slack. True when they did."""
+        """Write the LEDs where they changed, and now and then; for the slack. True when they were written."""
         if self._claim is not None and self._now >= self._claim[1]:
             self._claim = None
         wanted = shown(
@@ -223,14 +226,14 @@ class Balancer:
             low_battery=self._guard.level != OK,
             now=self._now,
         )
-        if wanted == self._leds or not self._connected:
+        if not self._connected or (wanted == self._leds and self._now < self._leds_again_at):
             return False
         try:
             self.balboa.write_leds(*wanted)
         except OSError:
             self._bus_errors += 1
             return False
-        self._leds = wanted
+        self._leds, self._leds_again_at = wanted, self._now + LEDS_AGAIN_S
         return True
 
     def motors_off(self) -> None:

@@ -6,6 +6,7 @@ import random
 import pytest
 from balancer_rig import Rig, upright
 
+from services.balancer.balancer import LEDS_AGAIN_S
 from services.balancer.chores import Chores
 from services.balancer.core import balboa, imu
 from services.balancer.drivers import Balboa, Imu
@@ -144,6 +145,15 @@ def test_an_absent_device_is_a_fault_until_it_is_there(address: int) -> None:
     rig.robot.devices[address] = device
     rig.run(4.0)
     assert (rig.balancer.fault, rig.balancer.ready) == (None, True)
+
+
+def test_an_atmega_that_was_reset_shines_again_and_the_robot_stands() -> None:
+    rig = upright().run(1.0)
+    rig.robot.atmega.reset(4)
+    assert rig.robot.atmega.leds == (False, False, False)
+    rig.run(LEDS_AGAIN_S + 0.1)
+    assert rig.robot.atmega.leds == (False, False, True)
+    assert (rig.balancer.mode, rig.balancer.fault) == ("balancing", None)
 
 
 def test_another_layout_of_the_firmware_is_named_and_nothing_is_driven() -> None:
