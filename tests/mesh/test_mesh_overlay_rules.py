@@ -315,6 +315,33 @@ def test_long_packets_of_overlays_cross_in_fragments_with_and_without_keys(keys:
     assert world.link("r0", "r1").connection == 1
 
 
+@pytest.mark.parametrize("tampered", [False, True])
+def test_a_large_flood_and_a_large_message_cross_authenticated_links_whole(tampered: bool) -> None:
+    """Also where somebody on the way flips a bit: that costs a connection, and what was under way goes again."""
+    world = World([("r0", "r1"), ("r1", "r2")], keys=KEYS)
+    world.run(2.0)
+    data = bytes(range(251)) * 240
+    flood = FloodRequest("f", "x", data, "bulk", False)
+    send = SendRequest("s", "x", "r2", data[::-1], "bulk", 60.0)
+    done: list[bytes] = []
+
+    def flip(end: End, written: bytes) -> bytes:
+        if tampered and not done and end.robot == "r1" and world.now > 2.5 and len(written) > 900:
+            done.append(written)
+            return written[:500] + bytes((written[500] ^ 4,)) + written[501:]
+        return written
+
+    world.tap = flip
+    world.step("r0", lambda node: node.ask(lambda each, now: each.request(flood, now), world.now))
+    world.step("r0", lambda node: node.ask(lambda each, now: each.request(send, now), world.now))
+    world.run(40.0)
+    assert bool(done) == tampered
+    got = dict(world.bots["r2"].inbox)
+    assert got["swarm/r0/app/x/flood"] == data
+    assert got["swarm/r0/app/x/send/r2"] == data[::-1]
+    assert sum(bot.counters["bad_tags"] for bot in world.bots.values()) == tampered
+
+
 @pytest.mark.parametrize("change", ["flip", "repeat", "leave out"])
 def test_a_fragment_that_is_changed_on_the_way_costs_its_connection_and_nothing_else(change: str) -> None:
     """The message is sent again when the link is back, the flood by repair or by its second try; no wrong byte."""
