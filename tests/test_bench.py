@@ -1,3 +1,4 @@
+import importlib
 import json
 import math
 import subprocess
@@ -17,6 +18,18 @@ def test_a_row_is_judged_by_its_ratio_to_the_limit():
     }  # fmt: skip
     assert not Row("iteration", 0.036, "s", 0.030, 1.15).ok
     assert "MISSED" in Row("iteration", 0.036, "s", 0.030, 1.15).text()
+
+
+def test_what_is_only_told_is_never_missed():
+    row = Row("maximum", 1.0, "s", 0.030, None)
+    assert row.ok
+    assert row.text().endswith("told")
+    assert json.loads(row.json())["goal"] is None
+
+
+@pytest.mark.parametrize("area", AREAS)
+def test_every_area_has_rows(area):
+    assert callable(importlib.import_module(f"bench.{area}").rows)
 
 
 def test_what_was_not_measured_is_never_good():

@@ -217,32 +217,48 @@ def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[Line
 
 def findings_of(line: Line, config: Config | None, seconds: float) -> list[Finding]:
     """Everything that is wrong with a module and what it sees."""
+    robot = line.name if isinstance(line, BusLine) else None
+    found: list[Finding] = []
     try:
         info = configure.inspect(line)
-        wish = configure.wish_of(config, info.address)
-        if wish is not None:
-            anchor = wish.anchor
-        elif isinstance(line, BusLine) and config is not None:
-            anchor = config.robot(line.name).uwb_role == "anchor"
-        else:
-            anchor = info.settings.anchor
-        found = diagnosis.of_version(info.version)
+        if robot is None and config is not None:
+            robot = config.robots_by_module.get(info.address)
+        found += diagnosis.of_version(info.version)
+        anchor = _shall_be_anchor(config, robot, info)
         found += diagnosis.of_settings(info.settings, info.rate, info.status, anchor=anchor)
-        if config is not None:
-            found += diagnosis.of_anchors(config.anchors)
-        if info.settings.anchor or info.settings.uwb != calls.UWB_ACTIVE or config is None:
+        if config is None:
+            return found
+        found += diagnosis.of_anchors(config.anchors)
+        if info.settings.anchor or info.settings.uwb != calls.UWB_ACTIVE:
             return found
         locations = survey.sample(line, seconds, _wait)
     except NoAnswerError as error:
-        return [diagnosis.of_trouble(error.trouble)]
-    robot = line.name if isinstance(line, BusLine) else config.robots_by_module.get(info.address)
-    try:
-        calibrate = _calibrate(config, robot)
-    except ConfigError as error:
-        found.append(Finding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robot {robot}`"))
-        calibrate = _calibrate(config, None)
-    found += diagnosis.of_answers(locations, config.anchors, known_modules(config), info.address)
+        # A service that refuses its calibration does not run, and nobody answers.
+        return [*found, diagnosis.of_trouble(error.trouble), *_of_calibration(config, robot)]
+    unfit = _of_calibration(config, robot)
+    found += [*unfit, *diagnosis.of_answers(locations, config.anchors, known_modules(config), info.address)]
+    calibrate = _calibrate(config, None if unfit else robot)
     return found + diagnosis.of_standing(locations, config.anchors, config.dwm.height, calibrate)
+
+
+def _shall_be_anchor(config: Config | None, robot: str | None, info: ModuleInfo) -> bool:
+    wish = configure.wish_of(config, info.address)
+    if wish is not None:
+        return wish.anchor
+    if config is not None and robot is not None:
+        return config.robot(robot).uwb_role == "anchor"
+    return info.settings.anchor
+
+
+def _of_calibration(config: Config | None, robot: str | None) -> list[Finding]:
+    """Whether the robot's calibration is one of these anchors."""
+    if config is None or robot is None:
+        return []
+    try:
+        load_calibration(config, robot)
+    except ConfigError as error:
+        return [Finding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robot {robot}`")]
+    return []
 
 
 # -- anchors -----------------------------------------------------------------------------------------------------

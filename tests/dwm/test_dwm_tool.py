@@ -10,11 +10,14 @@ import pytest
 from conftest import CONFIG, wait_until
 from dwm_rig import ANCHORS, DWM, working
 
+from services.dwm.core import calibration_file
+from services.dwm.core.calibration_file import CalibrationFile, described, layout_of
 from services.dwm.core.calls import NODE_ID_GET, Settings, UpdateRate
 from services.dwm.core.tlv import NOWHERE, AnchorRange, Position
 from services.dwm.line import NoAnswerError, PortLine
 from swarm import config as configuration
 from swarm.bus import Bus
+from swarm.config.types import Anchor
 from swarm.ranging import Ranging
 
 ROBOTS = CONFIG.replace('name = "r1"', 'name = "r1"\nuwb = "DE01"\nuwb_role = "anchor"')
@@ -40,7 +43,7 @@ def run(processes):
         process = processes.start("-m", "swarm.cli", "dwm", *map(str, arguments))
         said, error = process.communicate(answer, timeout=60)
         assert "Traceback" not in error
-        return process.returncode, json.loads(said) if "--json" in arguments else said, error
+        return process.returncode, json.loads(said or "null") if "--json" in arguments else said, error
 
     return run
 
@@ -101,6 +104,19 @@ def test_without_a_service_it_says_so(run, router, config):
     (finding,) = told["r0"]
     assert (code, finding["code"]) == (1, "no-module")
     assert "its dwm service does not answer" in finding["text"]
+
+
+def test_a_calibration_of_other_anchors_is_named_though_the_service_does_not_run(run, router, processes, runtime):
+    text = DWM.replace("target =", 'calibration = "of/{{robot}}.toml"\ntarget =', 1).format(directory=runtime)
+    processes.config.write_text(ROBOTS.format(runtime=runtime) + ANCHORS + text)
+    calibrated = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.90, 0.0), Anchor("D003", 1.0, 1.94))
+    file = CalibrationFile("r0", layout_of(calibrated), described(calibrated))
+    (runtime / "of").mkdir()
+    (runtime / "of" / "r0.toml").write_text(calibration_file.text_of(file))
+    code, told, error = run("check", "--json")
+    assert code == 1, error
+    assert [finding["code"] for finding in told["r0"]] == ["no-module", "calibration"]
+    assert "anchors" in told["r0"][1]["text"]
 
 
 def test_a_port_that_a_service_owns_is_not_taken(run, service, runtime):

@@ -104,6 +104,9 @@ def test_links_and_paths_are_measured_over_each_overlay(
     for overlay in ("neighbours", "unicast", "flood"):
         (one,) = measure("throughput", "r1", "--overlay", overlay, "--count", "1", "--sizes", "2000")
         assert one["figures"][0]["goodput"] > 1000
+    for overlay in ("unicast", "flood"):
+        (large,) = measure("rtt", "r3", "--overlay", overlay, "--count", "1", "--sizes", "50000", "--priority", "bulk")
+        assert large["figures"][0]["samples"] == 1
     code, text = swarm("measure", "rtt", "r3", "--count", "1", "--sizes", "30")
     assert code == 0
     assert "unicast to r3, 3 hops: one message at a time, confirmed" in text
