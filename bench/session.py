@@ -85,5 +85,7 @@ def _hop(keys: dict[int, bytes]) -> float:
         one.send(frames.SYNC, key, payload, latest=False)
         other.receive(one.data_to_send(0.0, 4096), 0.0)
         assert other.events()
+        if answer := other.data_to_send(0.0, 4096):  # an acknowledgement now and then, or the window fills
+            one.receive(answer, 0.0)
 
     return _best(hop)

@@ -188,7 +188,7 @@ def test_bytes_under_way_are_counted_across_the_wrap(steps: list[tuple[int, int]
     now, acknowledged = 0.0, window.sent
     for size, taken in steps:
         now += 0.01
-        window.wrote(size, now, bulk=True)
+        window.wrote(size, now, bulk=True, waits=True)
         acknowledged = min(window.sent, acknowledged + taken)
         window.on_ack(decode_ack(encode_ack(acknowledged)[3:]), now)
         assert window.in_flight == window.sent - acknowledged

@@ -242,11 +242,12 @@ def test_bad_packets_do_not_break_links() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(ACCIDENTS, max_size=20), st.integers(0, 2**16))
+@given(st.lists(ACCIDENTS, max_size=20), st.integers(0, 2**16), st.sampled_from((0, 0, 100_000)))
 def test_through_links_that_break_everything_is_said_and_nothing_twice(
-    steps: list[tuple[str, object]], seed: int
+    steps: list[tuple[str, object]], seed: int, size: int
 ) -> None:
-    """Floods and messages between r0 and r2 while the link r0 - r1 is disturbed in every way."""
+    """Floods and messages, small or of `size` bytes, between r0 and r2 while the link r0 - r1 is disturbed in every
+    way."""
     world = World([("r0", "r1"), ("r1", "r2")], seed=seed)
     world.run(1.0)
     inboxes = []
@@ -254,13 +255,13 @@ def test_through_links_that_break_everything_is_said_and_nothing_twice(
         if kind == "publish":
             for name in ("r0", "r2"):
                 if name in world.bots:
-                    ask(world, name, count)
+                    ask(world, name, count, size)
             continue
         if kind in ("restart", "absent") and value in world.bots:
             inboxes.append((value, world.bots[value].inbox))
         world.suffer(kind, value)
     world.recover()
-    world.run(25.0)
+    world.run(25.0 if not size else 60.0)
     inboxes += [(name, bot.inbox) for name, bot in world.bots.items()]
     for _, inbox in inboxes:
         arrived = [(key, payload) for key, payload in inbox if "/app/" in key]
@@ -268,8 +269,8 @@ def test_through_links_that_break_everything_is_said_and_nothing_twice(
     for name, to in (("r0", "r2"), ("r2", "r0")):
         world.bots[to].inbox.clear()
         world.bots[name].inbox.clear()
-        ask(world, name, 999)
-        world.run(1.0)
+        ask(world, name, 999, size)
+        world.run(1.0 if not size else 20.0)
         assert sorted(key for key, _ in world.bots[to].inbox) == [
             f"swarm/{name}/app/x/flood",
             f"swarm/{name}/app/x/send/{to}",
@@ -277,10 +278,11 @@ def test_through_links_that_break_everything_is_said_and_nothing_twice(
         assert len(world.bots[name].inbox) == 2
 
 
-def ask(world: World, name: str, count: int) -> None:
+def ask(world: World, name: str, count: int, size: int = 0) -> None:
     to = "r2" if name == "r0" else "r0"
-    flood = FloodRequest(f"f{count}", "x", b"%d" % count, "sync", False)
-    send = SendRequest(f"s{count}", "x", to, b"%d" % count, "sync", 20.0)
+    payload, priority = (b"%d" % count).ljust(size), "bulk" if size else "sync"
+    flood = FloodRequest(f"f{count}", "x", payload, priority, False)
+    send = SendRequest(f"s{count}", "x", to, payload, priority, 20.0)
     world.step(name, lambda node: node.ask(lambda each, now: each.request(flood, now), world.now))
     world.step(name, lambda node: node.ask(lambda each, now: each.request(send, now), world.now))
 

@@ -61,10 +61,6 @@ REST = 4
 FIRST_REST = 3
 """Periods before the first one: what begins speeds up by itself, which must not be taken for the merit of a trial."""
 
-BUSY = 0.5
-"""Share of the window that must be under way for a rate to be measured. Transfers that come over several links ask for
-what they can use, so a backlog here may vanish for a moment though the window is what limits them."""
-
 ACK_EVERY = 512
 """Bytes of bulk after which an ACK is sent by itself; an ACK that is due also rides with any other frame."""
 
@@ -157,12 +153,12 @@ class Window:
         """A sync message leaves."""
         self._busy_until = now + BUSY_FOR
 
-    def wrote(self, size: int, now: float, *, bulk: bool) -> None:
-        """So many bytes were written, `bulk` among them."""
+    def wrote(self, size: int, now: float, *, bulk: bool, waits: bool) -> None:
+        """So many bytes were written, `bulk` among them; `waits` = there is more bulk."""
         self.sent += size
         if bulk:
             self._marks.append((self.sent, now))
-        if self.in_flight < BUSY * self.limit:
+        if not waits or self.free(0) > 0.0:
             self._since = None
         elif self._since is None:
             self._begin(now)
@@ -176,7 +172,8 @@ class Window:
         marked = None
         while self._marks and self._marks[0][0] <= self.acknowledged:
             marked = self._marks.popleft()[1]
-        if marked is not None:
+        if marked is not None and new >= ACK_EVERY:
+            # Fewer bytes are acknowledged only with a heartbeat: they say how long that took, not the link.
             self._on_round_trip(now - marked, now)
         if self._since is not None and now >= self._since + max(PERIOD, ROUND_TRIPS * self._rtt):
             self._judge((self.acknowledged - self._from) / (now - self._since))

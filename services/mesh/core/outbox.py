@@ -102,6 +102,11 @@ class Outbox:
         counts = self._counts
         return bool(counts[CONTROL] or (free > -SYNC_EXTRA and counts[SYNC]) or (free > 0 and counts[BULK]))
 
+    @property
+    def bulk_waits(self) -> bool:
+        """Whether bulk is among what waits."""
+        return bool(self._turns)
+
     def push(self, priority: int, key: str, payload: bytes, latest: bool) -> bool:
         """Add a message; with `latest` it takes the place of one of the same key that still waits. False = refused."""
         if latest and (waiting := self._latest.get(key)) is not None:

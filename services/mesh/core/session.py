@@ -254,7 +254,7 @@ class Session:
                         break
         self.sent += len(chunks)
         data = b"".join(chunks) if self._auth is None else self._seal(self._auth, chunks)
-        self._window.wrote(len(data), now, bulk=bulk)
+        self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
         return data
 
     def _seal(self, auth: Keys, chunks: list[bytes]) -> bytes:
