@@ -91,7 +91,7 @@ def _solve(anchors: Sequence[Point], distances: Sequence[float], height: float, 
     if (problem := degenerate(anchors)) is not None:
         return NoFix(problem)
     best: tuple[float, tuple[float, float]] | None = None
-    for start in _starts(anchors, distances):
+    for start in _starts(anchors, distances, height, sigma):
         place = _descend(anchors, distances, height, sigma, start)
         if place is not None:
             cost = _cost(anchors, distances, height, sigma, place)
@@ -117,16 +117,33 @@ def degenerate(anchors: Sequence[Point]) -> str | None:
     return None
 
 
-def _starts(anchors: Sequence[Point], distances: Sequence[float]) -> list[tuple[float, float]]:
-    """The anchors' centre, and points beyond it away from each anchor: outside of the anchors' hull the error has a
-    second, local minimum near its mirror image."""
+def _starts(
+    anchors: Sequence[Point], distances: Sequence[float], height: float, sigma: float
+) -> list[tuple[float, float]]:
+    """The anchors' centre, and the two likeliest of the points where two circles of the plane meet: the error may have
+    further local minima (near the mirror image of a place outside of the anchors' hull, where a range is wrong, where
+    an anchor is high above), and for exact ranges one of the meeting points is the place itself."""
     x, y = (fsum(anchor[axis] for anchor in anchors) / len(anchors) for axis in (0, 1))
-    starts = [(x, y)]
-    far = max(range(len(anchors)), key=lambda i: distances[i] - hypot(anchors[i][0] - x, anchors[i][1] - y))
-    ax, ay, _ = anchors[far]
-    length = hypot(x - ax, y - ay) or 1.0
-    starts.append((ax + (x - ax) / length * distances[far], ay + (y - ay) / length * distances[far]))
-    return starts
+    circles = [
+        (anchor[0], anchor[1], sqrt(max(0.0, distance * distance - (height - anchor[2]) ** 2)))
+        for anchor, distance in zip(anchors, distances, strict=True)
+    ]
+    points = [point for i, one in enumerate(circles) for other in circles[:i] for point in _meetings(one, other)]
+    points.sort(key=lambda point: _cost(anchors, distances, height, sigma, point))
+    return [(x, y), *points[:2]]
+
+
+def _meetings(one: tuple[float, float, float], other: tuple[float, float, float]) -> list[tuple[float, float]]:
+    """Where two circles (x, y, radius) meet; where they do not, the point of the line through their centres between
+    them."""
+    dx, dy = other[0] - one[0], other[1] - one[1]
+    distance = hypot(dx, dy)
+    if distance < 1e-6:
+        return []
+    along = (distance + (one[2] - other[2]) * (one[2] + other[2]) / distance) / 2
+    across = sqrt(max(0.0, one[2] * one[2] - along * along))
+    ux, uy = dx / distance, dy / distance
+    return [(one[0] + along * ux - side * uy, one[1] + along * uy + side * ux) for side in (across, -across)]
 
 
 def _terms(anchor: Point, measured: float, height: float, x: float, y: float) -> tuple[float, float, float]:
