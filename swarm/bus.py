@@ -129,7 +129,11 @@ class Router:
             raise BusError(f"the bus cannot listen on {endpoint}: {_text(error)}") from None
 
     def close(self) -> None:
-        """Stop routing; Zenoh removes the socket file."""
+        """Stop routing; Zenoh removes the socket file.
+
+        A client whose connection is just being accepted is forgotten by Zenoh but not cut off: it stays connected to
+        nothing until this process ends. The bus service ends at once after this.
+        """
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> "Router":
