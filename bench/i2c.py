@@ -60,6 +60,10 @@ class TimedBus(SimulatedBus):
         self._timed(lambda: read.append(super(TimedBus, self).write_read(address, data, count)))
         return read[0]
 
+    def pause(self, seconds: float) -> None:
+        """See `I2CBus`."""
+        time.sleep(seconds)
+
     def untimed(self) -> float:
         """See `I2CBus`."""
         return 0.0
@@ -87,7 +91,7 @@ def rows() -> Iterator[Row]:
     model, noise = body_model("zero2w", Body()), random.Random(1)
     robot = SimulatedRobot(BalboaBody(model, clock.now()), noise, errors=draw_errors(noise))
     bus = TimedBus(robot)
-    balancer = Balancer(bus, model, 0.0, clock.now, time.sleep, start_mode="stand")
+    balancer = Balancer(bus, model, 0.0, clock.now, bus.pause, start_mode="stand")
     chores = Chores(balancer, clock.now)
     while balancer.mode != "balancing":
         _tick(balancer, chores)
@@ -104,7 +108,7 @@ def rows() -> Iterator[Row]:
     yield Row("control step, with waits and computation, p50", statistics.median(steps), "ms", LIMIT_MS, 1.0)
     yield Row("the same, p99", sorted(steps)[len(steps) * 99 // 100], "ms", LIMIT_MS, 1.0)
     yield Row("tick with all chores, p99", sorted(ticks)[len(ticks) * 99 // 100], "ms", PERIOD_MS, 0.9)
-    found = measure(bus, Balboa(bus, clock.now, time.sleep), MeasureI2C("bench", RATE_SIZE, 100))
+    found = measure(bus, Balboa(bus, clock.now, bus.pause), MeasureI2C("bench", RATE_SIZE, 100))
     assert found.read is not None
     assert found.write is not None
     yield Row("8 bytes read, as the thesis' rate", 8e3 * RATE_SIZE / found.read, "ms", THESIS_READ_MS, 1.0)

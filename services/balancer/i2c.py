@@ -7,6 +7,7 @@ ETIMEDOUT, 5 EIO for one that ended too early), on every kind of bus.
 
 import contextlib
 import fcntl
+import time
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -39,8 +40,11 @@ class I2CBus(Protocol):
         """After a failed transfer: have a device that holds SDA, because it missed a clock pulse, let it go. Quick
         (0.2 ms), harmless on a bus that is well, and silent where it does not help."""
 
+    def pause(self, seconds: float) -> None:
+        """Leave the devices alone for so long."""
+
     def untimed(self) -> float:
-        """Seconds that transfers have counted instead of taking them: a simulated bus; 0 on a real one."""
+        """Seconds that transfers and pauses have counted instead of taking them: a simulated bus; 0 on a real one."""
 
     def close(self) -> None:
         """Give the bus back."""
@@ -92,6 +96,10 @@ class KernelBus:
         """See `I2CBus`."""
         with contextlib.suppress(OSError):  # nobody acknowledges
             self._bus.i2c_rdwr(self._message.read(NOBODY, 1))
+
+    def pause(self, seconds: float) -> None:
+        """See `I2CBus`."""
+        time.sleep(seconds)
 
     def untimed(self) -> float:
         """See `I2CBus`."""

@@ -140,7 +140,7 @@ def main(
     body = body_model(config.robot(robot).board, shape)
     bus = open_bus(config, robot)
     try:
-        balancer = Balancer(bus, body, shape.trim, clock.now, time.sleep, start_mode=start_mode, settings=settings)
+        balancer = Balancer(bus, body, shape.trim, clock.now, bus.pause, start_mode=start_mode, settings=settings)
         try:
             bridge = Bridge(clock.now())
             try:

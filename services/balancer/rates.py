@@ -4,7 +4,6 @@
 """
 
 import argparse
-import time
 
 from services.balancer.core.rates import RateMeter
 from services.balancer.drivers import Balboa
@@ -43,7 +42,7 @@ def main() -> None:
     args = parser.parse_args()
     bus = KernelBus()
     try:
-        driver = Balboa(bus, clock.now, time.sleep)
+        driver = Balboa(bus, clock.now, bus.pause)
         try:
             driver.set_up()
         except (OSError, SwarmError) as error:

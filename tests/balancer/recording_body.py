@@ -30,6 +30,9 @@ class RecordingBus:
         if address == balboa.ADDRESS and data[0] == balboa.MOTORS:
             self._file.write(f"{balboa.decode_motors(data[1:])[0]}\n")
 
+    def pause(self, seconds: float) -> None:
+        self._bus.pause(seconds)
+
     def close(self) -> None:
         self._file.write("closed\n")
         self._file.close()

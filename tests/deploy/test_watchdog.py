@@ -25,6 +25,7 @@ def test_it_is_fed_by_a_service_that_works(processes: Processes, module: str) ->
 
 def test_it_is_fed_by_an_app_that_waits_for_its_neighbours(processes: Processes) -> None:
     processes.router()
+    processes.start_ready("-m", "services.mesh")  # which tells the app who its neighbours are
     process = processes.start_ready("-m", "services.apps", "consensus", until=FED)
     process.send_signal(signal.SIGTERM)
     assert process.wait(10) == 0
@@ -51,6 +52,7 @@ def test_it_is_not_fed_by_an_app_whose_step_hangs(processes: Processes, runtime:
         'network = "test"\n[mesh]\ninsecure = true\n[topology]\nedges = []\n[[robots]]\nname = "r0"\n'
     )
     processes.router()
+    processes.start_ready("-m", "services.mesh", SWARM_CONFIG=str(runtime / "alone.toml"))
     progress: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd, Bus.of(runtime) as bus:
         systemd.bind(str(runtime / "systemd"))
