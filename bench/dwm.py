@@ -1,27 +1,20 @@
 """What the UWB service costs a robot: memory of its process, and CPU time and memory traffic of one 10 Hz update."""
 
-import contextlib
 import random
-import tempfile
 import timeit
 import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
+from bench.footprint import robot_alone
 from bench.rows import Row
 from services.dwm.core.diagnosis import Watch
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.poller import Poller, Report
 from services.dwm.core.tlv import Position, encode_location
-from services.sim import footprint, options, scenario
 from services.sim.core.uwb import Module, Tag
-from services.sim.module import ModuleBoard
-from services.sim.processes import Processes
 from services.sim.run import SERVICE_MODULES
-from swarm import clock
 from swarm.codec import encode
-from swarm.config.dump import dump
 from swarm.config.types import Anchor, Dwm
 
 MEMORY_MIB = 35.0
@@ -39,7 +32,6 @@ PREDICTIONS = 3
 LEG = 50
 STEP = 0.02
 """m between two updates."""
-SETTLE_S = 5.0
 
 ANCHORS = (
     Anchor("D001", 0.0, 0.0),
@@ -112,20 +104,5 @@ def _allocated(update: Callable[[], None]) -> tuple[float, float]:
 
 def _memory() -> float:
     """Proportional set size of the service at a simulated module, one robot alone, MiB."""
-    with tempfile.TemporaryDirectory(prefix="swarm-bench-") as name, contextlib.ExitStack() as stack:
-        run_dir = Path(name)
-        plan = scenario.build(options.parse(["localization", "--robots", "1", "--seconds", "60"]), run_dir)
-        robot = plan.config.names[0]
-        (run_dir / robot).mkdir()
-        (run_dir / "swarm.toml").write_text(dump(plan.config))
-        modules = ModuleBoard(run_dir, plan.config, seed=1)
-        stack.callback(modules.close)
-        modules.add(robot)
-        processes = Processes({"SWARM_CONFIG": str(run_dir / "swarm.toml")})
-        stack.callback(processes.stop)
-        for service in ("bus", "balancer", "dwm"):
-            processes.add(robot, service, [SERVICE_MODULES[service]], run_dir / robot)
-        settled = clock.now() + SETTLE_S
-        while clock.now() < settled:
-            modules.poll(0.05)
-        return next(footprint.proportional_mib(child) for child in processes.children if child.service == "dwm")
+    with robot_alone({service: SERVICE_MODULES[service] for service in ("bus", "balancer", "dwm")}) as memory:
+        return memory["dwm"]

@@ -2,7 +2,7 @@
 
 import contextlib
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from bench.rows import Row
@@ -23,8 +23,12 @@ SETTLE_S = 5.0
 """After it all services are up and have done their work some dozen times."""
 
 
-def rows() -> Iterator[Row]:
-    """Start one robot without the simulation's own process, which would share its pages, and look."""
+@contextlib.contextmanager
+def robot_alone(services: Mapping[str, str]) -> Iterator[dict[str, float]]:
+    """One robot with these services (module and first argument by name), settled: proportional memory of each, MiB.
+
+    Without the simulation's own process, which would share its pages.
+    """
     with tempfile.TemporaryDirectory(prefix="swarm-bench-") as name, contextlib.ExitStack() as stack:
         run_dir = Path(name)
         plan = scenario.build(options.parse(["localization", "--robots", "1", "--seconds", "60"]), run_dir)
@@ -36,15 +40,17 @@ def rows() -> Iterator[Row]:
         modules.add(robot)
         processes = Processes({"SWARM_CONFIG": str(run_dir / "swarm.toml"), "SWARM_SIM_LINK": "latency=0.03"})
         stack.callback(processes.stop)
-        for service, module in SERVICE_MODULES.items():
-            processes.add(robot, service, [module], run_dir / robot)
-        processes.add(robot, "app/localization", [APP_SERVICE, "localization"], run_dir / robot)
+        for service, command in services.items():
+            processes.add(robot, service, command.split(), run_dir / robot)
         settled = clock.now() + SETTLE_S
         while clock.now() < settled:
             modules.poll(0.05)
-        total = 0.0
-        for child in processes.children:
-            memory = footprint.proportional_mib(child)
-            total += memory
-            yield Row(f"{child.service}, proportional memory", memory, "MiB", SHARE_MIB, 1.5)
-        yield Row("one robot alone, proportional memory", total, "MiB", LIMIT_MIB, 1.0)
+        yield {child.service: footprint.proportional_mib(child) for child in processes.children}
+
+
+def rows() -> Iterator[Row]:
+    """All services and an app."""
+    with robot_alone(SERVICE_MODULES | {"app/localization": f"{APP_SERVICE} localization"}) as memory:
+        for service, mib in memory.items():
+            yield Row(f"{service}, proportional memory", mib, "MiB", SHARE_MIB, 1.5)
+        yield Row("one robot alone, proportional memory", sum(memory.values()), "MiB", LIMIT_MIB, 1.0)
