@@ -6,7 +6,7 @@ import pytest
 from elf_robot import ElfRobot
 
 from services.balancer.balancer import Balancer
-from services.balancer.chores import Chores
+from services.balancer.chores import MARGIN_S, Chores
 from services.balancer.core import balboa
 from services.balancer.core.body import body_model
 from services.balancer.core.lqr import PERIOD_S
@@ -92,7 +92,7 @@ def test_it_stands_for_a_minute_with_everything_going_on(bench):
     assert stats.stretch_longest < 50e-6
     assert bench.call("interrupts_off") / 16e6 < 50e-6
     assert standing.longest_tick < 0.004, "of the bus for one control step"
-    assert standing.longest_slack < 0.0075, "with what else is done on the bus"
+    assert standing.longest_slack < PERIOD_S - MARGIN_S, "with what else is done on the bus"
     assert standing.chores.errors == 0
     reports = [news for news in standing.news if isinstance(news, Uwb)]
     assert {report.sequence for report in reports} >= set(range(reports[0].sequence, 590))
