@@ -7,30 +7,19 @@ from functools import partial
 
 import pytest
 from conftest import CONFIG
+from dwm_rig import ANCHORS, working
 from thesis_data import DATA, needs_calibration, needs_localization
 
 from services.dwm.core import calibration_file
 from services.dwm.core.samples import HEADER, Sample, read, write
 from services.sim.core import uwb
-from services.sim.module import ModuleBoard
 from swarm import config as configuration
 from swarm.bus import Bus
 from swarm.messages import Buttons
 
-SWARM = """
-[[anchors]]
-address = "D001"
-x = 0.0
-y = 0.0
-[[anchors]]
-address = "D002"
-x = 1.94
-y = 0.0
-[[anchors]]
-address = "D003"
-x = 1.0
-y = 1.94
-[dwm]
+SWARM = (
+    ANCHORS
+    + """[dwm]
 source = "serial:{directory}/{{robot}}/dwm.tty"
 target = "C933"
 calibration = "of/{{robot}}.toml"
@@ -39,6 +28,7 @@ target = [0.5, 1.0]
 [simulation.places]
 r0 = [0.5, 1.5, 0.0]
 """
+)
 PROMPT = re.compile(r"place \d+ of \d+: \((\S+), (\S+)\) m, heading (\d+) degrees: start\?")
 PLACES = "0.6,0.9 1.0,0.5 1.5,1.5 0.3,0.3 1.7,0.4 0.5,1.6"
 
@@ -55,20 +45,8 @@ def board(swarm, runtime, monkeypatch):
     """Modules without wild errors: which of the seeded measurements a session sees is a matter of time."""
     calm = partial(uwb.ErrorModel, hidden=0.0, outlier=0.0)
     monkeypatch.setattr(uwb, "ErrorModel", calm)
-    board = ModuleBoard(runtime, swarm, 1)
-    board.add("r0")
-    ending = threading.Event()
-
-    def work():
-        while not ending.is_set():
-            board.poll(0.02)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    yield board
-    ending.set()
-    thread.join()
-    board.close()
+    with working(runtime, swarm, "r0") as board:
+        yield board
 
 
 def calibrate(processes, *arguments):

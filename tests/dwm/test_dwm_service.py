@@ -3,37 +3,25 @@
 import json
 import signal
 import statistics
-import threading
 import time
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 from conftest import CONFIG, stop, wait_until
+from dwm_rig import ANCHORS, working
 
 from services.dwm.core.calibration import RangeModel
 from services.dwm.core.calibration_file import CalibrationFile, Evidence, layout_of, text_of
-from services.sim.module import ModuleBoard
 from swarm import clock
 from swarm import config as configuration
 from swarm.bus import Bus
 from swarm.codec import decode
 from swarm.messages import Measurement, Odometry, read
 
-LIVE = """
-[[anchors]]
-address = "D001"
-x = 0.0
-y = 0.0
-[[anchors]]
-address = "D002"
-x = 1.94
-y = 0.0
-[[anchors]]
-address = "D003"
-x = 1.0
-y = 1.94
-[dwm]
+LIVE = (
+    ANCHORS
+    + """[dwm]
 source = "serial:{directory}/{{robot}}/dwm.tty"
 target = "C933"
 window = 10
@@ -46,6 +34,7 @@ target = [0.5, 1.0]
 [simulation.places]
 r0 = [0.5, 1.5, 0.0]
 """
+)
 ROWS = [(62.4, 43.9, 152.6), (62.5, 44.0, 152.7), (63.0, 44.1, 152.8)]
 
 
@@ -77,20 +66,8 @@ def ear(bus):
 def board(processes, runtime):
     """Simulated modules in a thread of their own, as in a simulation; r0 has one."""
     processes.config.write_text(CONFIG + LIVE.format(directory=runtime))
-    board = ModuleBoard(runtime, configuration.load(processes.config), 1)
-    board.add("r0")
-    ending = threading.Event()
-
-    def work():
-        while not ending.is_set():
-            board.poll(0.02)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    yield board
-    ending.set()
-    thread.join()
-    board.close()
+    with working(runtime, configuration.load(processes.config), "r0") as board:
+        yield board
 
 
 def test_ranges_and_pose_come_calibrated_at_10_hz(processes, board, ear):
