@@ -6,13 +6,16 @@ restart.
 """
 
 import argparse
+import functools
 import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from services.apps import loader, topology
 from services.apps.host import Host
 from services.apps.measurements import source_of
+from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
@@ -20,6 +23,7 @@ from swarm.errors import LocalError
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
+from swarm.recording import folder
 from swarm.service import Service, run
 
 FAULT = 3
@@ -51,9 +55,8 @@ def main() -> int:
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
         runner = Runner(instance, app.source)
-        record = os.environ.get("SWARM_RECORD")
-        folder = Path(record) if record else None
-        host = Host(service, app.name, runner, number, links, measurements, options.iterations, folder)
+        record = _recording(options, service, app, number, seed)
+        host = Host(service, app.name, runner, number, links, measurements, options.iterations, record)
         service.stopping.wait()
         host.close()
         return FAULT if host.failed else 0
@@ -68,10 +71,37 @@ def _options() -> argparse.Namespace:
         metavar="HEX",
         help="number of the run, the same on all robots (SWARM_RUN; default: by app and config)",
     )
+    parser.add_argument(
+        "--record", action="store_true", help="keep what it does (without: only where SWARM_RECORD names a folder)"
+    )
     options = parser.parse_args()
     text = options.run or os.environ.get("SWARM_RUN")
     options.run = None if not text else _number("--run or SWARM_RUN", text, 16)
     return options
+
+
+def _recording(
+    options: argparse.Namespace, service: Service, app: loader.App, number: int, seed: int
+) -> Callable[[bool], Recorder] | None:
+    """What makes the recording, where there is to be one."""
+    place = os.environ.get("SWARM_RECORD")
+    if not place and not options.record:
+        return None
+    path = Path(place) if place else folder.of_robot(app.name, number)
+    run = folder.describe(app.name, number, seed, app.digest)
+    files = {folder.CONFIG_FILE: service.config.path.read_bytes()}
+    if options.app not in loader.BUILT_IN:
+        files[f"{app.name}.py"] = Path(app.source).read_bytes()
+    try:
+        folder.begin(path, run, files)
+    except OSError as error:
+        service.log.warning("%s cannot be made, the run goes on: %s", path, error.strerror)
+    return functools.partial(_recorder, path, service, app.name, run)
+
+
+def _recorder(path: Path, service: Service, app: str, run: dict[str, str], append: bool) -> Recorder:
+    journal = service.runtime / f"app.{app}.journal"
+    return Recorder(path, journal, service.robot, app, service.counters, run, append=append)
 
 
 def _iterations(text: str) -> int:

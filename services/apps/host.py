@@ -10,7 +10,6 @@ import queue
 import struct
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 from services.apps import topology
 from services.apps.claim import Claim
@@ -67,9 +66,10 @@ class Host:
         links: topology.Links,
         measurements: Measurements | None,
         last: int | None,
-        record: Path | None,
+        record: Callable[[bool], Recorder] | None,
     ) -> None:
-        """Raises `LocalError` where lock or snapshot cannot be had."""
+        """`record` makes the recording, and is told whether to go on with an earlier one. Raises `LocalError` where
+        lock or snapshot cannot be had."""
         self._service = service
         self._name = name
         self._runner = runner
@@ -134,6 +134,8 @@ class Host:
             thread.join(CLOSE_WITHIN)
             if thread.is_alive():
                 self._service.log.warning("the step of iteration %d does not end", self._core.k)
+                if self._recorder is not None:
+                    self._recorder.flush()
                 return
         if self._recorder is not None:
             self._recorder.close()
@@ -212,8 +214,7 @@ class Host:
         measurement."""
         saved = self._saved()
         if self._record is not None:
-            path = self._record / f"{self._service.robot}.{self._name}.csv"
-            self._recorder = Recorder(path, self._runner.schema, self._service.counters, append=saved is not None)
+            self._recorder = self._record(saved is not None)
         measurement = self._measure(0) if saved is None else None
         if self._closing:
             return False
@@ -271,12 +272,18 @@ class Host:
                 for name, count in self._core.counters.copy().items():
                     self._service.counters[f"sync_{name.replace(' ', '_')}"] = count
             self._show(repeat)
-            if repeat or news != told:
+            changed = news != told
+            if repeat or changed:
                 told, told_at = news, now
                 # Waiting for others is no fault of ours; a step that does not end is.
                 if self._step_began is None or now - self._step_began < STUCK:
                     self._service.watchdog()
-                self._publish("progress", self._progress())
+                progress = self._progress()
+                if self._recorder is not None and changed:
+                    self._recorder.progress(progress)
+                    if progress.phase in ("done", "fault"):
+                        self._recorder.flush()  # whoever hears of the end finds it recorded
+                self._publish("progress", progress)
 
     def _pause(self) -> float:
         with self._lock:
@@ -340,7 +347,7 @@ class Host:
                 self._service.bus.publish(self._sync if to is None else f"{self._sync}/{to}", data, urgent=True)
             case Advanced(k, _):
                 if self._recorder is not None:
-                    self._recorder.write(k, self._computed_at, self._runner.state(), self._runner.result())
+                    self._recorder.state(k, self._computed_at, self._runner.state(), self._runner.result())
             case Compute():
                 self._todo.put(action)
             case Waiting(_, peers):

@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from services.sim import trajectory
 from services.sim.scenario import Scenario
-from services.sim.trajectory import Trajectory
 from swarm.messages import BalancerState
+from swarm.recording import trajectory
+from swarm.recording.trajectory import Trajectory
 
 Json = dict[str, object]
 
