@@ -149,7 +149,8 @@ def type_of(key: str) -> type | None:
         return Stop
     _, service, topic = parse(key)
     _, _, tail = topic.partition("/")
-    for candidate in ((service, topic), (service, f"*/{tail}"), ("*", topic)):
+    deep = tail.partition("/")[2]
+    for candidate in ((service, topic), (service, f"*/{tail}"), (service, f"*/*/{deep}"), ("*", topic)):
         if candidate in TOPICS:
             return TOPICS[candidate]
     return None

@@ -8,7 +8,8 @@ from swarm.messages.service import Status
 
 @dataclass(frozen=True, slots=True)
 class AppState:
-    """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 25 Hz and at the end."""
+    """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 10 Hz and at the end. A channel of an
+    app has its name behind the app's: `.../app/<app>/<channel>/state`."""
 
     t: float
     k: int
@@ -36,5 +37,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("app", "*/status"): Status,
     ("app", "*/state"): AppState,
     ("app", "*/progress"): AppProgress,
+    ("app", "*/*/state"): AppState,
+    ("app", "*/*/progress"): AppProgress,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""
