@@ -107,7 +107,7 @@ def documented() -> tuple[dict[str, str], dict[str, list[str]]]:
 
 def test_the_page_lists_every_key_and_no_other() -> None:
     wanted = {
-        f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic.replace('*', '<app>')}": kind.__name__
+        f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic.replace('*', '<app>', 1).replace('*', '<topic>')}": kind.__name__
         for (service, topic), kind in TOPICS.items()
     }
     assert documented()[0] == wanted | {STOP: "Stop"}
