@@ -74,7 +74,7 @@ from swarm.messages.mesh import (
     TopologySet,
 )
 from swarm.messages.service import Status
-from swarm.messages.sim import Truth
+from swarm.messages.sim import LedChange, Truth
 
 __all__ = [
     "TOPICS",
@@ -99,6 +99,7 @@ __all__ = [
     "I2CRates",
     "ImuRequest",
     "ImuSample",
+    "LedChange",
     "Leds",
     "LinkState",
     "Links",
