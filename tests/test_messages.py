@@ -107,11 +107,12 @@ def documented() -> tuple[dict[str, str], dict[str, list[str]]]:
 
 
 def test_the_page_lists_every_key_and_no_other() -> None:
-    def page(service: str, topic: str) -> str:
-        named = topic.replace("*", "<app>", 1).replace("*", "<channel>")
-        return f"swarm/<robot>/{'<service>' if service == '*' else service}/{named}"
+    def shown(service: str, topic: str) -> str:
+        second = "<channel>" if topic.startswith("*/*") else "<topic>"
+        topic = topic.replace("*", "<app>", 1).replace("*", second)
+        return f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic}"
 
-    wanted = {page(*place): kind.__name__ for place, kind in TOPICS.items()}
+    wanted = {shown(*place): kind.__name__ for place, kind in TOPICS.items()}
     assert documented()[0] == wanted | {STOP: "Stop"}
 
 
