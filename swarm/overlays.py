@@ -122,12 +122,13 @@ class Handle(Generic[A]):
 class Overlays:
     """What one process, under an app's name, floods and sends."""
 
-    def __init__(self, bus: Bus, robot: str, app: str) -> None:
-        """`app` is what both ends call themselves: payloads reach the processes of that name."""
+    def __init__(self, bus: Bus, robot: str, app: str, *, prefix: str | None = None) -> None:
+        """`app` is what both ends call themselves: payloads reach the processes of that name. `prefix` begins the
+        tickets of this process; without one it is drawn, so that no other process has it."""
         self._bus = bus
         self._robot = robot
         self._app = app
-        self._prefix = os.urandom(6).hex()
+        self._prefix = os.urandom(6).hex() if prefix is None else prefix
         self._count = 0
         self._lock = threading.Lock()
         self._handles: dict[str, Handle[Any]] = {}
