@@ -66,7 +66,7 @@ from swarm.messages.mesh import (
     TopologySet,
 )
 from swarm.messages.service import Status
-from swarm.messages.sim import Truth
+from swarm.messages.sim import LedChange, Truth
 
 __all__ = [
     "TOPICS",
@@ -87,6 +87,7 @@ __all__ = [
     "I2CRates",
     "ImuRequest",
     "ImuSample",
+    "LedChange",
     "Leds",
     "LinkState",
     "Links",
