@@ -78,8 +78,9 @@ def test_what_the_real_bus_refuses_it_refuses(router):
 
 def test_clients_of_the_bus_run_on_it(router):
     mesh, app = VirtualBus(router), VirtualBus(router)
-    clock = MeshClock(app, "r0")
+    clock = MeshClock(app, "r0", lambda: router.time.now + 2.0)
     mesh.publish("swarm/r0/mesh/clock", Clock(2.0, 5.0, 0.0, "r0", 0, 0.0))
     router.time.run()
     assert clock.state is not None
     assert clock.root == "r0"
+    assert clock.now() == 7.0

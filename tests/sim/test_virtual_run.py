@@ -108,11 +108,3 @@ def test_a_run_that_cannot_go_on_says_who_is_waited_for():
     (problem,) = report["problems"]
     assert "r3" in problem
     assert "no iteration for" in problem
-
-
-def test_the_clock_is_the_real_one_again_afterwards():
-    from swarm import clock
-
-    before = clock.now
-    simulate(*SIX)
-    assert clock.now is before

@@ -55,24 +55,23 @@ class Run:
         """The whole run."""
         options, scenario, world = self._options, self._scenario, self.world
         began = real_time.perf_counter()
-        with world:
-            if scenario.program is not None:
-                app = loader.load(scenario.program)
-                number = random.Random(f"{options.seed} run").getrandbits(64)
-                for name in scenario.config.names:
-                    world.start_app(
-                        name,
-                        app,
-                        run=number,
-                        last=scenario.iterations,
-                        measurements=None,
-                        advanced=self._advanced,
-                        ended=self._ended,
-                    )
-            else:
-                self._first_done()
-            self._watch()
-            ended_at = world.time.now
+        if scenario.program is not None:
+            app = loader.load(scenario.program)
+            number = random.Random(f"{options.seed} run").getrandbits(64)
+            for name in scenario.config.names:
+                world.start_app(
+                    name,
+                    app,
+                    run=number,
+                    last=scenario.iterations,
+                    measurements=None,
+                    advanced=self._advanced,
+                    ended=self._ended,
+                )
+        else:
+            self._first_done()
+        self._watch()
+        ended_at = world.time.now
         for recorder in self._recorders.values():
             recorder.close()
         self.computed = real_time.perf_counter() - began

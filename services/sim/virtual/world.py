@@ -1,9 +1,7 @@
 """A swarm under virtual time: for each robot a bus, a mesh and the hosts of its apps, and the air between them."""
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import cast
 
 from services.apps import loader, topology
 from services.apps.runner import Runner
@@ -13,13 +11,13 @@ from services.sim.virtual.bus import VirtualBus, VirtualRouter
 from services.sim.virtual.events import EventQueue
 from services.sim.virtual.mesh import Common, VirtualMesh
 from services.sim.virtual.sync import Line, Measurements, SyncHost
-from swarm import clock
-from swarm.bus import Bus
 from swarm.config import Config
 from swarm.core.lockstep import Channel
+from swarm.devices import Devices
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
+from swarm.robot import Robot
 
 ASK_EVERY = 0.2
 """s between two looks whether an automatic topology links all robots yet, as the real host has it."""
@@ -39,7 +37,7 @@ class VirtualRobot:
 
 
 class World:
-    """Robots and their links. Use as a context: meanwhile `swarm.clock` tells the virtual time."""
+    """Robots and their links."""
 
     def __init__(self, config: Config, air: AirModel, seed: int) -> None:
         self.config = config
@@ -48,14 +46,6 @@ class World:
         self.air = Air(self.time, air)
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
-
-    def __enter__(self) -> "World":
-        self._held = contextlib.ExitStack()
-        self._held.enter_context(virtual_clock(self.time))
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._held.close()
 
     def cut(self, a: str, b: str, at: float, seconds: float) -> None:
         """Let nothing pass between two robots from `at` on."""
@@ -84,12 +74,8 @@ class World:
                 links = topology.of_edges(config, in_force.edges)
                 config, epoch = links.config, links.epoch
             instance = app.make(config, robot, self.seed)
-            own = VirtualBus(self.robots[robot].router)
-            bus = cast(Bus, own)
-            instance.robot.overlays = Overlays(bus, robot, app.name, prefix=f"{run & 0xFFFFFFFFFFFF:012x}")
-            instance.robot.overlays.collect()
-            instance.robot.mesh_clock = MeshClock(bus, robot)
-            instance.robot.ranging = Ranging(bus, robot)
+            bus = VirtualBus(self.robots[robot].router)
+            self._equip(instance.robot, bus, f"{run & 0xFFFFFFFFFFFF:012x}")
             runner = Runner(instance, app.source)
             host = self.robots[robot].apps[app.name] = SyncHost(
                 app.name,
@@ -99,7 +85,7 @@ class World:
                 Channel(run, epoch, INCARNATION, runner.schema.hash),
                 last=last,
                 time=self.time,
-                bus=own,
+                bus=bus,
                 measurements=measurements,
                 advanced=advanced,
                 ended=ended,
@@ -108,18 +94,21 @@ class World:
 
         self.time.soon(begin)
 
+    def _equip(self, robot: Robot, bus: VirtualBus, prefix: str) -> None:
+        """Put in what an app on a bus has: the clients that run on robots, told the virtual time."""
+
+        def now() -> float:
+            return self.time.now
+
+        robot.time = now
+        robot.bus = bus
+        robot.overlays = Overlays(bus, robot.name, robot.app, now=now, prefix=prefix)
+        robot.overlays.collect()
+        robot.mesh_clock = MeshClock(bus, robot.name, now)
+        robot.ranging = Ranging(bus, robot.name, now)
+        robot.devices = Devices(bus, robot.name, now)
+
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
         mesh = VirtualMesh(self._common, name, self.time, self.air, VirtualBus(router), self.seed)
         return VirtualRobot(name, router, mesh)
-
-
-@contextlib.contextmanager
-def virtual_clock(time: EventQueue) -> Iterator[None]:
-    """Let `swarm.clock` tell the time of a queue: the clients of the bus read the clock there."""
-    real = clock.now, clock.wall
-    clock.now = clock.wall = lambda: time.now
-    try:
-        yield
-    finally:
-        clock.now, clock.wall = real
