@@ -91,8 +91,7 @@ def test_when_a_run_can_begin(topology: Topology, reason: str) -> None:
 def test_the_epoch_tells_links_apart() -> None:
     config = config_of(3)
     line, star, other = (
-        topology.of_edges(config, edges)
-        for edges in (config.edges, STAR, (("r0", "r1"), ("r1", "r2"), ("r0", "r2")))
+        topology.of_edges(config, edges) for edges in (config.edges, STAR, (("r0", "r1"), ("r1", "r2"), ("r0", "r2")))
     )
     assert line.epoch == CONFIGURED
     assert len({line.epoch, star.epoch, other.epoch}) == 3
