@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.apps import topology
-from services.apps.core.strand import Action, Advanced, Compute, Fault, Save, Send, Strand
+from services.apps.core.strand import ALONE, Strand
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.snapshot import SnapshotFile
 from swarm import clock
 from swarm.codec import Value, encode
-from swarm.core.lockstep import Channel
+from swarm.core.lockstep import Action, Advanced, Channel, Compute, Fault, Save, Send
 from swarm.errors import AppError, SwarmError
 from swarm.keys import key
 from swarm.messages import AppProgress, AppState, Measurement, Topology
@@ -22,8 +22,6 @@ from swarm.service import Service
 EVERY = 1.0
 """s between two messages of progress and state when nothing changes; a measurement that late is given as a
 reason."""
-ALONE = 0.03
-"""s of an iteration of a robot without neighbours, who has nobody to wait for."""
 CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
 STUCK = 10.0

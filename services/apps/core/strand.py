@@ -10,20 +10,12 @@ import struct
 from collections.abc import Iterable, Mapping
 from typing import Protocol
 
-from swarm.core.lockstep import (
-    Action,
-    Advanced,
-    Channel,
-    Compute,
-    Fault,
-    Finished,
-    Lockstep,
-    Save,
-    Send,
-    Waiting,
-)
+from swarm.core.lockstep import Action, Channel, Compute, Fault, Finished, Lockstep, Waiting
 from swarm.core.lockstep_frames import Snapshot
 from swarm.messages import Measurement
+
+ALONE = 0.03
+"""s of an iteration of a robot without neighbours, who has nobody to wait for."""
 
 _STAMP = struct.Struct("<d")  # before the private fields in a snapshot: when its state was computed
 
@@ -149,6 +141,3 @@ class Strand:
             return False
         self.phase, self.reason = "fault", reason
         return True
-
-
-__all__ = ["Action", "Advanced", "Compute", "Fault", "Finished", "Program", "Save", "Send", "Strand", "Waiting"]
