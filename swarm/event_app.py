@@ -45,6 +45,9 @@ class EventApp(App):
     """The newest states of those neighbours that have told one, sorted by name, each with `name`, the shared fields and
     `age`: s since it was told, at most some 1 s for one that is well. Set before each handler."""
 
+    finished: str | None
+    """What `finish` was called with; None = it was not."""
+
     def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
         """See `App`. Values named `CHANNEL_NAME` are parameters and first values of a channel."""
         rest, mine = dict(values or {}), {}
