@@ -1,14 +1,16 @@
 """The process around one event-driven or periodic app: bus, clock and threads for the core and the app's handlers.
 
-Threads. Zenoh's thread feeds the core, but never runs a handler: an author's code may take its time. One worker runs the
-handlers. A ticker runs the core's timers, claims the devices that the app has taken, and publishes state and progress.
-One lock is around the core; another, taken first, around the app, so that its state is only looked at between handlers.
+Threads. Zenoh's thread feeds the core, but never runs a handler: an author's code may take its time. One worker runs
+the handlers. A ticker runs the core's timers, claims the devices that the app has taken, and publishes state and
+progress. One lock is around the core; another, taken first, around the app, so that its state is only looked at between
+handlers.
 """
 
+import math
 import queue
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
+from functools import partial
 
 from services.apps import topology
 from services.apps.changes import Changes
@@ -77,7 +79,6 @@ class EventHost:
         self._app_lock = threading.Lock()
         self._todo: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
         self._closing = False
-        self._failed = False
         self._changed_at = clock.now()
         self._state: AppState | None = None
         self._released = False
@@ -92,7 +93,7 @@ class EventHost:
         ]
         for thread in self._threads:
             thread.start()
-        self._feed(lambda now: self._core.begin(now))
+        self._feed(self._core.begin)
         service.ready()
 
     @property
@@ -133,9 +134,11 @@ class EventHost:
     def _feed(self, act: Callable[[float], object]) -> None:
         """Let the core know of something, and carry out what it wants."""
         with self._changed:
+            before = self._core.next_deadline() or math.inf
             act(clock.now())
             self._perform()
-            self._changed.notify_all()  # the next deadline may be sooner now
+            if (self._core.next_deadline() or math.inf) < before:
+                self._changed.notify_all()  # the ticker has to wake up sooner
 
     def _happened(self, handler: str, *arguments: object) -> None:
         self._feed(lambda now: self._core.happened(handler, *arguments, now=now))
@@ -187,11 +190,13 @@ class EventHost:
                 self._changed_at = clock.now()
             if call.handler == "on_parameter":
                 self._changes.tell()
-            if self._runner.period not in (None, self._core.period):
-                period: Any = self._runner.period
-                self._feed(lambda now, period=period: self._core.set_period(period, now))
-            finished = self._runner.finished
-            self._feed(lambda now, own=own, done=finished: self._core.returned(own, now, finished=done))
+            self._feed(partial(self._returned, own))
+
+    def _returned(self, own: bytes, now: float) -> None:
+        period = self._runner.period
+        if period is not None and period != self._core.period:
+            self._core.set_period(period, now)
+        self._core.returned(own, now, finished=self._runner.finished)
 
     # On the ticker's thread
 
@@ -241,7 +246,8 @@ class EventHost:
     def _show(self, repeat: bool) -> None:
         """Publish the state where it may be new and no handler is running (else the next look will find it)."""
         state = self._state
-        if self._core.phase in ("starting", "fault") or (state is not None and state.t == self._changed_at and not repeat):
+        old = state is not None and state.t == self._changed_at
+        if self._core.phase in ("starting", "fault") or (old and not repeat):
             return
         if self._app_lock.acquire(blocking=False):
             try:
