@@ -13,9 +13,8 @@ from pathlib import Path
 from services.apps import loader, topology
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
-from services.apps.host import Host
+from services.apps.host import Host, Part
 from services.apps.measurements import source_of
-from services.apps.runner import Runner
 from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
@@ -57,6 +56,7 @@ def main() -> int:
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
         instance.robot.devices = devices = Devices(service.bus, service.robot)
+        code = (app.source, app.digest)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(
@@ -65,11 +65,13 @@ def main() -> int:
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
-            runner = Runner(instance, app.source)
             record = os.environ.get("SWARM_RECORD")
             folder = Path(record) if record else None
-            host = Host(service, app.name, runner, number, links, measurements, options.iterations, folder)
+            parts = [Part("", instance, measurements)]
+            host = Host(service, app.name, parts, code, number, links, options.iterations, folder)
         service.stopping.wait()
+        if measurements is not None:
+            measurements.close()
         host.close()
         return FAULT if host.failed else 0
 

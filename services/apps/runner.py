@@ -88,6 +88,11 @@ class Runner(AppRunner):
         """`source`: path of the app's file; a fault is reported with the line in it."""
         super().__init__(app, source)
 
+    @property
+    def size(self) -> int:
+        """Bytes of one packed state."""
+        return self.schema.size
+
     def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
         """Let the app set its first state; returns it packed: shared, private."""
         self._be_at(0)
