@@ -12,12 +12,8 @@ class FollowLeds(PeriodicApp):
     hold: float = parameter(0.4, unit="s", low=0.1, high=5)
     _rest: float = 0.0
 
-    def start(self):
-        """One robot begins, again and again."""
-        self.lit = self.first
-
     def step(self, neighbours):
-        """Be alight for `hold` s, then dark for three times as long; light up when a neighbour is."""
+        """Be alight for `hold` s, then dark for three times as long; light up when a neighbour is, or as the first."""
         self._rest -= self.period
         if self._rest <= 0 and (self.lit or self.first or any(n.lit for n in neighbours)):
             self.lit = not self.lit

@@ -56,17 +56,17 @@ def main() -> int:
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
         instance.robot.devices = devices = Devices(service.bus, service.robot)
+        record = os.environ.get("SWARM_RECORD")
+        folder = Path(record) if record else None
         code = (app.source, app.digest)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(
-                service, app.name, events, app.digest, number, links, options.iterations, overlays, devices
+                service, app.name, events, app.digest, number, links, options.iterations, overlays, devices, folder
             )
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
-            record = os.environ.get("SWARM_RECORD")
-            folder = Path(record) if record else None
             parts = [Part("", instance, measurements)]
             host = Host(service, app.name, parts, code, number, links, options.iterations, folder)
         service.stopping.wait()

@@ -11,11 +11,13 @@ import queue
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.event_runner import EventRunner, version
+from services.apps.recorder import Recorder
 from swarm import clock
 from swarm.codec import Value, decode, encode
 from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
@@ -51,6 +53,7 @@ class EventHost:
         last: int | None,
         overlays: Overlays,
         devices: Devices,
+        record: Path | None = None,
     ) -> None:
         """`digest`: of the app's source. Raises `LocalError` where another process runs this app."""
         self._service = service
@@ -81,6 +84,11 @@ class EventHost:
         self._closing = False
         self._changed_at = clock.now()
         self._state: AppState | None = None
+        self._recorder: Recorder | None = None
+        self._recorded = -1
+        if record is not None:
+            path = record / f"{service.robot}.{name}.csv"
+            self._recorder = Recorder(path, runner.schema, service.counters, append=False)
         self._released = False
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
         self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse)
@@ -112,6 +120,8 @@ class EventHost:
             if thread.is_alive():
                 self._service.log.warning("the app does not end: %s", self._hanging())
         self._devices.release()
+        if self._recorder is not None:
+            self._recorder.close()
         self._claim.close()
 
     def _subscribe(self) -> None:
@@ -191,12 +201,20 @@ class EventHost:
             if call.handler == "on_parameter":
                 self._changes.tell()
             self._feed(partial(self._returned, own))
+            self._keep()
 
     def _returned(self, own: bytes, now: float) -> None:
         period = self._runner.period
         if period is not None and period != self._core.period:
             self._core.set_period(period, now)
         self._core.returned(own, now, finished=self._runner.finished)
+
+    def _keep(self) -> None:
+        """Record a step, or an event where there are no steps."""
+        k = self._core.k
+        if self._recorder is not None and k != self._recorded:
+            self._recorded = k
+            self._recorder.write(k, self._changed_at, self._runner.state(), self._runner.result())
 
     # On the ticker's thread
 
