@@ -1,0 +1,1 @@
+"""What the built-in apps compute: no IO, no clock, no randomness of their own."""
