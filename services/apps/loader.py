@@ -13,12 +13,13 @@ from pathlib import Path
 from types import ModuleType
 
 from services.apps.runner import describe
-from swarm.app import Robot, SyncApp
+from swarm.app import SyncApp
 from swarm.codec import Value
 from swarm.config import Config
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.keys import is_name
+from swarm.robot import Robot
 
 BUILT_IN = ("consensus", "localization")
 """Modules of `services.apps` that are apps."""

@@ -66,7 +66,7 @@ class Runner:
 
     def state(self) -> dict[str, Value]:
         """The shared state by name."""
-        return {name: getattr(self.app, name) for name in self.schema.names}
+        return self.schema.plain({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
         """What the app reports now; its names never change."""
