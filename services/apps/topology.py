@@ -58,9 +58,9 @@ def of_run(service: Service, app: str, run: int) -> Links | None:
     """The links of a run; waits for the mesh where they are not known yet. None = told to stop."""
     config = service.config
     if (kept := _load(_path(service.runtime, app), run)) is not None:
-        return _links(config, kept, kept=True)
+        return of_edges(config, kept, kept=True)
     if len(config.robots) == 1:
-        return _links(config, (), kept=False)
+        return of_edges(config, ())
     answers: list[Topology] = []
     answered = threading.Event()
 
@@ -79,7 +79,7 @@ def of_run(service: Service, app: str, run: int) -> Links | None:
         answered.wait(ASK_EVERY)
         reason = lacking(config, answers[-1], clock.now()) if answers else "the mesh does not tell its topology"
         if not reason:
-            return _links(config, answers[-1].edges, kept=False)
+            return of_edges(config, answers[-1].edges)
         if clock.now() >= told_at + TELL_EVERY:
             told_at = clock.now()
             progress = AppProgress(told_at, "starting", 0, (), reason)
@@ -159,7 +159,8 @@ def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
     return kept.edges if kept.run == run else None
 
 
-def _links(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool) -> Links:
+def of_edges(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool = False) -> Links:
+    """A run's links where these are in force."""
     pairs = Graph(config.names, _pairs(edges)).edges
     epoch = CONFIGURED if pairs == config.edges else zlib.crc32(repr(pairs).encode()) or 1
     return Links(replace(config, edges=pairs), epoch, kept)

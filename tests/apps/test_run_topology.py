@@ -91,18 +91,17 @@ def test_when_a_run_can_begin(topology: Topology, reason: str) -> None:
 def test_the_epoch_tells_links_apart() -> None:
     config = config_of(3)
     line, star, other = (
-        topology._links(config, edges, kept=False)
-        for edges in (config.edges, STAR, (("r0", "r1"), ("r1", "r2"), ("r0", "r2")))
+        topology.of_edges(config, edges) for edges in (config.edges, STAR, (("r0", "r1"), ("r1", "r2"), ("r0", "r2")))
     )
     assert line.epoch == CONFIGURED
     assert len({line.epoch, star.epoch, other.epoch}) == 3
-    assert topology._links(config, STAR[::-1], kept=False).epoch == star.epoch
+    assert topology.of_edges(config, STAR[::-1]).epoch == star.epoch
     assert star.neighbours("r2") == ("r0", "r1")
 
 
 def test_what_is_kept_belongs_to_one_run(runtime) -> None:
     config = config_of(3)
-    links = topology._links(config, STAR, kept=False)
+    links = topology.of_edges(config, STAR)
     path = runtime / "app.consensus.topology"
     topology.save(runtime, "consensus", 2**64 - 1, links)
     assert topology._load(path, 2**64 - 1) == STAR
