@@ -29,7 +29,7 @@ class Barrier(NamedTuple):
     """D, m, between axles: robots touch at 0.15; the rest is for errors of poses, sway and the way of stopping."""
     rate: float = 2.0
     """a, 1/s: how fast the room above D may be used up."""
-    right: float = 0.7
+    right: float = 1.0
     """Share of the wished speed added to the right where somebody is in the way."""
 
     def least(self, place: Point, other: Point) -> float:
@@ -51,6 +51,7 @@ class _HalfPlane(NamedTuple):
 def way_round(place: Point, wish: Point, others: Sequence[Point], barrier: Barrier, speed: float) -> Point:
     """The allowed velocity nearest to `wish`, m/s, at most `speed` fast; `others` are where the other robots are."""
     planes = [_half_plane(place, other, barrier) for other in others]
+    wish = _at_most(wish, speed)
     pace = math.hypot(*wish)
     x, y = wish
     for plane in planes:
@@ -58,9 +59,7 @@ def way_round(place: Point, wish: Point, others: Sequence[Point], barrier: Barri
             length = math.hypot(plane.x, plane.y)
             x -= barrier.right * pace * plane.y / length
             y += barrier.right * pace * plane.x / length
-    u = _nearest((x, y), planes)
-    pace = math.hypot(*u)
-    return u if pace <= speed else (u[0] * speed / pace, u[1] * speed / pace)
+    return _at_most(_nearest((x, y), planes), speed)
 
 
 def allowed_speed(
@@ -81,7 +80,12 @@ def allowed_speed(
             high = min(high, least / along)
     if low > high:
         return 0.0
-    return max(-limit, min(limit, min(high, max(low, speed))))
+    return max(-limit, min(limit, high, max(low, speed)))
+
+
+def _at_most(u: Point, speed: float) -> Point:
+    pace = math.hypot(*u)
+    return u if pace <= speed else (u[0] * speed / pace, u[1] * speed / pace)
 
 
 def _half_plane(place: Point, other: Point, barrier: Barrier) -> _HalfPlane:

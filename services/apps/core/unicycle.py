@@ -26,9 +26,7 @@ class Limits(NamedTuple):
     """rad/s for each rad between heading and wished direction."""
 
 
-def drive(
-    pose: Pose, wish: Point, others: Sequence[Point], barrier: Barrier, limits: Limits = Limits()
-) -> tuple[float, float]:
+def drive(pose: Pose, wish: Point, others: Sequence[Point], barrier: Barrier, limits: Limits) -> tuple[float, float]:
     """Speed (m/s) and turn rate (rad/s) towards the wished velocity (m/s), past `others` and safe from them.
 
     It drives backwards rather than turn by more than 90 degrees.
