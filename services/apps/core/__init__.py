@@ -1,1 +1,1 @@
-"""What the built-in apps compute: no IO, no clock, no randomness of their own."""
+"""What decides in the app host, and what the built-in apps that move and blink compute: no IO, `now` is an argument."""
