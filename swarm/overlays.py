@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
-from swarm.bus import Bus
+from swarm.bus_protocol import BusLike, Clock
 from swarm.codec import decode, encode
 from swarm.errors import PayloadError
 from swarm.keys import key, parse
@@ -52,15 +52,16 @@ class Message(NamedTuple):
 class Handle(Generic[A]):
     """One request under way: wait for its `result`, look at its `answer`, or have a callback (`on_done`)."""
 
-    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None]) -> None:
+    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None], now: Clock) -> None:
         """`ask()` makes the request, `remind()` repeats it."""
+        self._now = now
         self.ticket = ticket
         """Names the request: what an app keeps of it (`Overlays.answer`)."""
         self.moved = 0
         """Bytes of a large payload that have arrived, as of the last reminder."""
         self._ask = ask
         self._remind = remind
-        self._asked_at = clock.now()
+        self._asked_at = self._now()
         self._done = threading.Event()
         self._answer: A | None = None
         self._callback: Callable[[A], None] | None = None
@@ -74,16 +75,16 @@ class Handle(Generic[A]):
     @property
     def answer(self) -> A | None:
         """The answer if it is there; never waits."""
-        if self._answer is None and clock.now() >= self._asked_at + REPEAT:
+        if self._answer is None and self._now() >= self._asked_at + REPEAT:
             self.ask_again()
         return self._answer
 
     def result(self, timeout: float) -> A:
         """Wait for the answer; `TimeoutError` where none came within `timeout` s. It may come later. Not to be called
         on Zenoh's thread, which brings the answer."""
-        end = clock.now() + timeout
-        while not self._done.wait(min(REPEAT, max(0.0, end - clock.now()))):
-            if clock.now() >= end:
+        end = self._now() + timeout
+        while not self._done.wait(min(REPEAT, max(0.0, end - self._now()))):
+            if self._now() >= end:
                 raise TimeoutError(f"no answer of the mesh within {timeout:g} s")
             self.ask_again()
         assert self._answer is not None
@@ -91,12 +92,12 @@ class Handle(Generic[A]):
 
     def ask_again(self) -> None:
         """Repeat the request: where it has arrived before, only the answer comes again."""
-        self._asked_at = clock.now()
+        self._asked_at = self._now()
         self._remind()
 
     def ask(self) -> None:
         """Make the request, payload and all."""
-        self._asked_at = clock.now()
+        self._asked_at = self._now()
         self._ask()
 
     def on_done(self, callback: Callable[[A], None]) -> None:
@@ -122,12 +123,16 @@ class Handle(Generic[A]):
 class Overlays:
     """What one process, under an app's name, floods and sends."""
 
-    def __init__(self, bus: Bus, robot: str, app: str) -> None:
-        """`app` is what both ends call themselves: payloads reach the processes of that name."""
+    def __init__(
+        self, bus: BusLike, robot: str, app: str, *, now: Clock = clock.now, prefix: str | None = None
+    ) -> None:
+        """`app` is what both ends call themselves: payloads reach the processes of that name. Tickets begin with
+        `prefix`, which no other process may have: a random one, unless a simulation wants the same ones again."""
+        self._now = now
         self._bus = bus
         self._robot = robot
         self._app = app
-        self._prefix = os.urandom(6).hex()
+        self._prefix = prefix or os.urandom(6).hex()
         self._count = 0
         self._lock = threading.Lock()
         self._handles: dict[str, Handle[Any]] = {}
@@ -192,7 +197,7 @@ class Overlays:
 
     def arm(self) -> None:
         """Take back every stop of the swarm that this robot knows of."""
-        self._bus.publish(key(self._robot, "mesh", "set", "arm"), Arm(clock.now(), self._app), urgent=True)
+        self._bus.publish(key(self._robot, "mesh", "set", "arm"), Arm(self._now(), self._app), urgent=True)
 
     # -- inside ------------------------------------------------------------------------------------------------
 
@@ -207,7 +212,7 @@ class Overlays:
         # The bus has room for large ones in its ordinary queue alone.
         ask = partial(self._bus.publish, key, request, urgent=small)
         remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)
-        handle: Handle[Any] = Handle(request.ticket, ask, remind)
+        handle: Handle[Any] = Handle(request.ticket, ask, remind, self._now)
         with self._lock:
             if len(self._handles) >= MAX_OPEN:
                 del self._handles[next(iter(self._handles))]

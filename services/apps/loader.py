@@ -13,12 +13,12 @@ from pathlib import Path
 from types import ModuleType
 
 from services.apps.runner import describe
-from swarm.app import Robot, SyncApp
+from swarm.app import SyncApp
 from swarm.codec import Value
 from swarm.config import Config
-from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.keys import is_name
+from swarm.robot import Robot
 
 BUILT_IN = ("consensus", "localization")
 """Modules of `services.apps` that are apps."""
@@ -50,7 +50,7 @@ class App:
 
     def make(self, config: Config, robot: str, seed: int = 0) -> SyncApp:
         """The instance of one robot, with its parameters of swarm.toml; `AppError` names a wrong entry."""
-        known = Robot(robot, Graph(config.names, config.edges), config.anchors, seed)
+        known = Robot(robot, config.graph, config.anchors, seed)
         try:
             kind, values = self.choose(config.app(self.name).of(robot))
             return kind(known, values)

@@ -29,6 +29,11 @@ class Runner:
         self._source = source
         self._columns: tuple[str, ...] | None = None
 
+    @property
+    def size(self) -> int:
+        """Bytes of one packed state."""
+        return self.schema.size
+
     def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
         """Let the app set its first state; returns it packed: shared, private."""
         self._be_at(0)
@@ -66,7 +71,7 @@ class Runner:
 
     def state(self) -> dict[str, Value]:
         """The shared state by name."""
-        return {name: getattr(self.app, name) for name in self.schema.names}
+        return self.schema.plain({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
         """What the app reports now; its names never change."""

@@ -60,6 +60,8 @@ class Options:
     record: Path | None
     """Where the trajectories are kept; without it they go with the run."""
     demo: bool
+    virtual: bool
+    """In one process under a virtual clock."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -190,6 +192,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
     run.add_argument("--record", type=Path, metavar="DIR", help="keep every robot's trajectory there, as CSV")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
+    p.add_argument("--virtual", action="store_true",
+                   help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 

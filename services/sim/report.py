@@ -32,6 +32,8 @@ class Outcome:
     """Resident memory of each robot's processes."""
     restarts: Mapping[str, int]
     problems: tuple[str, ...]
+    computed_s: float | None = None
+    """s that a run under virtual time took to compute; None of one in real time."""
 
 
 def summary(outcome: Outcome) -> Json:
@@ -61,6 +63,9 @@ def summary(outcome: Outcome) -> Json:
         "restarts": sum(outcome.restarts.values()),
         "problems": list(outcome.problems),
     }
+    if outcome.computed_s is not None:
+        report["virtual"] = True
+        report["computed_s"] = round(outcome.computed_s, 3)
     if scenario.app == "consensus":
         report["mean"] = true_mean(scenario)
         report["error"] = consensus_error(scenario, paths)
@@ -187,6 +192,8 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
     if outcome.started_s is not None:
         ready = "the first iteration" if outcome.scenario.app else "all services ready"
         lines.append(f"start       {outcome.started_s:.2f} s from the command to {ready}")
+    if outcome.computed_s is not None:
+        lines.append(f"virtual     {outcome.seconds:.2f} s of the robots' time in {outcome.computed_s:.2f} s")
     if report["rss_mib_per_robot"] is not None:
         lines.append(
             f"memory      {report['rss_mib_per_robot']} MiB resident a robot (shared pages counted in each process)"

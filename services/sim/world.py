@@ -1,4 +1,4 @@
-"""The one world of a run: true poses, and the UWB modules that range in it.
+"""The one world of a run: true poses, LEDs as they shine, and the UWB modules that range in it.
 
 Bodies integrate their own motion (in the balancer's loop, on its clock) and report their true poses here; whatever
 depends on more than one robot is decided here.
@@ -20,7 +20,7 @@ from swarm.codec import MAX_PAYLOAD, decode
 from swarm.config import Config
 from swarm.core.hands import DOOR, Place, pack
 from swarm.errors import PayloadError
-from swarm.messages import Truth
+from swarm.messages import LedChange, Truth
 from swarm.paths import socket_path
 
 SOCKET = "world.sock"
@@ -50,11 +50,25 @@ class BodyHello:
     robot: str
 
 
+@dataclass(frozen=True, slots=True)
+class LedReport:
+    """What a simulated body sends when its LEDs have changed."""
+
+    robot: str
+    t: float
+    red: bool
+    yellow: bool
+    green: bool
+
+
 class World:
     """Owns the true poses; works in a thread of its own until closed."""
 
-    def __init__(self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth], None]) -> None:
-        """`publish(robot, truth)` is called 10 times a second for each robot, from the world's thread."""
+    def __init__(
+        self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth | LedChange], None]
+    ) -> None:
+        """`publish(robot, message)` is called from the world's thread: 10 times a second with each robot's truth, and
+        whenever its LEDs have changed."""
         self._publish = publish
         self._publish_at = dict.fromkeys(config.names, 0.0)
         self._run_dir = run_dir
@@ -104,7 +118,16 @@ class World:
                     self._place(report)
 
     def _answer(self, data: bytes) -> None:
-        """Tell a body that starts where it had been: it fell over there when its process ended."""
+        """Pass on what LEDs show, or tell a body that starts where it had been: it fell over there when its process
+        ended."""
+        try:
+            leds = decode(LedReport, data, SOCKET)
+        except PayloadError:
+            pass
+        else:
+            if leds.robot in self._publish_at:
+                self._publish(leds.robot, LedChange(leds.t, leds.red, leds.yellow, leds.green))
+            return
         try:
             robot = decode(BodyHello, data, SOCKET).robot
         except PayloadError:

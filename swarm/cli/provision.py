@@ -16,7 +16,7 @@ from swarm.fleet.provision import Provisioning, Rig
 from swarm.fleet.ssh import Host, Ssh, hosts
 from swarm.keyfile import read_keys
 
-HELP = "make robots of fresh Raspberry Pis, over ssh: packages, boot settings, Bluetooth, name, key, release"
+HELP = "make robots of fresh Raspberry Pis, over ssh: each step ok, changed or failed"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

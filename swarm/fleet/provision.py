@@ -13,7 +13,7 @@ from swarm.errors import LocalError
 from swarm.fleet import remote
 from swarm.fleet.bundle import Package, Repository
 from swarm.fleet.core import packages, steps
-from swarm.fleet.core.verdict import Step, Verdict
+from swarm.fleet.core.verdict import Change, Step, Verdict
 from swarm.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, Packages, Wish
 from swarm.fleet.everyone import Tell
 from swarm.fleet.ssh import Host, HostError, Ssh, last_words
@@ -164,29 +164,28 @@ class Provisioning:
         wanted = {name: verdict for name, verdict in verdicts.items() if verdict.state == "change"}
         if not wanted:
             return facts, False
-        for name, verdict in wanted.items():
-            if name == "packages" and repository is not None:
-                await self._send(repository, files)
-            await self._change(name, verdict)
+        if "packages" in wanted and repository is not None:
+            await self._send(repository, files)
+        await self._change(wanted)
         facts = await self.look()
         for step in stage:
             if step.name in wanted:
                 self._verify(step, wanted[step.name], step.judge(facts, self._wish))
         return facts, any(verdict.reboot for verdict in wanted.values())
 
-    async def _change(self, step: str, verdict: Verdict) -> None:
-        if not verdict.changes:
-            return
-        changes = [
-            {**change, "words": [word.replace(packages.CACHE, self._cache) for word in change["words"]]}
-            if change["do"] == "run"
-            else change
-            for change in verdict.changes
-        ]
-        said = await remote.call(self._ssh, self._host, "changes", {"root": self._rig.root, "changes": changes})
+    async def _change(self, wanted: Mapping[str, Verdict]) -> None:
+        """Carry out all of them, until one fails."""
+
+        def here(change: Change) -> Change:
+            if change["do"] != "run":
+                return change
+            return {**change, "words": [word.replace(packages.CACHE, self._cache) for word in change["words"]]}
+
+        pairs = [(name, [here(change) for change in verdict.changes]) for name, verdict in wanted.items()]
+        said = await remote.call(self._ssh, self._host, "changes", {"root": self._rig.root, "steps": pairs})
         if said["problem"]:
-            self._tell(f"{step}: failed: {said['problem']}")
-            raise HostError(f"{step}: {said['problem']}")
+            self._tell(f"{said['step']}: failed: {said['problem']}")
+            raise HostError(f"{said['step']}: {said['problem']}")
 
     def _verify(self, step: Step, wanted: Verdict, found: Verdict) -> None:
         """A change is done when its step finds nothing more to do, but for a reboot."""

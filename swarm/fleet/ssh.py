@@ -79,8 +79,10 @@ class Ssh:
         feed: Sequence[bytes] = (),
         on_line: Callable[[str], None] | None = None,
         hold: asyncio.Event | None = None,
+        on_data: Callable[[bytes], None] | None = None,
     ) -> Done:
-        """Run a command; `feed` is its input, `on_line` gets its output as it comes (it is not collected then).
+        """Run a command; `feed` is its input. `on_line` gets its output as it comes, line by line, or `on_data` as raw
+        bytes; it is not collected then.
 
         With `hold` the input stays open after `feed` until that is set, or the command has ended.
 
@@ -102,7 +104,7 @@ class Ssh:
         try:
             writing = asyncio.ensure_future(_write(process.stdin, feed, hold))
             try:
-                out, err = await asyncio.gather(_read(process.stdout, on_line), _read(process.stderr, None))
+                out, err = await asyncio.gather(_read(process.stdout, on_line, on_data), _read(process.stderr))
                 code = await process.wait()
             finally:
                 writing.cancel()
@@ -135,7 +137,15 @@ async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyn
         await stream.wait_closed()
 
 
-async def _read(stream: asyncio.StreamReader, on_line: Callable[[str], None] | None) -> str:
+async def _read(
+    stream: asyncio.StreamReader,
+    on_line: Callable[[str], None] | None = None,
+    on_data: Callable[[bytes], None] | None = None,
+) -> str:
+    if on_data is not None:
+        while data := await stream.read(_CHUNK):
+            on_data(data)
+        return ""
     if on_line is None:
         return (await stream.read()).decode(errors="replace")
     rest = b""

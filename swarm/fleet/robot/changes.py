@@ -22,13 +22,14 @@ class ChangeError(Exception):
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """{"problem": "" or why a change failed}; those after it are not tried."""
-    try:
-        for change in request["changes"]:
-            _CHANGES[change["do"]](request.get("root", "/"), change)
-    except (ChangeError, OSError) as error:
-        return {"problem": str(error)}
-    return {"problem": ""}
+    """Request: `steps`, pairs of a name and its changes. `problem` says why one failed (else empty), `step` which."""
+    for step, changes in request["steps"]:
+        try:
+            for change in changes:
+                _CHANGES[change["do"]](request.get("root", "/"), change)
+        except (ChangeError, OSError) as error:
+            return {"step": step, "problem": str(error)}
+    return {"step": "", "problem": ""}
 
 
 def _beside(path: Path) -> Path:
