@@ -148,6 +148,8 @@ class EventHost:
         if "on_message" in self._runner.handled:
             self._overlays.on_flood(lambda sender, data: self._on_message(Message(sender, data, flooded=True)))
             self._overlays.on_message(lambda sender, data: self._on_message(Message(sender, data, flooded=False)))
+        if "on_announced" in self._runner.handled:
+            self._overlays.on_complete(lambda origin, answer: self._happened("on_announced", origin, answer))
         if "on_answer" in self._runner.handled:
             self._overlays.on_answer(lambda ticket, answer: self._happened("on_answer", ticket, answer))
 

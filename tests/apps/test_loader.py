@@ -95,7 +95,7 @@ def test_wrong_parameters_name_app_and_robot() -> None:
     config = config_of(3, parameters={}, robots={"r2": {"valeu": 1.0}})
     with pytest.raises(AppError, match="app consensus on r2: unknown parameter 'valeu'; Consensus has weights, value"):
         app.check(config)
-    with pytest.raises(AppError, match="app consensus on r0: algorithm: expected 'metropolis' or .* got 'best'"):
+    with pytest.raises(AppError, match=r"app consensus on r0: algorithm: expected 'metropolis' or .* got 'best'"):
         app.check(config_of(3, parameters={"algorithm": "best"}))
     with pytest.raises(AppError, match="app consensus: r1 runs another algorithm than r0"):
         app.check(config_of(3, robots={"r1": {"algorithm": "thesis"}}))
