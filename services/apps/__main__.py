@@ -6,24 +6,24 @@ restart.
 """
 
 import argparse
-import functools
 import hashlib
 import os
-from collections.abc import Callable
-from pathlib import Path
 
 from services.apps import loader, topology
-from services.apps.host import Host
+from services.apps.event_host import EventHost
+from services.apps.event_runner import EventRunner
+from services.apps.host import Host, Part
 from services.apps.measurements import source_of
-from services.apps.recorder import Recorder
-from services.apps.runner import Runner
+from services.apps.recording import Recording, place_of
+from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
+from swarm.devices import Devices
 from swarm.errors import LocalError
+from swarm.event_app import EventApp
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
-from swarm.recording import folder
 from swarm.service import Service, run
 
 FAULT = 3
@@ -34,7 +34,7 @@ def main() -> int:
     """Run the app until told to stop; after the last iteration its result stays to be read."""
     options = _options()
     app = loader.load(options.app)
-    host: Host | None = None
+    host: Host | EventHost | None = None
 
     def on_bus(connected: bool) -> None:
         if connected and host is not None:
@@ -44,21 +44,39 @@ def main() -> int:
         number = options.run if options.run is not None else _default_run(app, service.config)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
         instance = app.make(service.config, service.robot, seed)  # what is wrong with it is said at once
-        measurements = source_of(service, options.iterations) if instance.measured else None
+        measured = isinstance(instance, SyncApp) and instance.measured
+        measurements = source_of(service, options.iterations) if measured else None
         links = topology.of_run(service, app.name, number)
         if links is None:
             return 0
         if links.config.edges != service.config.edges:
             instance = app.make(links.config, service.robot, seed)
-        instance.robot.overlays = Overlays(service.bus, service.robot, app.name)
-        instance.robot.overlays.collect()
+        instance.robot.bus = service.bus
+        instance.robot.overlays = overlays = Overlays(service.bus, service.robot, app.name)
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
-        runner = Runner(instance, app.source)
-        record = _recording(options, service, app, number, seed)
-        host = Host(service, app.name, runner, number, links, measurements, options.iterations, record)
+        instance.robot.devices = devices = Devices(service.bus, service.robot)
+        place = place_of(app.name, number, wanted=options.record)
+        recording = Recording(service, app, number, seed, place) if place is not None else None
+        recorder = recording.recorder if recording is not None else None
+        instance.robot.recording = recorder.value if recorder is not None else None
+        code = (app.source, app.digest)
+        if isinstance(instance, EventApp):
+            events = EventRunner(instance, app.source)
+            host = EventHost(
+                service, app.name, events, code, number, links, options.iterations, overlays, devices, recorder
+            )
+        else:
+            assert isinstance(instance, SyncApp)
+            overlays.collect()
+            parts = [Part("", instance, measurements)]
+            host = Host(service, app.name, parts, code, number, links, options.iterations, recorder)
         service.stopping.wait()
+        if measurements is not None:
+            measurements.close()
         host.close()
+        if recording is not None:
+            recording.close()
         return FAULT if host.failed else 0
 
 
@@ -78,30 +96,6 @@ def _options() -> argparse.Namespace:
     text = options.run or os.environ.get("SWARM_RUN")
     options.run = None if not text else _number("--run or SWARM_RUN", text, 16)
     return options
-
-
-def _recording(
-    options: argparse.Namespace, service: Service, app: loader.App, number: int, seed: int
-) -> Callable[[bool], Recorder] | None:
-    """What makes the recording, where there is to be one."""
-    place = os.environ.get("SWARM_RECORD")
-    if not place and not options.record:
-        return None
-    path = Path(place) if place else folder.of_robot(app.name, number)
-    run = folder.describe(app.name, number, seed, app.digest)
-    files = {folder.CONFIG_FILE: service.config.path.read_bytes()}
-    if options.app not in loader.BUILT_IN:
-        files[f"{app.name}.py"] = Path(app.source).read_bytes()
-    try:
-        folder.begin(path, run, files)
-    except OSError as error:
-        service.log.warning("%s cannot be made, the run goes on: %s", path, error.strerror)
-    return functools.partial(_recorder, path, service, app.name, run)
-
-
-def _recorder(path: Path, service: Service, app: str, run: dict[str, str], append: bool) -> Recorder:
-    journal = service.runtime / f"app.{app}.journal"
-    return Recorder(path, journal, service.robot, app, service.counters, run, append=append)
 
 
 def _iterations(text: str) -> int:

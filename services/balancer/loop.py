@@ -11,10 +11,11 @@ import signal
 import time
 from collections.abc import Callable
 
-from services.balancer import realtime
+from services.balancer import chores, realtime
 from services.balancer.balancer import Balancer
 from services.balancer.child import Bridge
 from services.balancer.chores import Chores
+from services.balancer.core import leds
 from services.balancer.core.body import body_model
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
@@ -46,6 +47,7 @@ class Loop:
         self._lateness = Lateness()
         self._stopping = False
         self._announced = False
+        self._leds_at = 0.0
         self.ticks = 0
         self.missed = 0
 
@@ -82,8 +84,7 @@ class Loop:
             now = clock.now()
             if not (obey(self._balancer, message, now) or self._chores.obey(message, now)):
                 _log.warning("the bridge sent a %s", type(message).__name__)
-        if self._balancer.show_leds():
-            self._tell_leds()
+        self._show_leds(clock.now())
         part = self.ticks % TELEMETRY_TICKS
         if part == 0:
             self._bridge.send(self._state())
@@ -93,8 +94,26 @@ class Loop:
             self._bridge.send(news)
         elif part == 1:
             self._each_second(self.ticks % SECOND_TICKS)
-        for message in self._chores.run(until):
+        due = self._balancer.leds_due
+        write_at = leds.moment(due, until)
+        for message in self._chores.run(until if write_at is None else write_at + chores.MARGIN_S):
             self._bridge.send(message)
+        if write_at is not None:
+            self._show_leds_at(due, write_at, until)
+
+    def _show_leds_at(self, due: float, write_at: float, until: float) -> None:
+        """The change that is due at `due`, to be written at `write_at` unless the next tick is too near by then."""
+        now = clock.now()
+        if now < write_at:
+            time.sleep(write_at - now)
+        elif now > until - leds.WRITE_S - leds.MARGIN_S:
+            return
+        self._show_leds(max(due, now))
+
+    def _show_leds(self, now: float) -> None:
+        if self._balancer.show_leds(now):
+            self._leds_at = clock.now()
+            self._tell_leds()
 
     def _each_second(self, tick: int) -> None:
         if tick == 25:
@@ -122,7 +141,7 @@ class Loop:
 
     def _tell_leds(self) -> None:
         if self._balancer.leds is not None:
-            self._bridge.send(Leds(*self._balancer.leds))
+            self._bridge.send(Leds(self._leds_at, *self._balancer.leds))
 
 
 def main(

@@ -91,6 +91,11 @@ class Writer:
         """Bytes that were written and not yet taken."""
         return len(self._ready) + len(self._chunk)
 
+    @property
+    def ready(self) -> bool:
+        """Whether there is something to take."""
+        return bool(self._ready)
+
     def write(self, topic: str, t: float, message: object, name: str = "") -> None:
         """Record a message (a dataclass or a mapping). `name` is what its schema is called, which its first message on
         this topic gives; default: of its class.

@@ -1,8 +1,8 @@
 """One time axis for the recordings of several robots, whose clocks began at different times and run a bit differently.
 
-Recordings of one machine since one start of it share a clock. Others are brought together by the mesh clock, whose samples
-every robot records: C(t') = t' + offset + rate (t' - t), with robots of one root on one time (`swarm.mesh_clock`). Where a
-clock has no such sample, its time of day has to do, and a note says so.
+Recordings of one machine since one start of it share a clock. Others are brought together by the mesh clock, whose
+samples every robot records: C(t') = t' + offset + rate (t' - t), with robots of one root on one time
+(`swarm.mesh_clock`). Where a clock has no such sample, its time of day has to do, and a note says so.
 """
 
 from bisect import bisect_right
@@ -43,7 +43,7 @@ class Clocks:
     def axes(self) -> dict[str, Axis]:
         """The way from each clock to common time."""
         if len(self._epochs) < 2:
-            return {clock: _same for clock in self._epochs}
+            return dict.fromkeys(self._epochs, _same)
         counts = Counter(relation.root for each in self._relations.values() for relation in each)
         root = min(counts, key=lambda name: (-counts[name], name), default="")
         axes: dict[str, Axis] = {}

@@ -159,3 +159,13 @@ def _integer(text: str) -> int:
         return int(text)
     except ValueError:
         raise RecordingError(f"{EPOCH} is {text[:40]!r}, expected a whole number") from None
+
+
+def run_of(path: Path) -> str:
+    """The run that a recording is of; empty where that cannot be read."""
+    try:
+        reader = Reader(path)
+        next(reader.samples(), None)
+    except RecordingError:
+        return ""
+    return next((entries.get("run", "") for name, entries in reader.metadata if name == RUN), "")

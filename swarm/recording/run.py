@@ -60,8 +60,8 @@ class Run:
         return found
 
     def trajectories(self, app: str = "", channel: str = "") -> dict[str, Trajectory]:
-        """What each robot computed, with times from `origin` on. Raises `RecordingError` where an iteration stands there
-        twice with different values."""
+        """What each robot computed, with times from `origin` on. Raises `RecordingError` where an iteration stands
+        there twice with different values."""
         topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
         found = {robot: Builder() for robot in topics.values()}
         for file in self.files:
@@ -70,8 +70,8 @@ class Run:
         return {robot: builder.known() for robot, builder in found.items()}
 
     def samples(self, *patterns: str) -> Iterator[Sample]:
-        """All messages of the topics that match one of `patterns` (`*` matches slashes, too; none: all), in the order of
-        common time, which counts from `origin`. What two apps of a robot have both recorded comes once."""
+        """All messages of the topics that match one of `patterns` (`*` matches slashes, too; none: all), in the order
+        of common time, which counts from `origin`. What two apps of a robot have both recorded comes once."""
         merged = heapq.merge(*(self._ordered(file, patterns) for file in self.files), key=_order)
         for _, same in groupby(merged, key=_order):
             yield next(same)

@@ -94,7 +94,7 @@ class Rig:
         while self.deadline < end - PERIOD_S / 2:
             self.now = max(self.now, self.deadline + self.lateness(self.tick))
             self.balancer.step(self.now)
-            self.balancer.show_leds()
+            self.balancer.show_leds(self.now)
             self.tick += 1
             self.worst_tilt = max(self.worst_tilt, abs(self.body.tilt))
             self.deadline += PERIOD_S
