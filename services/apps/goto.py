@@ -17,7 +17,7 @@ class Goto(DrivingApp):
     """Towards the waypoint at `speed`, with the velocity nearest to that which keeps `apart` from all."""
 
     waypoints: str = parameter("")
-    """ "x,y x,y ..." in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors."""
+    """x,y x,y ... in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors."""
     reach: float = parameter(0.06, unit="m", low=0.02, high=1.0)
     """How near it has to come."""
     reached: int = 0
