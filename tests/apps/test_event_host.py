@@ -1,5 +1,6 @@
 """Event-driven and periodic apps as processes on real buses: barrier, restart, faults, parameters, devices."""
 
+import json
 import queue
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any
 import pytest
 from apps_rig import NAMES, Rig
 
+from swarm.cli import main
+from swarm.cli import param as swarm_param
 from swarm.codec import decode, encode
 from swarm.messages import (
     AppOutput,
@@ -168,6 +171,43 @@ def test_parameters_buttons_devices_and_faults(make_rig: MakeRig) -> None:
     display.until(lambda message: message.text == "")
     assert rig.stop("r0") == 3
     assert "Traceback" not in rig.log("r0")
+
+
+def test_the_command_shows_and_changes_parameters(
+    make_rig: MakeRig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, app = make_rig("hands", HANDS, ("r0",))
+    rig.start("r0", "apps", app)
+    rig.until_phase("running", "r0")
+    monkeypatch.setenv("SWARM_CONFIG", str(rig.directory / "swarm.toml"))
+    monkeypatch.setenv("SWARM_ROBOT", "r0")
+    monkeypatch.setenv("SWARM_RUNTIME", str(rig.directory / "r0"))
+
+    def param(*arguments: str) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as end:
+            main(["param", *arguments])
+        output = capsys.readouterr()
+        return int(str(end.value.code)), output.out + output.err
+
+    code, text = param("hands", "gain=0.75")
+    assert code == 0
+    assert text.splitlines() == [
+        "parameter      r0          may be",
+        "weights        metropolis  'metropolis' or 'row'",
+        "gain           0.75        a finite number from 0 to 1 in 1/s",
+        "fixed (fixed)  1           an integer",
+    ]
+    code, text = param("hands", "r0.gain=1.5")
+    assert code == 1
+    assert "app hands on r0: gain: expected a finite number from 0 to 1 in 1/s, got 1.5" in text
+    assert json.loads(param("hands", "--json")[1])["parameters"] == {
+        "r0": {"weights": "metropolis", "gain": 0.75, "fixed": 1}
+    }
+    assert param("hands", "gain")[1] == "swarm: 'gain' is no setting such as gain=0.5 or r2.gain=0.5\n"
+    assert param("hands", "r7.gain=1")[1] == "swarm: no robot 'r7' here, there are r0\n"
+    rig.stop("r0")
+    monkeypatch.setattr(swarm_param, "ANSWER", 0.5)
+    assert param("hands") == (2, "swarm: no app hands answers on r0: does it run? (swarm status)\n")
 
 
 def test_a_wrong_state_is_named_and_sigterm_gives_back_what_was_taken(make_rig: MakeRig) -> None:
