@@ -167,7 +167,7 @@ def test_parameters_buttons_devices_and_faults(make_rig: MakeRig) -> None:
     rig.until_phase("fault", "r0")
     assert rig.progress["r0"].reason == f"Hands on r0, on_button() at k = 2: {app}, line 14: ValueError: not that one"
     drive.until(lambda message: message == SetVelocity(0.0, 0.0, 0.5))
-    leds.until(lambda message: message.seconds < 0.1)
+    assert leds.until(lambda message: message.seconds < 0.1)
     display.until(lambda message: message.text == "")
     assert rig.stop("r0") == 3
     assert "Traceback" not in rig.log("r0")
@@ -272,3 +272,38 @@ def test_two_locksteps_run_inside_a_periodic_app(make_rig: MakeRig) -> None:
     rig.until(agreed, "agreement on both")
     rig.until(lambda: all(state.result["k"] > at for state in rig.state.values()), "the lockstep goes on")
     assert {rig.stop(name) for name in NAMES} == {0}
+
+
+LIVE = """
+from swarm import SyncApp, parameter
+class Live(SyncApp):
+    value: float
+    gain: float = parameter(0.5, low=0, high=1, live=True)
+    fixed: float = parameter(0.5)
+    def step(self, neighbours):
+        self.value = self.gain
+        self.robot.leds(red=True)
+"""
+
+
+def test_live_parameters_of_a_synchronous_app_hold_through_a_kill(make_rig: MakeRig) -> None:
+    rig, app = make_rig("live", LIVE, ("r0", "r1"))
+    answers = Watch(rig, "r0", "swarm/r0/app/live/parameters_set", AppParametersSet)
+    leds = Watch(rig, "r0", "swarm/r0/balancer/set/leds", SetLeds)
+    rig.start_all(app)
+    rig.until_k(3)
+    bus = rig.buses["r0"]
+    bus.publish("swarm/r0/app/live/set/parameters", SetAppParameters("t1", {"fixed": 0.25}))
+    assert answers.next().problem.startswith("app live on r0: fixed: cannot be changed while the app runs")
+    bus.publish("swarm/r0/app/live/set/parameters", SetAppParameters("t2", {"gain": 0.25}))
+    assert answers.next().problem == ""
+    rig.until(lambda: rig.state["r0"].state["value"] == 0.25, "the new gain")
+    rig.kill("r0")
+    at = max(state.k for state in rig.state.values()) + 3
+    rig.state.clear()
+    rig.start("r0", "apps", app)
+    rig.until_k(at)
+    rig.until(lambda: rig.state.get("r0") is not None and rig.state["r0"].state["value"] == 0.25, "the gain as changed")
+    rig.until(lambda: rig.state.get("r1") is not None and rig.state["r1"].state["value"] == 0.5, "the other's own")
+    assert rig.stop("r0") == 0
+    assert leds.until(lambda message: message.seconds < 0.1)
