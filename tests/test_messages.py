@@ -72,7 +72,8 @@ def test_any_key_is_read_or_refused(text: str, payload: bytes) -> None:
         ("swarm/r0/balancer/set/mode", SetMode),
         ("swarm/r0/balancer/set/other", None),
         ("swarm/r0/app/consensus/sync/1-2-3-4", None),
-        ("swarm/r0/app/consensus/deep/state", None),
+        ("swarm/r0/app/led_sync/frequency/state", AppState),
+        ("swarm/r0/app/consensus/very/deep/state", None),
         ("swarm/r0/mesh/x/status", None),
         ("swarm/r0/mesh/alive", None),
     ],
@@ -107,7 +108,8 @@ def documented() -> tuple[dict[str, str], dict[str, list[str]]]:
 
 def test_the_page_lists_every_key_and_no_other() -> None:
     def shown(service: str, topic: str) -> str:
-        topic = topic.replace("*", "<app>", 1).replace("*", "<topic>")
+        second = "<channel>" if topic.startswith("*/*") else "<topic>"
+        topic = topic.replace("*", "<app>", 1).replace("*", second)
         return f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic}"
 
     wanted = {shown(*place): kind.__name__ for place, kind in TOPICS.items()}

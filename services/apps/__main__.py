@@ -11,9 +11,8 @@ import os
 from pathlib import Path
 
 from services.apps import loader, topology
-from services.apps.host import Host
+from services.apps.host import Host, Part
 from services.apps.measurements import source_of
-from services.apps.runner import Runner
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import LocalError
@@ -50,11 +49,14 @@ def main() -> int:
         instance.robot.overlays.collect()
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
-        runner = Runner(instance, app.source)
         record = os.environ.get("SWARM_RECORD")
         folder = Path(record) if record else None
-        host = Host(service, app.name, runner, number, links, measurements, options.iterations, folder)
+        parts = [Part("", instance, measurements)]
+        code = (app.source, app.digest)
+        host = Host(service, app.name, parts, code, number, links, options.iterations, folder)
         service.stopping.wait()
+        if measurements is not None:
+            measurements.close()
         host.close()
         return FAULT if host.failed else 0
 

@@ -29,6 +29,11 @@ class Runner:
         self._source = source
         self._columns: tuple[str, ...] | None = None
 
+    @property
+    def size(self) -> int:
+        """Bytes of one packed state."""
+        return self.schema.size
+
     def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
         """Let the app set its first state; returns it packed: shared, private."""
         self._be_at(0)

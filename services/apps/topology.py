@@ -16,6 +16,7 @@ from swarm import clock
 from swarm.codec import decode, encode
 from swarm.config import Config
 from swarm.core.graph import Graph
+from swarm.core.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import key
 from swarm.messages import AppProgress, Topology
@@ -119,7 +120,7 @@ class Watch:
         self._on_lost = on_lost
         self._lost: frozenset[str] = frozenset()
         self._version = ""
-        self._strangers: set[str] = set()
+        self._strangers: dict[str, str] = {}
 
     def take(self, topology: Topology) -> None:
         """The topology in force."""
@@ -129,14 +130,27 @@ class Watch:
             self._on_lost(self._text(lost))
         self._lost = lost
 
-    def heard(self, sender: str, *, same: bool) -> None:
-        """A host of this run, on the same links or on others."""
-        (self._strangers.discard if same else self._strangers.add)(sender)
+    def heard(self, sender: str, theirs: Channel, ours: Channel) -> None:
+        """A frame under this app's name: of this run, or of something else that never mixes with it."""
+        if theirs.run != ours.run:
+            reason = "is in another run: another number, other sources of the app, or another swarm.toml"
+        elif theirs.schema != ours.schema:
+            reason = "runs another version of this app"
+        elif theirs.epoch != ours.epoch:
+            reason = "began on other links: start a new run, with another number"
+        else:
+            self._strangers.pop(sender, None)
+            return
+        self._strangers[sender] = reason
 
     def reason(self, waiting: tuple[str, ...]) -> str:
-        """Why robots are waited for, where that is a matter of links; else empty."""
-        if strangers := self._strangers.intersection(waiting):
-            return f"{' '.join(sorted(strangers))} began on other links: start a new run, with another number"
+        """Why robots are waited for, where that is known; else empty."""
+        by_reason: dict[str, list[str]] = {}
+        for name in waiting:
+            if name in self._strangers:
+                by_reason.setdefault(self._strangers[name], []).append(name)
+        if by_reason:
+            return "; ".join(f"{' '.join(names)} {reason}" for reason, names in by_reason.items())
         lost = self._lost.intersection(waiting)
         return self._text(lost) if lost else ""
 

@@ -164,7 +164,9 @@ def type_of(key: str) -> type | None:
     _, service, topic = parse(key)
     _, _, tail = topic.partition("/")
     head, _, _ = tail.rpartition("/")
-    for candidate in ((service, topic), (service, f"*/{tail}"), (service, f"*/{head}/*"), ("*", topic)):
+    _, _, deep = tail.partition("/")
+    own = (service, topic), (service, f"*/{tail}"), (service, f"*/{head}/*"), (service, f"*/*/{deep}")
+    for candidate in (*own, ("*", topic)):
         if candidate in TOPICS:
             return TOPICS[candidate]
     return None

@@ -8,7 +8,8 @@ from swarm.messages.service import Status
 
 @dataclass(frozen=True, slots=True)
 class AppState:
-    """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 25 Hz and at the end."""
+    """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 10 Hz and at the end. A channel of an
+    app has its name behind the app's: `.../app/<app>/<channel>/state`."""
 
     t: float
     k: int
@@ -84,6 +85,8 @@ TOPICS: dict[tuple[str, str], type] = {
     ("app", "*/status"): Status,
     ("app", "*/state"): AppState,
     ("app", "*/progress"): AppProgress,
+    ("app", "*/*/state"): AppState,
+    ("app", "*/*/progress"): AppProgress,
     ("app", "*/out/*"): AppOutput,
     ("app", "*/parameters"): AppParameters,
     ("app", "*/set/parameters"): SetAppParameters,

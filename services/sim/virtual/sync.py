@@ -4,7 +4,7 @@ threads and files."""
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from services.apps.host import ALONE
+from services.apps.core.strand import ALONE
 from services.apps.runner import Runner
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue

@@ -1,0 +1,1 @@
+"""What decides in the app host: no IO, `now` is an argument."""
