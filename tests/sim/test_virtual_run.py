@@ -108,3 +108,19 @@ def test_a_run_that_cannot_go_on_says_who_is_waited_for():
     (problem,) = report["problems"]
     assert "r3" in problem
     assert "no iteration for" in problem
+
+
+def test_localization_measures_and_finds_the_target():
+    report, _ = simulate("localization", "--robots", "3", "--iterations", "60")
+    assert report["problems"] == []
+    assert report["error_cm"] < 8
+
+
+def test_a_replay_ends_where_the_recording_does(tmp_path):
+    """Rows come as the dwm service would answer them."""
+    rows = "100,0,0,0,0,0,0\n" + "".join(f"{101 + k},0,0,0,0,0,0,0,0,{60 + k},50,{150 - k}\n" for k in range(12))
+    for robot in range(2):
+        (tmp_path / f"{robot}.csv").write_text(rows)
+    report, outcome = simulate("localization", "--replay", str(tmp_path), "--latency", "0ms")
+    assert report["problems"] == []
+    assert report["iterations"] == outcome.scenario.iterations == 12

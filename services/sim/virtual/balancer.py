@@ -1,6 +1,6 @@
 """The balancer service of one robot under virtual time: the keys of `services.balancer`, a body without physics.
 
-What nobody hears is not made. The pushes of a button, and robots that are laid down, come as acts of `swarm.core.hands`.
+What nobody hears is not made. Buttons are pressed, and robots laid down, by the acts of `swarm.core.hands`.
 """
 
 import math
@@ -45,9 +45,7 @@ TICK = 0.01
 class VirtualBalancer:
     """One robot's body and what speaks for it."""
 
-    def __init__(
-        self, config: Config, robot: str, model: str, time: EventQueue, bus: VirtualBus, seed: object
-    ) -> None:
+    def __init__(self, config: Config, robot: str, model: str, time: EventQueue, bus: VirtualBus, seed: object) -> None:
         numbers = random.Random(f"{seed} {robot} body")
         place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
         self.robot = robot
@@ -132,7 +130,7 @@ class VirtualBalancer:
         if self.led_changes and self.led_changes[-1][1] == lamps:
             return
         self.led_changes.append((now, lamps))
-        self._bus.publish(self._keys["leds"], Leds(*lamps))
+        self._bus.publish(self._keys["leds"], Leds(now, *lamps))
         self._bus.publish(self._sim_leds_key, LedChange(now, *lamps))
 
     def _changed(self) -> None:
@@ -189,7 +187,7 @@ class VirtualBalancer:
         if self._bus.wanted(self._keys["battery"]):
             self._bus.publish(self._keys["battery"], Battery(self._time.now, BATTERY))
         if self._bus.wanted(self._keys["leds"]) and self.led_changes:
-            self._bus.publish(self._keys["leds"], Leds(*self.led_changes[-1][1]))
+            self._bus.publish(self._keys["leds"], Leds(self._time.now, *self.led_changes[-1][1]))
         self._tell_buttons()
 
     def _tell_buttons(self) -> None:

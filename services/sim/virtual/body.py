@@ -59,9 +59,7 @@ class VirtualBody:
         """rad, forward positive."""
         self.mode = BALANCING
         self.fault = ""
-        limits = Limits(
-            settings.max_speed, settings.max_turn_rate, settings.acceleration, settings.turn_acceleration
-        )
+        limits = Limits(settings.max_speed, settings.max_turn_rate, settings.acceleration, settings.turn_acceleration)
         if model == POINT:
             limits = limits._replace(acceleration=_AT_ONCE, turn_acceleration=_AT_ONCE)
         body = body_model("zero2w", shape)

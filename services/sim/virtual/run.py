@@ -14,7 +14,8 @@ from services.sim.options import parse as arguments_of
 from services.sim.report import Json, Outcome, summary
 from services.sim.scenario import Scenario, build
 from services.sim.trajectory import EMPTY, Trajectory
-from services.sim.virtual.sync import Line, SyncHost
+from services.sim.virtual.host import Told
+from services.sim.virtual.strand import Line, VirtualStrand
 from services.sim.virtual.world import World
 from swarm.codec import Value
 from swarm.errors import LocalError
@@ -64,9 +65,8 @@ class Run:
                     app,
                     run=number,
                     last=scenario.iterations,
-                    measurements=None,
-                    advanced=self._advanced,
-                    ended=self._ended,
+                    recording=scenario.recordings.get(name),
+                    told=Told(self._advanced, self._ended),
                 )
         else:
             self._first_done()
@@ -85,23 +85,28 @@ class Run:
             if not time.run(min(time.now + LOOK_EVERY, end)) or time.now >= end:
                 return
             if self._scenario.app is not None and time.now > self._last_progress + STALLED:
-                stuck = [f"{name} waits for {', '.join(host.waiting)}" for name, host in self._hosts() if host.waiting]
+                stuck = [
+                    f"{each.robot} waits for {', '.join(each.strand.waiting)}"
+                    for each in self._strands()
+                    if each.strand.waiting
+                ]
                 self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
                 return
 
-    def _hosts(self) -> list[tuple[str, SyncHost]]:
-        return [(name, host) for name, robot in self.world.robots.items() for host in robot.apps.values()]
+    def _strands(self) -> list[VirtualStrand]:
+        hosts = [host for robot in self.world.robots.values() for host in robot.apps.values()]
+        return [strand for host in hosts for strand in host.strands.values()]
 
-    def _advanced(self, host: SyncHost, line: Line) -> None:
+    def _advanced(self, strand: VirtualStrand, line: Line) -> None:
         """A robot has done an iteration."""
-        name = host.robot
+        name = strand.robot
         self._last_progress = line.t
-        self._tapes[name].write(host, line)
+        self._tapes[name].write(strand, line)
         if self._options.record is not None:
             recorder = self._recorders.get(name)
             if recorder is None:
-                path = self._options.record / f"{name}.{host.name}.csv"
-                recorder = Recorder(path, host.runner.schema, self.world.robots[name].mesh.counters, append=False)
+                path = self._options.record / f"{name}.{strand.app}.csv"
+                recorder = Recorder(path, strand.runner.schema, self.world.robots[name].mesh.counters, append=False)
                 self._recorders[name] = recorder
             recorder.write(line.k, line.t, line.state, line.result)
         if line.k >= 1 and self._started is None:
@@ -115,13 +120,13 @@ class Run:
         for cut in self._options.cuts:
             self.world.cut(cut.a, cut.b, now + cut.at, cut.seconds)
 
-    def _ended(self, host: SyncHost) -> None:
+    def _ended(self, strand: VirtualStrand) -> None:
         """A robot is at its last iteration, or its app has failed: that ends the run."""
-        if host.fault:
-            self._problems.append(f"{host.robot} app {host.fault}")
+        if strand.strand.reason:
+            self._problems.append(f"{strand.robot} app {strand.strand.reason}")
             self.world.time.stop()
             return
-        self._running.discard(host.robot)
+        self._running.discard(strand.robot)
         if not self._running and self._options.seconds is None:
             self.world.time.stop()
 
@@ -151,11 +156,11 @@ class _Tape:
         self._keep = keep
         self._times: dict[int, float] = {}
         self._lines: dict[int, Line] = {}
-        self._host: SyncHost | None = None
+        self._strand: VirtualStrand | None = None
 
-    def write(self, host: SyncHost, line: Line) -> None:
+    def write(self, strand: VirtualStrand, line: Line) -> None:
         """One iteration."""
-        self._host = host
+        self._strand = strand
         self._times[line.k] = line.t
         if not self._keep:
             self._lines.clear()
@@ -163,9 +168,9 @@ class _Tape:
 
     def trajectory(self) -> Trajectory:
         """As the recorder would have written it."""
-        if self._host is None:
+        if self._strand is None:
             return EMPTY
-        shared = [column for field in self._host.runner.schema.fields for column in field.columns]
+        shared = [column for field in self._strand.runner.schema.fields for column in field.columns]
         results: list[str] = []
         for name, value in next(iter(self._lines.values())).result.items():
             parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]

@@ -4,6 +4,7 @@
 A robot's module measures as long as somebody hears what comes of it: a filter costs more than all of a mesh.
 """
 
+import logging
 import random
 from collections import Counter
 from typing import NamedTuple
@@ -15,9 +16,12 @@ from services.sim.module import module_address
 from services.sim.virtual.balancer import VirtualBalancer
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
-from swarm import log
 from swarm.config import Config
 from swarm.keys import key
+
+_SILENT = logging.getLogger("virtual.dwm")
+"""What a dwm service says of its modules is for its own log, which nobody would read here."""
+_SILENT.disabled = True
 
 
 class _Standing(NamedTuple):
@@ -80,7 +84,7 @@ class VirtualDwm:
     ) -> None:
         self.config, self.robot, self.bus = config, robot, bus
         self.counters: Counter[str] = Counter()
-        self.log = log.of("dwm")
+        self.log = _SILENT
         self._field = field
         self._balancer = balancer
         self._time = time
