@@ -78,8 +78,10 @@ class Ssh:
         *,
         feed: Sequence[bytes] = (),
         on_line: Callable[[str], None] | None = None,
+        on_data: Callable[[bytes], None] | None = None,
     ) -> Done:
-        """Run a command; `feed` is its input, `on_line` gets its output as it comes (it is not collected then).
+        """Run a command; `feed` is its input. `on_line` gets its output as it comes, line by line, or `on_data` as raw
+        bytes; it is not collected then.
 
         Raises `HostError` where the robot could not be reached or the connection broke. Cancelling ends the command's
         connection at once.
@@ -98,7 +100,7 @@ class Ssh:
         assert process.stderr is not None
         try:
             _, out, err = await asyncio.gather(
-                _write(process.stdin, feed), _read(process.stdout, on_line), _read(process.stderr, None)
+                _write(process.stdin, feed), _read(process.stdout, on_line, on_data), _read(process.stderr)
             )
             code = await process.wait()
         finally:
@@ -127,7 +129,15 @@ async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes]) -> None:
         await stream.wait_closed()
 
 
-async def _read(stream: asyncio.StreamReader, on_line: Callable[[str], None] | None) -> str:
+async def _read(
+    stream: asyncio.StreamReader,
+    on_line: Callable[[str], None] | None = None,
+    on_data: Callable[[bytes], None] | None = None,
+) -> str:
+    if on_data is not None:
+        while data := await stream.read(_CHUNK):
+            on_data(data)
+        return ""
     if on_line is None:
         return (await stream.read()).decode(errors="replace")
     rest = b""
