@@ -6,8 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.sim.virtual.body import MODELS
 from swarm.codec import Value
-from swarm.errors import ConfigError
+from swarm.core.hands import Act, Lay, Press, Push, check
+from swarm.errors import ConfigError, LocalError
+
+PRESS_S = 0.2
+"""How long a button is held, as `swarm press` does."""
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -23,6 +28,16 @@ class Cut:
     at: float
     """s after the first iteration of all robots (without an app: after all are ready)."""
     seconds: float
+
+
+@dataclass(frozen=True)
+class Deed:
+    """What a person does to a robot during the run."""
+
+    at: float
+    """s, as of a cut."""
+    robot: str
+    act: Act
 
 
 @dataclass(frozen=True)
@@ -62,6 +77,9 @@ class Options:
     demo: bool
     virtual: bool
     """In one process under a virtual clock."""
+    body: str
+    """Model of the bodies then."""
+    deeds: tuple[Deed, ...]
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -93,6 +111,24 @@ def cut(text: str) -> Cut:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
     return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
+
+
+def deed(text: str) -> Deed:
+    """An act `r4 press A @ 5s`: which robot, what as the command of that name has it, when."""
+    words, _, at = text.partition("@")
+    try:
+        match words.split():
+            case [robot, "press", button]:
+                act: Act = Press(button.upper(), PRESS_S)
+            case [robot, "lay", side]:
+                act = Lay(side)
+            case [robot, "push", impulse]:
+                act = Push(float(impulse))
+            case _:
+                raise LocalError("expected ROBOT press A|B|C, ROBOT lay back|front or ROBOT push NS")  # noqa: TRY301
+        return Deed(duration(at), robot, check(act))
+    except (LocalError, ValueError) as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an act such as r4 press A @5s: {error}") from None
 
 
 def setting(text: str) -> Setting:
@@ -185,6 +221,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="K",
         help="end after K iterations (100, or all of a replay)",
     )
+    run.add_argument("--act", dest="deeds", action="append", type=deed, default=[], metavar="'r4 press A @5s'",
+                     help="lay hands on a robot 5 s after the first iteration; also lay, push")  # fmt: skip
     run.add_argument(
         "--seed", type=_at_least(0), default=1, metavar="S", help="of noise, jitter and random topologies (1)"
     )
@@ -194,6 +232,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
     p.add_argument("--virtual", action="store_true",
                    help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
+    p.add_argument("--body", choices=MODELS, default=MODELS[0],
+                   help="how bodies move under virtual time: with ramps and errors, or as they are told")  # fmt: skip
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 
@@ -218,5 +258,6 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
-    namespace.settings, namespace.cuts = tuple(namespace.settings), tuple(namespace.cuts)
+    for name in ("settings", "cuts", "deeds"):
+        setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

@@ -10,13 +10,13 @@ from typing import TextIO
 
 from services.sim import air, footprint, trajectory
 from services.sim.monitor import Monitor, Seen
-from services.sim.options import Cut, Options
+from services.sim.options import Cut, Deed, Options
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.world import World
-from swarm import clock
+from swarm import clock, hands
 from swarm.config.dump import dump
 from swarm.errors import LocalError
 
@@ -79,6 +79,7 @@ class Run:
         """Follow the run until its end (iterations, seconds, Ctrl-C, or a service that cannot be kept up)."""
         started: float | None = None
         cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
+        deeds = sorted(self._options.deeds, key=lambda deed: deed.at)
         asked = 0.0
         while not self._stop:
             now = clock.now()
@@ -102,6 +103,8 @@ class Run:
             else:
                 while cuts and now - started >= cuts[0].at:
                     self._cut(cuts.pop(0))
+                while deeds and now - started >= deeds[0].at:
+                    self._do(deeds.pop(0))
                 if self._is_done(seen, now - started):
                     break
             time.sleep(TICK_S)
@@ -161,6 +164,12 @@ class Run:
         for robot, peer in ((cut.a, cut.b), (cut.b, cut.a)):
             with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
                 air.silence(self._run_dir, robot, peer, cut.seconds)
+
+    def _do(self, deed: Deed) -> None:
+        try:
+            hands.do(self._run_dir / deed.robot, deed.act)
+        except LocalError as error:
+            self._progress.say(str(error))
 
     def _refresh(self, now: float) -> None:
         """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""

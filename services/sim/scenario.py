@@ -96,6 +96,9 @@ def build(options: Options, run_dir: Path) -> Scenario:
     for cut in options.cuts:
         if not config.auto and cut.b not in config.neighbours(cut.a):
             raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
+    for deed in options.deeds:
+        if deed.robot not in config.names:
+            raise ConfigError(f"--act: there is no robot {deed.robot!r}, the robots are {', '.join(config.names)}")
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None:
         iterations = DEFAULT_ITERATIONS

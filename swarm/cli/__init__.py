@@ -18,7 +18,7 @@ from swarm.errors import LocalError, SwarmError
 
 VERBS = (
     "arm", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh", "press",
-    "push", "restart", "run", "start", "status", "stop", "topology",
+    "provision", "push", "restart", "run", "start", "status", "stop", "topology",
 )  # fmt: skip
 """Modules of this package."""
 
@@ -84,7 +84,7 @@ def _main(argv: list[str]) -> int:
 def _usage() -> str:
     helps = {verb: importlib.import_module(f"swarm.cli.{verb}").HELP for verb in VERBS}
     helps |= {verb: text for verb, (text, _) in HANDED_ON.items()}
-    lines = [f"  {verb:<8} {text}" for verb, text in helps.items()]
+    lines = [f"  {verb:<9} {text}" for verb, text in helps.items()]
     return "\n".join(["usage: swarm COMMAND ...   (swarm COMMAND --help, swarm --version)", "", *lines, ""])
 
 

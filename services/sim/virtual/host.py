@@ -8,7 +8,7 @@ from services.apps.host import TICK, schema_of
 from services.apps.runner import Runner
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
-from services.sim.virtual.strand import Line, Measurements, VirtualStrand
+from services.sim.virtual.strand import Measurements, Told, VirtualStrand
 from swarm.codec import decode
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError
@@ -31,14 +31,10 @@ class Place(NamedTuple):
     time: EventQueue
     bus: VirtualBus
 
-
-class Told(NamedTuple):
-    """Whom a host tells what becomes of its app."""
-
-    advanced: Callable[[VirtualStrand, Line], None]
-    """For each iteration of each channel."""
-    ended: Callable[[VirtualStrand], None]
-    """When the last one is done or the app has failed."""
+    @property
+    def prefix(self) -> str:
+        """What the tickets of this host's requests begin with: another one in each run."""
+        return f"{self.run & 0xFFFFFFFFFFFF:012x}"
 
 
 class VirtualHost:
@@ -52,8 +48,10 @@ class VirtualHost:
         place: Place,
         measurements: Measurements | None,
         told: Told,
+        latest: Mapping[str, Callable[[int, bytes], None]] | None = None,
     ) -> None:
-        """`runners` by channel, the name empty for an app that is one lockstep; `digest` of the app's source."""
+        """`runners` by channel, the name empty for an app that is one lockstep; `digest` of the app's source;
+        `latest[channel](k, state)` is called with each packed state."""
         self.app = app
         self.robot = place.robot
         self.strands: dict[str, VirtualStrand] = {}
@@ -74,8 +72,8 @@ class VirtualHost:
                 time=place.time,
                 bus=place.bus,
                 measurements=measurements,
-                advanced=told.advanced,
-                ended=told.ended,
+                told=told,
+                latest=(latest or {}).get(part),
             )
         place.bus.subscribe(key("*", f"app/{app}", "sync", "**"), self._on_sync)
         place.bus.subscribe(key(place.robot, "mesh", "links"), self._on_links)

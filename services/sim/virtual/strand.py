@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from services.apps.core.strand import ALONE, Strand
-from services.apps.runner import Runner
+from services.apps.runner import AppRunner, Runner
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
 from swarm.codec import Value
@@ -33,6 +33,43 @@ class Measurements(Protocol):
         """Call `ready(measurement)` when that of step k is there."""
 
 
+class Teller(Protocol):
+    """What tells of an app's iterations, steps or events: a strand, or the host of an event-driven app."""
+
+    @property
+    def robot(self) -> str:
+        """Where it runs."""
+
+    @property
+    def app(self) -> str:
+        """The app's name."""
+
+    @property
+    def part(self) -> str:
+        """Name of the channel within the app; empty for the app itself."""
+
+    @property
+    def runner(self) -> AppRunner:
+        """The app."""
+
+    @property
+    def reason(self) -> str:
+        """Why it has stopped; empty where it has not."""
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """Robots that are waited for."""
+
+
+class Told(NamedTuple):
+    """Who is told what becomes of an app."""
+
+    advanced: Callable[[Teller, Line], None]
+    """For each iteration of each channel, for each step or event."""
+    ended: Callable[[Teller], None]
+    """When the last one is done or the app has failed."""
+
+
 class VirtualStrand:
     """One strand, from the first state to the last iteration."""
 
@@ -47,11 +84,11 @@ class VirtualStrand:
         time: EventQueue,
         bus: VirtualBus,
         measurements: Measurements | None,
-        advanced: Callable[["VirtualStrand", Line], None],
-        ended: Callable[["VirtualStrand"], None],
+        told: Told,
+        latest: Callable[[int, bytes], None] | None = None,
     ) -> None:
-        """`part`: name of the channel within the app, empty for an app that is one lockstep. `advanced` is called for
-        each iteration, `ended` when the last one is done or the app has failed."""
+        """`part`: name of the channel within the app, empty for an app that is one lockstep. `latest(k, state)` is
+        called with each packed state."""
         self.robot = robot
         self.app = app
         self.part = part
@@ -60,8 +97,8 @@ class VirtualStrand:
         self._time = time
         self._bus = bus
         self._measurements = measurements
-        self._advanced = advanced
-        self._ended = ended
+        self._advanced, self._ended = told
+        self._latest = latest
         self._sync = key(robot, f"app/{app}", "sync", strand.channel.text)
         keys = f"app/{app}/{part}" if part else f"app/{app}"
         self._state_key, self._progress_key = key(robot, keys, "state"), key(robot, keys, "progress")
@@ -69,9 +106,14 @@ class VirtualStrand:
         self._timer = _NEVER
 
     @property
-    def over(self) -> bool:
-        """Whether it computes no more."""
-        return self.strand.phase in ("done", "fault")
+    def reason(self) -> str:
+        """See `Teller`."""
+        return self.strand.reason
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """See `Teller`."""
+        return self.strand.waiting
 
     def start(self) -> None:
         """Let the app begin, as soon as there is a measurement for it where it wants one."""
@@ -150,6 +192,8 @@ class VirtualStrand:
                 except AppError as error:
                     self._fail(str(error))
                     return
+                if self._latest is not None:
+                    self._latest(action.k, action.value)
                 self._advanced(self, line)
             elif type(action) is Fault or type(action) is Finished:
                 self._ended(self)

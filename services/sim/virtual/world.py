@@ -1,24 +1,29 @@
 """A swarm under virtual time: for each robot a bus with mesh, balancer, dwm and the hosts of its apps; and the air."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from services.apps import loader, topology
+from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
 from services.mesh.core.delay import AirModel
 from services.sim.virtual.air import Air
 from services.sim.virtual.balancer import VirtualBalancer
 from services.sim.virtual.body import DIFFERENTIAL
 from services.sim.virtual.bus import VirtualBus, VirtualRouter
+from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.events import EventQueue
-from services.sim.virtual.host import Place, Told, VirtualHost
+from services.sim.virtual.host import Place, VirtualHost
 from services.sim.virtual.measurements import Live, Replayed
 from services.sim.virtual.mesh import Common, VirtualMesh
-from services.sim.virtual.strand import Measurements
+from services.sim.virtual.strand import Measurements, Told
 from services.sim.virtual.uwb import ModuleField, VirtualDwm
+from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.hands import Act
 from swarm.devices import Devices
 from swarm.errors import AppError
+from swarm.event_app import Channel, EventApp, channels_of
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
@@ -38,7 +43,7 @@ class VirtualRobot:
     mesh: VirtualMesh
     balancer: VirtualBalancer
     dwm: VirtualDwm
-    apps: dict[str, VirtualHost] = field(default_factory=dict)
+    apps: dict[str, VirtualHost | VirtualEventHost] = field(default_factory=dict)
 
 
 class World:
@@ -82,15 +87,35 @@ class World:
             config, epoch = links.config, links.epoch
         instance = app.make(config, robot, self.seed)
         bus = VirtualBus(self.robots[robot].router)
-        self._equip(instance.robot, bus, f"{run & 0xFFFFFFFFFFFF:012x}")
-        measurements: Measurements | None = None
-        if instance.measured:
-            measurements = Replayed(recording) if recording is not None else self._live(robot, bus)
         place = Place(robot, config.graph.neighbours(robot), run, epoch, last, self.time, bus)
-        runners = {"": Runner(instance, app.source)}
-        host = VirtualHost(app.name, runners, app.digest, place, measurements, told)
+        self._equip(instance.robot, bus, place.prefix)
+        host: VirtualHost | VirtualEventHost
+        if isinstance(instance, EventApp):
+            host = self._event_host(app, instance, place, told)
+        else:
+            assert isinstance(instance, SyncApp)
+            measurements: Measurements | None = None
+            if instance.measured:
+                measurements = Replayed(recording) if recording is not None else self._live(robot, bus)
+            assert instance.robot.overlays is not None
+            instance.robot.overlays.collect()
+            host = VirtualHost(app.name, {"": Runner(instance, app.source)}, app.digest, place, measurements, told)
         self.robots[robot].apps[app.name] = host
         host.start()
+
+    def _event_host(self, app: loader.App, instance: EventApp, place: Place, told: Told) -> VirtualEventHost:
+        names = channels_of(type(instance))
+        channels: dict[str, Channel] = {name: getattr(instance, name) for name in names}
+        inner: VirtualHost | None = None
+        if channels:
+            for each in channels.values():
+                self._equip(each.app.robot, place.bus, place.prefix)
+            runners = {name: Runner(each.app, app.source) for name, each in channels.items()}
+            latest = {name: _taking(each) for name, each in channels.items()}
+            inner = VirtualHost(app.name, runners, app.digest, place._replace(last=None), None, told, latest)
+        return VirtualEventHost(
+            app.name, EventRunner(instance, app.source), app.digest, place, self.config.names, inner, told
+        )
 
     def _live(self, robot: str, bus: VirtualBus) -> Live:
         if self.config.dwm.target is None:
@@ -106,7 +131,6 @@ class World:
         robot.time = now
         robot.bus = bus
         robot.overlays = Overlays(bus, robot.name, robot.app, now=now, prefix=prefix)
-        robot.overlays.collect()
         robot.mesh_clock = MeshClock(bus, robot.name, now)
         robot.ranging = Ranging(bus, robot.name, now)
         robot.devices = Devices(bus, robot.name, now)
@@ -117,3 +141,13 @@ class World:
         balancer = VirtualBalancer(self.config, name, self._body, self.time, VirtualBus(router), self.seed)
         dwm = VirtualDwm(self.config, name, self.modules, balancer, self.time, VirtualBus(router), self.seed)
         return VirtualRobot(name, router, mesh, balancer, dwm)
+
+
+def _taking(channel: Channel) -> Callable[[int, bytes], None]:
+    """Hands a channel's new states to the app that it belongs to."""
+    schema = type(channel.app).spec.schema
+
+    def take(k: int, state: bytes) -> None:
+        channel.take(k, dict(zip(schema.names, schema.unpack(state), strict=True)))
+
+    return take
