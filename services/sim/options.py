@@ -8,11 +8,7 @@ from pathlib import Path
 
 from services.sim.virtual.body import MODELS
 from swarm.codec import Value
-from swarm.core.hands import Act, Lay, Press, Push, check
-from swarm.errors import ConfigError, LocalError
-
-PRESS_S = 0.2
-"""How long a button is held, as `swarm press` does."""
+from swarm.errors import ConfigError
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -30,14 +26,18 @@ class Cut:
     seconds: float
 
 
-@dataclass(frozen=True)
-class Deed:
-    """What a person does to a robot during the run."""
+PRESS_S = 0.3
+"""How long a button is held down."""
 
-    at: float
-    """s, as of a cut."""
+
+@dataclass(frozen=True)
+class Press:
+    """A button that somebody presses."""
+
     robot: str
-    act: Act
+    button: str
+    at: float
+    """s, counted like a cut's."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,9 @@ class Options:
     jitter: float
     bandwidth: float | None
     cuts: tuple[Cut, ...]
+    presses: tuple[Press, ...]
+    lying: str | None
+    """front or back: how robots lie at the start; None: as the app wants it."""
     seconds: float | None
     iterations: int | None
     seed: int
@@ -79,7 +82,6 @@ class Options:
     """In one process under a virtual clock."""
     body: str
     """Model of the bodies then."""
-    deeds: tuple[Deed, ...]
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -113,22 +115,12 @@ def cut(text: str) -> Cut:
     return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
 
 
-def deed(text: str) -> Deed:
-    """An act `r4 press A @ 5s`: which robot, what as the command of that name has it, when."""
-    words, _, at = text.partition("@")
-    try:
-        match words.split():
-            case [robot, "press", button]:
-                act: Act = Press(button.upper(), PRESS_S)
-            case [robot, "lay", side]:
-                act = Lay(side)
-            case [robot, "push", impulse]:
-                act = Push(float(impulse))
-            case _:
-                raise LocalError("expected ROBOT press A|B|C, ROBOT lay back|front or ROBOT push NS")  # noqa: TRY301
-        return Deed(duration(at), robot, check(act))
-    except (LocalError, ValueError) as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an act such as r4 press A @5s: {error}") from None
+def press(text: str) -> Press:
+    """A button `r4.A@5s`: whose, which, when."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
+    return Press(match[1], match[2].upper(), duration(match[3]))
 
 
 def setting(text: str) -> Setting:
@@ -212,6 +204,12 @@ def parser() -> argparse.ArgumentParser:
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
+    bodies = p.add_argument_group("the bodies")
+    bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
+                        help="press a button 5 s after the first iteration")  # fmt: skip
+    bodies.add_argument(
+        "--lying", choices=("front", "back"), help="robots lie on this side at the start and wait for an order"
+    )
     run = p.add_argument_group("the run")
     end = run.add_mutually_exclusive_group()
     end.add_argument("--seconds", type=duration, metavar="S", help="end after this time")
@@ -221,8 +219,6 @@ def parser() -> argparse.ArgumentParser:
         metavar="K",
         help="end after K iterations (100, or all of a replay)",
     )
-    run.add_argument("--act", dest="deeds", action="append", type=deed, default=[], metavar="'r4 press A @5s'",
-                     help="lay hands on a robot 5 s after the first iteration; also lay, push")  # fmt: skip
     run.add_argument(
         "--seed", type=_at_least(0), default=1, metavar="S", help="of noise, jitter and random topologies (1)"
     )
@@ -258,6 +254,6 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
-    for name in ("settings", "cuts", "deeds"):
+    for name in ("settings", "cuts", "presses"):
         setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

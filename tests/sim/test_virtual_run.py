@@ -160,7 +160,7 @@ def test_every_example_runs_the_same_twice(app, tmp_path):
         folder = tmp_path / name
         report, _ = simulate(
             str(EXAMPLES / f"{app}.py"), "--robots", "4", "--seconds", "3", "--jitter", "10ms",
-            "--act", "r1 press A @1s", "--record", str(folder),
+            "--press", "r1.A@1s", "--record", str(folder),
         )  # fmt: skip
         assert report["problems"] == []
         return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
@@ -172,7 +172,7 @@ def test_every_example_runs_the_same_twice(app, tmp_path):
 
 def test_a_button_reaches_an_event_driven_app_and_its_neighbours():
     app = str(EXAMPLES / "button_count.py")
-    report, _ = simulate(app, "--robots", "3", "--seconds", "4", "--act", "r1 press A @1s", "--act", "r1 press A @2s")
+    report, _ = simulate(app, "--robots", "3", "--seconds", "4", "--press", "r1.A@1s", "--press", "r1.A@2s")
     assert all(result["presses"] == 2 for result in report["result"].values())
 
 
@@ -195,13 +195,13 @@ def test_a_fault_of_a_handler_is_named(tmp_path):
         "from swarm import EventApp\n\n\nclass Bad(EventApp):\n    value: int\n\n"
         "    def on_button(self, button):\n        raise RuntimeError(button)\n"
     )
-    report, _ = simulate(str(app), "--robots", "3", "--seconds", "5", "--act", "r2 press C @1s")
+    report, _ = simulate(str(app), "--robots", "3", "--seconds", "5", "--press", "r2.C@1s")
     (problem,) = report["problems"]
     assert "r2" in problem
     assert "RuntimeError: c" in problem
 
 
 def test_an_app_that_waits_for_events_ends_when_nothing_happens():
-    report, _ = simulate(str(EXAMPLES / "button_count.py"), "--robots", "2", "--act", "r0 press A @1s")
+    report, _ = simulate(str(EXAMPLES / "button_count.py"), "--robots", "2", "--press", "r0.A@1s")
     assert report["problems"] == []
     assert report["result"]["r1"] == {"presses": 1}

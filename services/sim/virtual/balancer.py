@@ -9,6 +9,7 @@ import random
 from services.balancer.core.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.faults import STOPPED
 from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim, Order, Shown, shown
+from services.sim.core.witness import Witness
 from services.sim.virtual.body import BALANCING, VirtualBody
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
@@ -45,7 +46,16 @@ TICK = 0.01
 class VirtualBalancer:
     """One robot's body and what speaks for it."""
 
-    def __init__(self, config: Config, robot: str, model: str, time: EventQueue, bus: VirtualBus, seed: object) -> None:
+    def __init__(
+        self,
+        config: Config,
+        robot: str,
+        model: str,
+        time: EventQueue,
+        bus: VirtualBus,
+        seed: object,
+        witness: Witness | None = None,
+    ) -> None:
         numbers = random.Random(f"{seed} {robot} body")
         place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
         self.robot = robot
@@ -54,6 +64,7 @@ class VirtualBalancer:
         """What the LEDs have shown, and since when."""
         self._time = time
         self._bus = bus
+        self._witness = witness
         self._claim = Claim()
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
@@ -70,6 +81,8 @@ class VirtualBalancer:
         time.at(time.now + TELEMETRY * phase, self._tell)
         time.at(time.now + TRUTH * phase, self._tell_truth)
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
+        if witness is not None:
+            time.soon(self._be_seen, witness)
 
     def act(self, act: Act) -> None:
         """What a person does to it."""
@@ -130,6 +143,8 @@ class VirtualBalancer:
         if self.led_changes and self.led_changes[-1][1] == lamps:
             return
         self.led_changes.append((now, lamps))
+        if self._witness is not None:
+            self._witness.leds(self.robot, now, yellow=lamps[1])
         self._bus.publish(self._keys["leds"], Leds(now, *lamps))
         self._bus.publish(self._sim_leds_key, LedChange(now, *lamps))
 
@@ -180,6 +195,12 @@ class VirtualBalancer:
             now, body = self._time.now, self.body
             body.advance(now)
             self._bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
+
+    def _be_seen(self, witness: Witness) -> None:
+        now, body = self._time.now, self.body
+        self._time.at(now + TELEMETRY, self._be_seen, witness)
+        body.advance(now)
+        witness.pose(self.robot, now, (body.x, body.y), body.tilt)
 
     def _tell_slowly(self) -> None:
         """What is told once a second."""

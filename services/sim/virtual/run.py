@@ -8,7 +8,9 @@ from pathlib import Path
 from services.apps import loader
 from services.apps.recorder import Recorder
 from services.mesh.core.delay import AirModel
-from services.sim.options import Options
+from services.sim import scene
+from services.sim.core.witness import Witness
+from services.sim.options import PRESS_S, Options
 from services.sim.options import parse as arguments_of
 from services.sim.report import Json, Outcome, summary
 from services.sim.scenario import Scenario, build
@@ -17,6 +19,7 @@ from services.sim.virtual.host import VirtualHost
 from services.sim.virtual.strand import Line, Teller, Told
 from services.sim.virtual.tape import Tape
 from services.sim.virtual.world import World
+from swarm.core import hands
 from swarm.errors import LocalError
 
 STALLED = 60.0
@@ -40,7 +43,10 @@ class Run:
         self._rows = rows or bool(scenario.recordings) or options.plot is not None
         names = scenario.config.names
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed)
-        self.world = World(scenario.config, model, options.seed, body=options.body)
+        self._witness = Witness(names) if scenario.app in scene.WATCHED else None
+        self.world = World(
+            scenario.config, model, options.seed, body=options.body, lying=scenario.lying, witness=self._witness
+        )
         self._tapes = {name: Tape(keep=self._rows) for name in names}
         self._recorders: dict[str, Recorder] = {}
         self._running = set(names)
@@ -123,8 +129,8 @@ class Run:
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
         self._started = now = self.world.time.now
-        for deed in self._options.deeds:
-            self.world.act(deed.robot, now + deed.at, deed.act)
+        for press in self._options.presses:
+            self.world.act(press.robot, now + press.at, hands.Press(press.button, PRESS_S))
         for cut in self._options.cuts:
             self.world.cut(cut.a, cut.b, now + cut.at, cut.seconds)
 
@@ -156,6 +162,7 @@ class Run:
             restarts=dict.fromkeys(names, 0),
             problems=tuple(self._problems),
             computed_s=self.computed,
+            scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
         )
 
 

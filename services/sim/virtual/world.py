@@ -1,5 +1,6 @@
 """A swarm under virtual time: for each robot a bus with mesh, balancer, dwm and the hosts of its apps; and the air."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -7,6 +8,7 @@ from services.apps import loader, topology
 from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
 from services.mesh.core.delay import AirModel
+from services.sim.core.witness import Witness
 from services.sim.virtual.air import Air
 from services.sim.virtual.balancer import VirtualBalancer
 from services.sim.virtual.body import DIFFERENTIAL
@@ -49,14 +51,26 @@ class VirtualRobot:
 class World:
     """Robots and their links."""
 
-    def __init__(self, config: Config, air: AirModel, seed: int, *, body: str = DIFFERENTIAL) -> None:
-        """`body`: which model of `services.sim.virtual.body`."""
+    def __init__(
+        self,
+        config: Config,
+        air: AirModel,
+        seed: int,
+        *,
+        body: str = DIFFERENTIAL,
+        lying: str | None = None,
+        witness: Witness | None = None,
+    ) -> None:
+        """`body`: which model of `services.sim.virtual.body`; `lying`: the side on which robots begin, if they do not
+        stand; `witness`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
         self.air = Air(self.time, air)
         self.modules = ModuleField(config)
         self._body = body
+        self._lying = lying
+        self._witness = witness
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
 
@@ -128,6 +142,7 @@ class World:
         def now() -> float:
             return self.time.now
 
+        robot.log = logging.getLogger(robot.name)
         robot.time = now
         robot.bus = bus
         robot.overlays = Overlays(bus, robot.name, robot.app, now=now, prefix=prefix)
@@ -138,7 +153,10 @@ class World:
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
         mesh = VirtualMesh(self._common, name, self.time, self.air, VirtualBus(router), self.seed)
-        balancer = VirtualBalancer(self.config, name, self._body, self.time, VirtualBus(router), self.seed)
+        bus = VirtualBus(router)
+        balancer = VirtualBalancer(self.config, name, self._body, self.time, bus, self.seed, self._witness)
+        if self._lying is not None:
+            balancer.body.lay(self._lying, self.time.now)
         dwm = VirtualDwm(self.config, name, self.modules, balancer, self.time, VirtualBus(router), self.seed)
         return VirtualRobot(name, router, mesh, balancer, dwm)
 
