@@ -89,7 +89,7 @@ def test_what_is_driven_stops_with_the_app(rig):
 
 def test_leds_are_told_when_they_change_and_go_back_to_the_robots_own(rig):
     rig.run(1.0)
-    rig.devices.leds(True, None, False)
+    rig.devices.leds(True, None, False, None)
     rig.run(4.0)
     rig.devices.release()
     rig.run(1.0)
