@@ -17,6 +17,7 @@ from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.event_runner import EventRunner, version
+from services.apps.hold import Hold
 from services.apps.host import Host, Part
 from services.apps.recorder import Recorder
 from swarm import clock
@@ -91,9 +92,11 @@ class EventHost:
         if record is not None:
             path = record / f"{service.robot}.{name}.csv"
             self._recorder = Recorder(path, runner.schema, service.counters, append=False)
-        self._released = False
+        self._hold = Hold(devices)
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
-        self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse)
+        kept = (service.runtime / f"app.{name}.parameters", run)
+        self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse, kept=kept)
+        runner.change(self._changes.kept())
         app.robot.timers = self._after
         self._views = {name: getattr(app, name) for name in channels_of(type(app))}
         self._channels: Host | None = None
@@ -129,7 +132,7 @@ class EventHost:
             thread.join(CLOSE_WITHIN)
             if thread.is_alive():
                 self._service.log.warning("the app does not end: %s", self._hanging())
-        self._devices.release()
+        self._hold.close()
         if self._channels is not None:
             self._channels.close()
         if self._recorder is not None:
@@ -267,7 +270,7 @@ class EventHost:
                 self._core.handle_timer(now)
                 self._perform()
                 news = self._report(now)
-            self._hold_devices(now)
+            self._hold.look(well=self._core.phase not in ("fault", "done") and not self._core.hangs(now))
             if now - reminded_at >= REMIND:
                 reminded_at = now
                 self._overlays.remind()
@@ -289,16 +292,6 @@ class EventHost:
         due = [looked_at + TICK]
         due += [at for at in (self._core.next_deadline(), self._devices.next_deadline()) if at is not None]
         return max(0.0, min(due) - now)
-
-    def _hold_devices(self, now: float) -> None:
-        """Claim again what the app has taken, as long as it is well; else give it back."""
-        if self._core.phase in ("fault", "done") or self._core.hangs(now):
-            if not self._released:
-                self._devices.release()
-            self._released = True
-            return
-        self._released = False
-        self._devices.handle_timer()
 
     def _show(self, repeat: bool) -> None:
         """Publish the state where it may be new and no handler is running (else the next look will find it)."""

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from services.sim.virtual.body import MODELS
 from swarm.codec import Value
-from swarm.errors import ConfigError
+from swarm.errors import AppError, ConfigError
+from swarm.parameters import value_of
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -133,19 +134,10 @@ def setting(text: str) -> Setting:
 
 
 def _value(text: str) -> Value:
-    if text in ("true", "false"):
-        return text == "true"
-    if text.startswith("[") and text.endswith("]"):
-        try:
-            return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
-    for convert in (int, float):
-        try:
-            return convert(text)
-        except ValueError:
-            continue
-    return text
+    try:
+        return value_of(text)
+    except AppError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _at_least(low: int) -> Callable[[str], int]:

@@ -145,6 +145,10 @@ class Run:
     def _has_started(self, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> bool:
         if self._scenario.app is None:
             return not any(missing.values())
+        if not self._scenario.steps:  # it may wait for a button, or a message, for ever
+            return not any(missing.values()) and all(
+                robot.progress is not None and robot.progress.phase == "running" for robot in seen.values()
+            )
         return all(_iteration(robot) >= 1 for robot in seen.values())
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:

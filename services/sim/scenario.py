@@ -22,6 +22,7 @@ from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
 from swarm.errors import AppError, ConfigError, LocalError
+from swarm.event_app import EventApp, PeriodicApp
 from swarm.paths import socket_path
 from swarm.recordings import Recording, read_folder
 
@@ -63,6 +64,9 @@ class Scenario:
     iterations: int | None
     recordings: dict[str, Recording]
     """By robot; empty without --replay."""
+
+    steps: bool
+    """Whether the app has iterations; one that only reacts to events has none."""
 
     lying: str | None
     """The side on which the robots lie at the start; None: they stand up by themselves."""
@@ -121,9 +125,15 @@ def build(options: Options, run_dir: Path) -> Scenario:
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
         recordings=recorded,
+        steps=app is not None and not _reacts_only(app),
         lying=options.lying or (STANDING_UP_FROM if app is not None and app.name == "stand_up" else None),
         notes=_step_size(config, app, recorded) if app is not None else (),
     )
+
+
+def _reacts_only(app: loader.App) -> bool:
+    kind = next(iter(app.algorithms.values()))
+    return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
 
 
 def _program(app: loader.App) -> str:
