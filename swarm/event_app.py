@@ -78,6 +78,10 @@ class EventApp(App):
         """What became of a flood or a message of this app: the `ticket` is that of the handle which `flood` and `send`
         gave."""
 
+    def on_announced(self, origin: str, outcome: Flooded) -> None:
+        """Another robot's flood that was made with `announce` has come to its end: whom it has reached, and whether
+        that is all."""
+
     def on_neighbour(self, neighbour: Any) -> None:
         """A neighbour's state is another one than before. Of several changes since the last call only the newest
         counts."""

@@ -37,7 +37,7 @@ def main() -> int:
     host: Host | EventHost | None = None
 
     def on_bus(connected: bool) -> None:
-        if connected and isinstance(host, Host):
+        if connected and host is not None:
             host.nudge()
 
     with Service(f"app/{app.name}", on_bus=on_bus) as service:
@@ -62,7 +62,7 @@ def main() -> int:
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(
-                service, app.name, events, app.digest, number, links, options.iterations, overlays, devices, folder
+                service, app.name, events, code, number, links, options.iterations, overlays, devices, folder
             )
         else:
             assert isinstance(instance, SyncApp)

@@ -17,6 +17,7 @@ from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.event_runner import EventRunner, version
+from services.apps.host import Host, Part
 from services.apps.recorder import Recorder
 from swarm import clock
 from swarm.codec import Value, decode, encode
@@ -24,6 +25,7 @@ from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
 from swarm.core.lockstep_frames import Channel
 from swarm.devices import Devices
 from swarm.errors import AppError, FrameError, PayloadError, SwarmError
+from swarm.event_app import channels_of
 from swarm.keys import key
 from swarm.messages import AppProgress, AppState, Topology
 from swarm.overlays import Message, Overlays
@@ -47,7 +49,7 @@ class EventHost:
         service: Service,
         name: str,
         runner: EventRunner,
-        digest: bytes,
+        code: tuple[str, bytes],
         run: int,
         links: topology.Links,
         last: int | None,
@@ -55,7 +57,7 @@ class EventHost:
         devices: Devices,
         record: Path | None = None,
     ) -> None:
-        """`digest`: of the app's source. Raises `LocalError` where another process runs this app."""
+        """`code`: path and digest of the app's source. Raises `LocalError` where another process runs this app."""
         self._service = service
         self._name = name
         self._runner = runner
@@ -65,7 +67,7 @@ class EventHost:
         self._claim = Claim(service.runtime, name)
         if not links.kept:
             topology.save(service.runtime, name, run, links)
-        channel = Channel(run, 0, self._claim.incarnation, version(app, digest))
+        channel = Channel(run, 0, self._claim.incarnation, version(app, code[1]))
         self._core = Asynchronous(
             service.robot,
             links.neighbours(service.robot),
@@ -93,6 +95,9 @@ class EventHost:
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
         self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse)
         app.robot.timers = self._after
+        self._views = {name: getattr(app, name) for name in channels_of(type(app))}
+        self._channels: Host | None = None
+        self._open_channels = partial(self._host_channels, code, run, links, record)
         self._subscribe()
         # Daemons: a handler that never returns must not keep the process from ending.
         self._threads = [
@@ -107,7 +112,12 @@ class EventHost:
     @property
     def failed(self) -> bool:
         """Whether the app has stopped for a fault."""
-        return self._core.failure != ""
+        return self._core.failure != "" or (self._channels is not None and self._channels.failed)
+
+    def nudge(self) -> None:
+        """The bus or a link came up."""
+        if self._channels is not None:
+            self._channels.nudge()
 
     def close(self) -> None:
         """End the threads and give back what the app has taken. A handler that runs is waited for, but not for ever."""
@@ -120,6 +130,8 @@ class EventHost:
             if thread.is_alive():
                 self._service.log.warning("the app does not end: %s", self._hanging())
         self._devices.release()
+        if self._channels is not None:
+            self._channels.close()
         if self._recorder is not None:
             self._recorder.close()
         self._claim.close()
@@ -136,6 +148,8 @@ class EventHost:
         if "on_message" in self._runner.handled:
             self._overlays.on_flood(lambda sender, data: self._on_message(Message(sender, data, flooded=True)))
             self._overlays.on_message(lambda sender, data: self._on_message(Message(sender, data, flooded=False)))
+        if "on_announced" in self._runner.handled:
+            self._overlays.on_complete(lambda origin, answer: self._happened("on_announced", origin, answer))
         if "on_answer" in self._runner.handled:
             self._overlays.on_answer(lambda ticket, answer: self._happened("on_answer", ticket, answer))
 
@@ -195,13 +209,38 @@ class EventHost:
         while (call := self._todo.get()) is not None and not self._closing:
             with self._changed:
                 k, known = self._core.k, self._core.known(clock.now())
+            self._take_channels()
             with self._app_lock:
                 own = self._runner.call(call, k, known)
                 self._changed_at = clock.now()
+            if call.handler == "start" and self._views:
+                self._open_channels()
             if call.handler == "on_parameter":
                 self._changes.tell()
             self._feed(partial(self._returned, own))
             self._keep()
+
+    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links, record: Path | None) -> None:
+        """Start the app's locksteps, with the first values that its `start` gave them."""
+        mine = self._runner.app.robot
+        for view in self._views.values():
+            robot = view.app.robot
+            robot.bus, robot.overlays, robot.devices = mine.bus, mine.overlays, mine.devices
+            robot.mesh_clock, robot.ranging, robot.recording = mine.mesh_clock, mine.ranging, mine.recording
+            view.begin()
+        parts = [Part(name, view.app) for name, view in self._views.items()]
+        links = links._replace(kept=True)  # saved already
+        self._channels = Host(self._service, self._name, parts, code, run, links, None, record, self._claim)
+
+    def _take_channels(self) -> None:
+        """Let the app see its channels' newest states: the same ones throughout a handler."""
+        if self._channels is None:
+            return
+        for name, view in self._views.items():
+            latest = self._channels.latest(name)
+            if latest is not None and latest.k != view.k:
+                fields = type(view.app).spec.schema.fields
+                view.take(latest.k, {field.name: field.check(latest.state[field.name]) for field in fields})
 
     def _returned(self, own: bytes, now: float) -> None:
         period = self._runner.period
@@ -294,6 +333,8 @@ class EventHost:
         reason = ""
         if core.strangers:
             reason = f"{' '.join(core.strangers)} runs another version of this app: its state is not used"
+        elif self._channels is not None and self._channels.faults:
+            reason = "; ".join(f"channel {name}: {why}" for name, why in self._channels.faults.items())
         elif core.phase == "done":
             reason = self._runner.app.finished or ""
         elif core.missing:

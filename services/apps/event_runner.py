@@ -14,7 +14,7 @@ from swarm.core.asynchronous import Call, Known
 from swarm.errors import AppError, FrameError
 from swarm.event_app import EventApp, PeriodicApp
 
-HANDLERS = ("on_button", "on_message", "on_answer", "on_neighbour", "on_timer")
+HANDLERS = ("on_button", "on_message", "on_answer", "on_announced", "on_neighbour", "on_timer")
 """Those that are only called where the app has them."""
 
 

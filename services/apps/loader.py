@@ -25,7 +25,16 @@ from swarm.robot import Robot
 KINDS = " or ".join(kind.__name__ for kind in (SyncApp, EventApp, PeriodicApp))
 """What an app may be derived from, in words."""
 
-BUILT_IN = ("consensus", "localization")
+BUILT_IN = (
+    "consensus",
+    "flooding_demo",
+    "formation",
+    "goto",
+    "led_sync",
+    "localization",
+    "stand_up",
+    "unicast_demo",
+)
 """Modules of `services.apps` that are apps."""
 
 

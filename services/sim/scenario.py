@@ -22,6 +22,7 @@ from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
 from swarm.errors import AppError, ConfigError, LocalError
+from swarm.event_app import EventApp, PeriodicApp
 from swarm.paths import socket_path
 from swarm.recordings import Recording, read_folder
 
@@ -42,6 +43,9 @@ WINDOW = 30
 START_VALUES = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
 """The thesis' starting values of consensus (figure 4.4)."""
 
+STANDING_UP_FROM = "front"
+"""How robots lie at the start where the app is about standing up."""
+
 DEFAULT_ITERATIONS = 100
 
 
@@ -60,6 +64,12 @@ class Scenario:
     iterations: int | None
     recordings: dict[str, Recording]
     """By robot; empty without --replay."""
+
+    steps: bool
+    """Whether the app has iterations; one that only reacts to events has none."""
+
+    lying: str | None
+    """The side on which the robots lie at the start; None: they stand up by themselves."""
 
     notes: tuple[str, ...]
     """What to tell before it starts."""
@@ -97,6 +107,9 @@ def build(options: Options, run_dir: Path) -> Scenario:
     for cut in options.cuts:
         if not config.auto and cut.b not in config.neighbours(cut.a):
             raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
+    for press in options.presses:
+        if press.robot not in config.names:
+            raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None:
         iterations = DEFAULT_ITERATIONS
@@ -112,8 +125,15 @@ def build(options: Options, run_dir: Path) -> Scenario:
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
         recordings=recorded,
+        steps=app is not None and not _reacts_only(app),
+        lying=options.lying or (STANDING_UP_FROM if app is not None and app.name == "stand_up" else None),
         notes=_step_size(config, app, recorded) if app is not None else (),
     )
+
+
+def _reacts_only(app: loader.App) -> bool:
+    kind = next(iter(app.algorithms.values()))
+    return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
 
 
 def _program(app: loader.App) -> str:

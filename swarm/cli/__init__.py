@@ -29,6 +29,7 @@ HANDED_ON = {
         ("services.apps.rehearsal.check",),
     ),
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
+    "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),

@@ -46,7 +46,7 @@ class Call(NamedTuple):
     """Call this handler of the app now, and say when it has returned."""
 
     handler: str
-    """start, step, on_button, on_message, on_answer, on_neighbour, on_parameter or on_timer."""
+    """start, step, on_button, on_message, on_answer, on_announced, on_neighbour, on_parameter or on_timer."""
     arguments: tuple[object, ...] = ()
     """As the handler has them; a neighbour is given by name."""
 

@@ -115,8 +115,12 @@ def test_robots_with_another_version_are_named(make_rig: MakeRig) -> None:
     rig.start("r0", "apps", app, "--run", "a1")
     rig.start("r1", "apps", str(other / "counter.py"), "--run", "a1")
     wanted = "r1 runs another version of this app: its state is not used"
-    rig.until(lambda: "r0" in rig.progress and rig.progress["r0"].reason == wanted, "naming r1")
-    assert rig.progress["r0"].phase == "waiting"
+
+    def named() -> bool:
+        progress = rig.progress.get("r0")
+        return progress is not None and (progress.phase, progress.reason) == ("waiting", wanted)
+
+    rig.until(named, "naming r1")
 
 
 def test_parameters_buttons_devices_and_faults(make_rig: MakeRig) -> None:
@@ -185,3 +189,46 @@ def test_a_wrong_state_is_named_and_sigterm_gives_back_what_was_taken(make_rig: 
     rig.until_phase("fault", "r0")
     wrong = "Hands on r0, on_button() at k = 0: presses: expected an integer of 64 bits, got 'many'"
     assert rig.progress["r0"].reason == wrong
+
+
+CHANNELS = """
+from swarm import PeriodicApp, SyncApp, channel
+class Mean(SyncApp):
+    value: float
+    def step(self, neighbours):
+        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+class Largest(SyncApp):
+    value: float
+    def step(self, neighbours):
+        self.value = max([self.value, *(n.value for n in neighbours)])
+class Two(PeriodicApp):
+    period = 0.05
+    mean = channel(Mean)
+    largest = channel(Largest, value=1.0)
+    def start(self):
+        self.mean.value = float(self.robot.name[1:])
+    def step(self, neighbours):
+        pass
+    def result(self):
+        return {"mean": self.mean.value, "largest": self.largest.value, "k": self.mean.k}
+"""
+
+
+def test_two_locksteps_run_inside_a_periodic_app(make_rig: MakeRig) -> None:
+    rig, app = make_rig("two", CHANNELS, more="[apps.two.robots.r2]\nlargest_value = 7.5\n")
+    rig.start_all(app)
+
+    def agreed() -> bool:
+        results = [state.result for state in rig.state.values()]
+        return len(results) == 3 and all(
+            result["largest"] == 7.5 and abs(float(result["mean"]) - 1.0) < 1e-6 for result in results
+        )
+
+    rig.until(agreed, "agreement on both")
+    rig.kill("r1")
+    at = rig.state["r0"].result["k"]
+    rig.state.clear()
+    rig.start("r1", "apps", app)
+    rig.until(agreed, "agreement on both")
+    rig.until(lambda: all(state.result["k"] > at for state in rig.state.values()), "the lockstep goes on")
+    assert {rig.stop(name) for name in NAMES} == {0}
