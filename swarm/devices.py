@@ -37,6 +37,9 @@ SILENT = 2.0
 POSE_LOST = 5.0
 """s after which a pose is none any more."""
 
+MAX_TEXT = 200
+"""Letters for the display that the balancer takes; it shows fewer."""
+
 BUTTONS = ("a", "b", "c")
 MODES = {"balancing": "standing", "standing_up": "standing_up", "lying_down": "lying_down"}
 """Posture of a robot in these modes of the balancer; in the others it is as the tilt has it."""
@@ -81,6 +84,7 @@ class Devices:
         self._presses: tuple[int, ...] | None = None
         self._on_button: Callable[[str], None] | None = None
         self._leds: tuple[bool, bool, bool] | None = None
+        self._leds_from = -math.inf
         self._text: str | None = None
         self._velocity: tuple[float, float] | None = None
         self._leds_at = self._display_at = self._drive_at = math.inf
@@ -128,29 +132,40 @@ class Devices:
 
     # -- acting
 
-    def leds(self, red: bool | None, yellow: bool | None, green: bool | None) -> None:
-        """Switch LEDs; None leaves one as the app had it (off at first)."""
+    def leds(self, red: bool | None, yellow: bool | None, green: bool | None, at: float | None) -> None:
+        """Switch LEDs at once, or from a time of the robot's clock on; None leaves one as it was (off at first).
+        What was ordered for that time and later is void."""
+        if at is not None and not math.isfinite(at):
+            raise AppError(f"robot.leds: at: expected a time of robot.now or later, got {at!r}")
         with self._lock:
             had = self._leds or (False, False, False)
             wanted = [old if new is None else bool(new) for old, new in zip(had, (red, yellow, green), strict=True)]
-            self._leds = (wanted[0], wanted[1], wanted[2])
-            self._leds_at = self._now()
-        self.handle_timer()
+            leds, now = (wanted[0], wanted[1], wanted[2]), self._now()
+            if at is None and leds == self._leds and self._leds_from <= now < self._leds_at:
+                return  # they are so, and claimed
+            self._leds, self._leds_from = leds, now if at is None else max(now, at)
+            self._command("leds", SetLeds(*leds, LED_CLAIM, at))
+            # Claimed again when the last order's time has come: that would void the orders for later times.
+            self._leds_at = self._leds_from + LED_REPEAT
 
     def display(self, lines: Iterable[object]) -> None:
         """Show text; none shows the app's values again."""
+        text = "\n".join(map(str, lines))[:MAX_TEXT]
         with self._lock:
-            self._text = "\n".join(map(str, lines))
-            self._display_at = self._now()
+            if text == self._text:
+                return
+            self._text, self._display_at = text, self._now()
         self.handle_timer()
 
     def drive(self, speed: float, turn: float) -> None:
         """Go on with this speed (m/s, forward) and turn rate (rad/s, left) until told otherwise."""
         if not (math.isfinite(speed) and math.isfinite(turn)):
             raise AppError(f"robot.drive({speed!r}, {turn!r}): expected finite numbers, in m/s and rad/s")
+        velocity = (float(speed), float(turn))
         with self._lock:
-            self._velocity = (float(speed), float(turn))
-            self._drive_at = self._now()
+            if velocity == self._velocity:
+                return  # it is claimed again and again
+            self._velocity, self._drive_at = velocity, self._now()
         self.handle_timer()
 
     def mode(self, mode: str) -> None:
@@ -172,8 +187,8 @@ class Devices:
                 self._command("leds", SetLeds(*self._leds, LED_CLAIM))
                 self._leds_at = now + LED_REPEAT
             if now >= self._display_at and self._text is not None:
-                self._command("display", SetDisplay(self._text))
-                self._text, self._display_at = self._text or None, math.inf
+                self._command("display", SetDisplay(self._text, LED_CLAIM))
+                self._text, self._display_at = (self._text, now + LED_REPEAT) if self._text else (None, math.inf)
             if now >= self._drive_at and self._velocity is not None:
                 self._command("velocity", SetVelocity(*self._velocity, DRIVE_CLAIM))
                 at_rest = self._velocity == (0.0, 0.0)

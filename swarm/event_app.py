@@ -45,6 +45,9 @@ class EventApp(App):
     """The newest states of those neighbours that have told one, sorted by name, each with `name`, the shared fields and
     `age`: s since it was told, at most some 1 s for one that is well. Set before each handler."""
 
+    finished: str | None
+    """What `finish` was called with; None = it was not."""
+
     def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
         """See `App`. Values named `CHANNEL_NAME` are parameters and first values of a channel."""
         rest, mine = dict(values or {}), {}
@@ -74,6 +77,10 @@ class EventApp(App):
     def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
         """What became of a flood or a message of this app: the `ticket` is that of the handle which `flood` and `send`
         gave."""
+
+    def on_announced(self, origin: str, outcome: Flooded) -> None:
+        """Another robot's flood that was made with `announce` has come to its end: whom it has reached, and whether
+        that is all."""
 
     def on_neighbour(self, neighbour: Any) -> None:
         """A neighbour's state is another one than before. Of several changes since the last call only the newest

@@ -17,7 +17,7 @@ class Goto(DrivingApp):
     """Towards the waypoint at `speed`, with the velocity nearest to that which keeps `apart` from all."""
 
     waypoints: str = parameter("")
-    """ "x,y x,y ..." in m, in the frame of the anchors; empty: the place opposite, through the anchors' middle."""
+    """x,y x,y ... in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors."""
     reach: float = parameter(0.06, unit="m", low=0.02, high=1.0)
     """How near it has to come."""
     reached: int = 0
@@ -51,9 +51,9 @@ class Goto(DrivingApp):
     def _opposite(self, here: tuple[float, float]) -> tuple[float, float]:
         anchors = self.robot.anchors
         if not anchors:
-            raise AppError("waypoints: there are none, and no anchors whose middle they could be opposite of")
-        middle = [math.fsum(getattr(anchor, axis) for anchor in anchors) / len(anchors) for axis in ("x", "y")]
-        return 2 * middle[0] - here[0], 2 * middle[1] - here[1]
+            raise AppError("waypoints: there are none, and no anchors between which a place could be opposite")
+        xs, ys = [anchor.x for anchor in anchors], [anchor.y for anchor in anchors]
+        return min(xs) + max(xs) - here[0], min(ys) + max(ys) - here[1]
 
     def result(self) -> Mapping[str, Value]:
         """Its place (m), how many others it knows, and waypoints reached."""

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.apps import topology
+from services.apps.changes import Changes
 from services.apps.claim import Claim
+from services.apps.hold import Hold
 from services.apps.measurements import Measurements
 from services.apps.runner import Runner
 from services.apps.worker import CLOSE_WITHIN, Latest, Worker
@@ -56,12 +58,16 @@ class Host:
         links: topology.Links,
         last: int | None,
         record: Path | None,
+        claim: Claim | None = None,
     ) -> None:
-        """`code`: path and digest of the app's source. Raises `LocalError` where lock or snapshots cannot be had."""
+        """`code`: path and digest of the app's source. `claim`: the app's lock where somebody else holds it, for the
+        channels of an event-driven app. Raises `LocalError` where lock or snapshots cannot be had."""
         self._service = service
         self._run = run
         source, digest = code
-        self._claim = Claim(service.runtime, name)
+        self._own_claim = Claim(service.runtime, name) if claim is None else None
+        held = claim or self._own_claim
+        assert held is not None
         if not links.kept:
             topology.save(service.runtime, name, run, links)
         self._connections: dict[str, int] = {}
@@ -70,12 +76,15 @@ class Host:
         for part in parts:
             runner = Runner(part.app, source)
             schema = schema_of(runner, part.channel, digest)
-            channel = Channel(run, links.epoch, self._claim.incarnation, schema)
+            channel = Channel(run, links.epoch, held.incarnation, schema)
+            if not part.channel:
+                self._let_change(name, runner, run)
             worker = Worker(service, name, part.channel, runner, channel, links, part.measurements, last, record)
             self._workers[part.channel] = self._by_schema[schema] = worker
         service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
         service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
+        self._hold = Hold(parts[0].app.robot.devices if claim is None else None)
         self._ticks = threading.Thread(target=self._ticker, name="ticker", daemon=True)
         for worker in self._workers.values():
             worker.start()
@@ -85,6 +94,11 @@ class Host:
     def failed(self) -> bool:
         """Whether a channel has stopped for a fault."""
         return any(worker.failed for worker in self._workers.values())
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """Why channels have stopped, by name."""
+        return {channel: worker.reason for channel, worker in self._workers.items() if worker.failed}
 
     def latest(self, channel: str) -> Latest | None:
         """The newest state of a channel, whole; None before the first one."""
@@ -101,8 +115,9 @@ class Host:
             worker.stop()
         self._ticks.join(CLOSE_WITHIN)
         closed = [worker.close() for worker in self._workers.values()]
-        if all(closed):
-            self._claim.close()
+        self._hold.close()
+        if all(closed) and self._own_claim is not None:
+            self._own_claim.close()
 
     # On Zenoh's thread
 
@@ -151,6 +166,14 @@ class Host:
         for worker in self._workers.values():
             worker.take(in_force)
 
+    def _let_change(self, name: str, runner: Runner, run: int) -> None:
+        """Take other parameters while it runs, as far as the app has declared some that are live."""
+        service = self._service
+        kept = (service.runtime / f"app.{name}.parameters", run)
+        changes = Changes(service.bus, service.robot, name, runner.app, runner.change, self._refuse, kept=kept)
+        runner.change(changes.kept())
+        runner.changed = changes.tell
+
     def _refuse(self, error: PayloadError) -> None:
         self._service.counters["refused_payloads"] += 1
         self._service.log.debug("%s", error)
@@ -162,6 +185,7 @@ class Host:
         workers = tuple(self._workers.values())
         while not self._service.stopping.wait(self._pause()):
             news = [worker.tick() for worker in workers]
+            self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
             if not told_ready and all(worker.begun for worker in workers) and not self.failed:
                 told_ready = True
                 self._service.ready()

@@ -18,12 +18,13 @@ from swarm.errors import LocalError, SwarmError
 
 VERBS = (
     "arm", "bundle", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh",
-    "pair", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
+    "pair", "param", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
 )  # fmt: skip
 """Modules of this package."""
 
 HANDED_ON = {
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
+    "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),
