@@ -124,7 +124,7 @@ def _tick(balancer: Balancer, chores: Chores) -> tuple[float, float, float]:
     balancer.step(begun)
     wire = robot.robot.wire_s() - before
     step = clock.now() - begun
-    balancer.show_leds()
+    balancer.show_leds(clock.now())
     chores.run(begun + PERIOD_MS / 1e3)
     tick = clock.now() - begun
     time.sleep(max(0.0, begun + PERIOD_MS / 1e3 - clock.now()))

@@ -1,27 +1,38 @@
 """Balboa Swarm: distributed algorithms on swarms of self-balancing robots.
 
-An app author needs `from swarm import SyncApp` and, for some, `float32`, `Vector`, `parameter`. They are
-looked up when first asked for, so that services which run no app do not pay for them.
+An app author needs `from swarm import SyncApp` (or `EventApp`, `PeriodicApp`, `channel`) and, for some, `parameter`,
+`float32`, `Vector`, `Matrix`. They are looked up when first asked for, so that services which run no app do not pay for
+them.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from swarm.app import SyncApp, parameter
-    from swarm.core.state import Vector, float32
+    from swarm.app import SyncApp
+    from swarm.core.state import Matrix, Vector, float32
+    from swarm.event_app import EventApp, PeriodicApp, channel
+    from swarm.parameters import parameter
 
 __version__ = "0.1.0"
 
-__all__ = ["SyncApp", "Vector", "__version__", "float32", "parameter"]
+__all__ = [
+    "EventApp", "Matrix", "PeriodicApp", "SyncApp", "Vector", "__version__", "channel", "float32", "parameter",
+]  # fmt: skip
+
+_HOME = {
+    "SyncApp": "swarm.app",
+    "EventApp": "swarm.event_app",
+    "PeriodicApp": "swarm.event_app",
+    "channel": "swarm.event_app",
+    "parameter": "swarm.parameters",
+    "Matrix": "swarm.core.state",
+    "Vector": "swarm.core.state",
+    "float32": "swarm.core.state",
+}
 
 
 def __getattr__(name: str) -> object:
-    if name in ("SyncApp", "parameter"):
-        from swarm import app
-
-        return getattr(app, name)
-    if name in ("Vector", "float32"):
-        from swarm.core import state
-
-        return getattr(state, name)
+    if name in _HOME:
+        return getattr(import_module(_HOME[name]), name)
     raise AttributeError(f"module 'swarm' has no attribute {name!r}")

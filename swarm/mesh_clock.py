@@ -7,7 +7,8 @@ here it is applied. No time server is needed, and mesh time has nothing to do wi
 import logging
 
 from swarm import clock
-from swarm.bus import Bus
+from swarm.bus_protocol import BusLike
+from swarm.bus_protocol import Clock as Now
 from swarm.codec import decode
 from swarm.errors import PayloadError
 from swarm.keys import key
@@ -29,7 +30,9 @@ def monotonic_time(state: Clock, mesh: float) -> float:
 class MeshClock:
     """Reads one robot's mesh clock from its bus."""
 
-    def __init__(self, bus: Bus, robot: str) -> None:
+    def __init__(self, bus: BusLike, robot: str, now: Now = clock.now) -> None:
+        """`now` is the robot's monotonic clock."""
+        self._monotonic = now
         self._key = key(robot, "mesh", "clock")
         self.state: Clock | None = None
         """The newest message; None until the first has come, as soon as the mesh is there."""
@@ -40,7 +43,7 @@ class MeshClock:
     def now(self) -> float | None:
         """Mesh time, s; None as long as the mesh has not told it. Where the mesh has died, its last word holds on."""
         state = self.state
-        return None if state is None else mesh_time(state, clock.now())
+        return None if state is None else mesh_time(state, self._monotonic())
 
     @property
     def error(self) -> float | None:

@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from swarm import clock
-from swarm.bus import Bus
+from swarm.bus_protocol import BusLike, Clock
 from swarm.codec import decode, encode
 from swarm.errors import PayloadError
 from swarm.keys import key, parse
@@ -52,15 +52,16 @@ class Message(NamedTuple):
 class Handle(Generic[A]):
     """One request under way: wait for its `result`, look at its `answer`, or have a callback (`on_done`)."""
 
-    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None]) -> None:
+    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None], now: Clock) -> None:
         """`ask()` makes the request, `remind()` repeats it."""
+        self._now = now
         self.ticket = ticket
         """Names the request: what an app keeps of it (`Overlays.answer`)."""
         self.moved = 0
         """Bytes of a large payload that have arrived, as of the last reminder."""
         self._ask = ask
         self._remind = remind
-        self._asked_at = clock.now()
+        self._asked_at = self._now()
         self._done = threading.Event()
         self._answer: A | None = None
         self._callback: Callable[[A], None] | None = None
@@ -74,16 +75,16 @@ class Handle(Generic[A]):
     @property
     def answer(self) -> A | None:
         """The answer if it is there; never waits."""
-        if self._answer is None and clock.now() >= self._asked_at + REPEAT:
+        if self._answer is None and self._now() >= self._asked_at + REPEAT:
             self.ask_again()
         return self._answer
 
     def result(self, timeout: float) -> A:
         """Wait for the answer; `TimeoutError` where none came within `timeout` s. It may come later. Not to be called
         on Zenoh's thread, which brings the answer."""
-        end = clock.now() + timeout
-        while not self._done.wait(min(REPEAT, max(0.0, end - clock.now()))):
-            if clock.now() >= end:
+        end = self._now() + timeout
+        while not self._done.wait(min(REPEAT, max(0.0, end - self._now()))):
+            if self._now() >= end:
                 raise TimeoutError(f"no answer of the mesh within {timeout:g} s")
             self.ask_again()
         assert self._answer is not None
@@ -91,12 +92,12 @@ class Handle(Generic[A]):
 
     def ask_again(self) -> None:
         """Repeat the request: where it has arrived before, only the answer comes again."""
-        self._asked_at = clock.now()
+        self._asked_at = self._now()
         self._remind()
 
     def ask(self) -> None:
         """Make the request, payload and all."""
-        self._asked_at = clock.now()
+        self._asked_at = self._now()
         self._ask()
 
     def on_done(self, callback: Callable[[A], None]) -> None:
@@ -107,8 +108,8 @@ class Handle(Generic[A]):
         if answer is not None:
             callback(answer)
 
-    def finish(self, answer: A) -> None:
-        """Called by `Overlays` when the answer came."""
+    def finish(self, answer: A) -> bool:
+        """Called by `Overlays` when the answer came; True for the first time."""
         with self._lock:
             first = self._answer is None
             self._answer = answer
@@ -117,17 +118,22 @@ class Handle(Generic[A]):
         self._done.set()
         if first and callback is not None:
             callback(answer)
+        return first
 
 
 class Overlays:
     """What one process, under an app's name, floods and sends."""
 
-    def __init__(self, bus: Bus, robot: str, app: str) -> None:
-        """`app` is what both ends call themselves: payloads reach the processes of that name."""
+    def __init__(
+        self, bus: BusLike, robot: str, app: str, *, now: Clock = clock.now, prefix: str | None = None
+    ) -> None:
+        """`app` is what both ends call themselves: payloads reach the processes of that name. Tickets begin with
+        `prefix`, which no other process may have: a random one, unless a simulation wants the same ones again."""
+        self._now = now
         self._bus = bus
         self._robot = robot
         self._app = app
-        self._prefix = os.urandom(6).hex()
+        self._prefix = prefix or os.urandom(6).hex()
         self._count = 0
         self._lock = threading.Lock()
         self._handles: dict[str, Handle[Any]] = {}
@@ -136,6 +142,7 @@ class Overlays:
         self._flood_key = key(robot, "mesh", "set", "flood")
         self._send_key = key(robot, "mesh", "set", "send")
         self._remind_key = key(robot, "mesh", "set", "remind")
+        self._on_answer: Callable[[str, Flooded | Sent], None] | None = None
         bus.subscribe(key(robot, "mesh", "flooded"), self._on_flooded)
         bus.subscribe(key(robot, "mesh", "sent"), self._on_sent)
         bus.subscribe(key(robot, "mesh", "progress"), self._on_progress)
@@ -171,6 +178,18 @@ class Overlays:
             self._collected_bytes = 0
         return found
 
+    def on_answer(self, callback: Callable[[str, Flooded | Sent], None]) -> None:
+        """Call `callback(ticket, answer)` on Zenoh's thread when a request of this process is answered; `remind` is to
+        be called now and then."""
+        self._on_answer = callback
+
+    def remind(self) -> None:
+        """Repeat the requests that have waited for `REPEAT` s."""
+        with self._lock:
+            waiting = [handle for handle in self._handles.values() if not handle.done]
+        for handle in waiting:
+            _ = handle.answer
+
     def on_flood(self, callback: OnPayload) -> None:
         """Call `callback(origin, payload)` on Zenoh's thread for each flood of this app on other robots."""
         self._subscribe(key("*", "app", self._app, "flood"), callback)
@@ -192,7 +211,7 @@ class Overlays:
 
     def arm(self) -> None:
         """Take back every stop of the swarm that this robot knows of."""
-        self._bus.publish(key(self._robot, "mesh", "set", "arm"), Arm(clock.now(), self._app), urgent=True)
+        self._bus.publish(key(self._robot, "mesh", "set", "arm"), Arm(self._now(), self._app), urgent=True)
 
     # -- inside ------------------------------------------------------------------------------------------------
 
@@ -207,7 +226,7 @@ class Overlays:
         # The bus has room for large ones in its ordinary queue alone.
         ask = partial(self._bus.publish, key, request, urgent=small)
         remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)
-        handle: Handle[Any] = Handle(request.ticket, ask, remind)
+        handle: Handle[Any] = Handle(request.ticket, ask, remind, self._now)
         with self._lock:
             if len(self._handles) >= MAX_OPEN:
                 del self._handles[next(iter(self._handles))]
@@ -258,8 +277,8 @@ class Overlays:
         if answer is not None:
             with self._lock:
                 handle = self._handles.get(answer.ticket)
-            if handle is not None:
-                handle.finish(answer)
+            if handle is not None and handle.finish(answer) and self._on_answer is not None:
+                self._on_answer(answer.ticket, answer)
 
 
 def _nothing() -> None:

@@ -9,7 +9,7 @@ import logging
 import threading
 
 from swarm import clock
-from swarm.bus import Bus
+from swarm.bus_protocol import BusLike, Clock
 from swarm.codec import decode
 from swarm.core.ranging import RangeTable
 from swarm.errors import PayloadError
@@ -22,7 +22,9 @@ _log = logging.getLogger("ranging")
 class Ranging:
     """Reads `dwm/ranges` of all robots from one robot's bus."""
 
-    def __init__(self, bus: Bus, robot: str) -> None:
+    def __init__(self, bus: BusLike, robot: str, now: Clock = clock.now) -> None:
+        """`now` is the robot's monotonic clock."""
+        self._now = now
         self._table = RangeTable(robot)
         self._lock = threading.Lock()
         bus.subscribe(key("*", "dwm", "ranges"), self._receive)
@@ -31,12 +33,12 @@ class Ranging:
     def ranges(self) -> tuple[Range, ...]:
         """This robot's newest ranges, to anchors and robots; none older than a second."""
         with self._lock:
-            return self._table.ranges(clock.now())
+            return self._table.ranges(self._now())
 
     def distance(self, robot: str) -> float | None:
         """The distance to another robot, m; None where neither has measured it within the last second."""
         with self._lock:
-            return self._table.distance(robot, clock.now())
+            return self._table.distance(robot, self._now())
 
     def _receive(self, name: str, payload: bytes) -> None:
         """Runs on Zenoh's thread."""
@@ -46,4 +48,4 @@ class Ranging:
             _log.debug("%s", error)
             return
         with self._lock:
-            self._table.take(parse(name).robot, message, clock.now())
+            self._table.take(parse(name).robot, message, self._now())

@@ -56,9 +56,9 @@ def test_a_message_travels_typed(open_bus: Open) -> None:
     samples = Samples()
     bob.subscribe("swarm/**", samples)
     talk(alice, "swarm/r0/test/x", samples)
-    alice.publish("swarm/r0/balancer/leds", Leds(red=True, yellow=False, green=True), urgent=True)
+    alice.publish("swarm/r0/balancer/leds", Leds(1.0, red=True, yellow=False, green=True), urgent=True)
     wait_until(lambda: "swarm/r0/balancer/leds" in dict(samples))
-    assert read("swarm/r0/balancer/leds", dict(samples)["swarm/r0/balancer/leds"]) == Leds(True, False, True)
+    assert read("swarm/r0/balancer/leds", dict(samples)["swarm/r0/balancer/leds"]) == Leds(1.0, True, False, True)
 
 
 @pytest.mark.usefixtures("router")
@@ -369,7 +369,7 @@ def test_stock_tools_reach_the_bus(open_bus: Open, processes: Processes, runtime
     bus = open_bus()
 
     def ended() -> bool:
-        bus.publish("swarm/r0/balancer/leds", Leds(True, False, True))
+        bus.publish("swarm/r0/balancer/leds", Leds(1.0, True, False, True))
         return stock.poll() is not None
 
     wait_until(ended)

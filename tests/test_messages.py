@@ -72,7 +72,8 @@ def test_any_key_is_read_or_refused(text: str, payload: bytes) -> None:
         ("swarm/r0/balancer/set/mode", SetMode),
         ("swarm/r0/balancer/set/other", None),
         ("swarm/r0/app/consensus/sync/1-2-3-4", None),
-        ("swarm/r0/app/consensus/deep/state", None),
+        ("swarm/r0/app/led_sync/frequency/state", AppState),
+        ("swarm/r0/app/consensus/very/deep/state", None),
         ("swarm/r0/mesh/x/status", None),
         ("swarm/r0/mesh/alive", None),
     ],
@@ -106,10 +107,12 @@ def documented() -> tuple[dict[str, str], dict[str, list[str]]]:
 
 
 def test_the_page_lists_every_key_and_no_other() -> None:
-    wanted = {
-        f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic.replace('*', '<app>')}": kind.__name__
-        for (service, topic), kind in TOPICS.items()
-    }
+    def shown(service: str, topic: str) -> str:
+        second = "<channel>" if topic.startswith("*/*") else "<topic>"
+        topic = topic.replace("*", "<app>", 1).replace("*", second)
+        return f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic}"
+
+    wanted = {shown(*place): kind.__name__ for place, kind in TOPICS.items()}
     assert documented()[0] == wanted | {STOP: "Stop"}
 
 

@@ -56,7 +56,7 @@ def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def client(bus: FakeBus) -> Overlays:
-    return Overlays(bus, "r0", "test")  # type: ignore[arg-type]
+    return Overlays(bus, "r0", "test", now=lambda: clock.now())
 
 
 def sent(ticket: str, *, delivered: bool = True) -> bytes:
@@ -147,7 +147,7 @@ def test_messages_of_others_wait_in_order_within_bounds(bus: FakeBus, monkeypatc
 
 
 def test_the_mesh_clock_is_asked_for_when_the_bus_comes(bus: FakeBus, now: list[float]) -> None:
-    each = MeshClock(bus, "r0")  # type: ignore[arg-type]
+    each = MeshClock(bus, "r0", lambda: clock.now())
     assert (each.now(), each.error, each.root, each.monotonic(1.0)) == (None,) * 4
     bus.change(connected=True)
     assert bus.asked == ["swarm/r0/mesh/clock"]

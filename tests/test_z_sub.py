@@ -21,7 +21,7 @@ from swarm.paths import bus_endpoint
 from swarm.simulations import claim
 
 Z_SUB = ("-m", "swarm.cli.z_sub")
-RED = Leds(red=True, yellow=False, green=False)
+RED = Leds(1.0, red=True, yellow=False, green=False)
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_a_line_for_each_sample(processes: Processes, bus: Bus) -> None:
     assert len(lines) == 3
     time, key, *fields = lines[0].split()
     assert len(time) == len("12:34:56.789")
-    assert (key, fields) == ("swarm/r0/balancer/leds", ["red=true", "yellow=false", "green=false"])
+    assert (key, fields) == ("swarm/r0/balancer/leds", ["t=1", "red=true", "yellow=false", "green=false"])
 
 
 @pytest.mark.usefixtures("router")
@@ -66,7 +66,7 @@ def test_json(processes: Processes, bus: Bus) -> None:
     process = processes.start(*Z_SUB, "swarm/r0/balancer/leds", "--json", "--count", "2")
     for line in lines_while_publishing(process, bus, "swarm/r0/balancer/leds", RED):
         data = json.loads(line)
-        assert data["value"] == {"red": True, "yellow": False, "green": False}
+        assert data["value"] == {"t": 1.0, "red": True, "yellow": False, "green": False}
         assert data["key"] == "swarm/r0/balancer/leds"
 
 

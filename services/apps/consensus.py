@@ -1,10 +1,16 @@
-"""Average consensus: every robot ends on one value (thesis 4.3.1). docs/apps.md has the equations."""
+"""Average consensus: every robot ends on one value (thesis 4.3.1). docs/apps/consensus.md has the equations."""
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
-from swarm import SyncApp
+from swarm import SyncApp, Vector
 from swarm.codec import Value
+from swarm.core import spectrum
+from swarm.errors import AppError
+
+ROOM = 53
+"""Robots that `flood` has room for: a value of 8 bytes each, in a state of at most 440."""
 
 
 class Consensus(SyncApp):
@@ -30,4 +36,99 @@ class Thesis(Consensus):
     weights = "row"
 
 
-ALGORITHMS = {"metropolis": Consensus, "thesis": Thesis}
+class SecondOrder(Consensus):
+    """Metropolis with a memory of one step, tuned to the graph (Muthukrishnan, Ghosh, Schultz 1998).
+
+    The errors of two steps are combined so that they cancel: x(k+1) = omega W x(k) + (1 - omega) x(k-1).
+    """
+
+    _before: float = 0.0
+    """x(k-1)."""
+    _omega: float = 1.0
+    """Of the last step."""
+    _gain: float = 1.0
+    """Of the plain step within the combination."""
+    _radius: float = 0.0
+    """Largest factor by which one plain step can leave disagreement."""
+
+    def start(self) -> None:
+        """Every robot knows the graph, and so the eigenvalues of its weights."""
+        if self.weights != "metropolis":
+            raise AppError(f"weights = {self.weights!r}: this algorithm is tuned to symmetric weights, leave them out")
+        low, high = spectrum.bounds(self.robot.graph, self.robot.name)
+        self._tune(low, high)
+
+    def step(self, neighbours: Sequence[Any]) -> None:
+        """x(k+1) = x(k-1) + omega (x(k) - x(k-1) + gain sum_j w_ij (x_j - x_i)); the first step is a plain one."""
+        if self.k > 0:
+            self._omega = self._next()
+        pull = self._gain * sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        self.value, self._before = self._before + self._omega * (self.value - self._before + pull), self.value
+
+    def _tune(self, low: float, high: float) -> None:
+        """`low` and `high`: the eigenvalues of the weights farthest from agreement's."""
+        self._radius = max(-low, high)
+
+    def _next(self) -> float:
+        return 2.0 / (1.0 + math.sqrt(1.0 - self._radius**2))
+
+
+class Chebyshev(SecondOrder):
+    """The same with the omegas that are best at every k: Chebyshev's polynomials (Golub, Varga 1961)."""
+
+    def _tune(self, low: float, high: float) -> None:
+        self._gain = 2.0 / (2.0 - high - low)
+        self._radius = (high - low) / (2.0 - high - low)
+
+    def _next(self) -> float:
+        if self.k == 1:
+            return 1.0 / (1.0 - self._radius**2 / 2.0)
+        return 1.0 / (1.0 - self._radius**2 * self._omega / 4.0)
+
+
+class Flood(SyncApp):
+    """Every robot passes on all the first values it knows and takes their mean: exact after as many rounds as hops."""
+
+    value: float
+    """Mean of the values known so far; before the first step, the own one."""
+    known: int
+    """Bit i: the value of the i-th robot of the swarm is there."""
+    values: Annotated[Vector, ROOM]
+    """First values, in the order of the swarm."""
+
+    def start(self) -> None:
+        """At first everybody knows one value, the own."""
+        swarm = self.robot.swarm
+        if len(swarm) > ROOM:
+            raise AppError(f"flood has room for {ROOM} robots, the swarm has {len(swarm)}: take another algorithm")
+        own = swarm.index(self.robot.name)
+        self.known = 1 << own
+        self.values = tuple(self.value if i == own else 0.0 for i in range(ROOM))
+
+    def step(self, neighbours: Sequence[Any]) -> None:
+        """Take over what the neighbours know."""
+        values = list(self.values)
+        for n in neighbours:
+            for i in _bits(n.known & ~self.known):
+                values[i] = n.values[i]
+            self.known |= n.known
+        self.values = tuple(values)
+        there = [values[i] for i in _bits(self.known)]
+        self.value = math.fsum(there) / len(there)
+
+    def result(self) -> Mapping[str, Value]:
+        """The mean of the known values, and how many they are."""
+        return {"value": self.value, "known": self.known.bit_count()}
+
+
+def _bits(number: int) -> list[int]:
+    return [i for i in range(ROOM) if number >> i & 1]
+
+
+ALGORITHMS = {
+    "metropolis": Consensus,
+    "thesis": Thesis,
+    "second_order": SecondOrder,
+    "chebyshev": Chebyshev,
+    "flood": Flood,
+}

@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
-from swarm.app import SyncApp
+from swarm.app import App, SyncApp
 from swarm.codec import Value
 from swarm.core.state import pack_private, unpack_private
 from swarm.errors import AppError
@@ -18,10 +18,10 @@ from swarm.messages import Measurement
 T = TypeVar("T")
 
 
-class Runner:
-    """Drives one app instance from state to state."""
+class AppRunner:
+    """What runners of all kinds of apps share: the app's state and result, and its faults in words."""
 
-    def __init__(self, app: SyncApp, source: str) -> None:
+    def __init__(self, app: App, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
         self.app = app
         self.schema = type(app).spec.schema
@@ -29,44 +29,9 @@ class Runner:
         self._source = source
         self._columns: tuple[str, ...] | None = None
 
-    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
-        """Let the app set its first state; returns it packed: shared, private."""
-        self._be_at(0)
-        self.app.robot.prepare("start", measurement)
-        self._call("start()", self.app.start)
-        return self._pack("start()")
-
-    def step(
-        self, k: int, own: bytes, values: Mapping[str, bytes], measurement: Measurement | None
-    ) -> tuple[bytes, bytes]:
-        """Compute x(k+1) from the own x(k) and the neighbours', by name; returns it packed: shared, private.
-
-        The neighbours are handed over sorted by name, so that sums have one order everywhere (rule R8).
-        """
-        self._be_at(k)
-        self._set(own)
-        app = self.app
-        view, unpack = type(app).spec.view, self.schema.unpack
-        app.robot.prepare(str(k), measurement)
-        neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]
-        where = f"iteration {k}"
-        answer: object = self._call(where, lambda: app.step(neighbours))
-        if answer is not None:
-            raise AppError(f"{self._where(where)}: it returned {answer!r}; a step assigns to the state instead")
-        packed = self._pack(where)
-        self._be_at(k + 1)
-        return packed
-
-    def restore(self, k: int, own: bytes, private: bytes) -> None:
-        """Be again where a snapshot was taken."""
-        self._be_at(k)
-        self._set(own)
-        for name, value in unpack_private(private).items():
-            setattr(self.app, name, value)
-
     def state(self) -> dict[str, Value]:
         """The shared state by name."""
-        return {name: getattr(self.app, name) for name in self.schema.names}
+        return self.schema.plain({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
         """What the app reports now; its names never change."""
@@ -91,17 +56,6 @@ class Runner:
         for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):
             setattr(self.app, name, value)
 
-    def _pack(self, where: str) -> tuple[bytes, bytes]:
-        app, spec = self.app, type(self.app).spec
-        try:
-            own = self.schema.pack({name: getattr(app, name) for name in self.schema.names})
-            private = pack_private({name: getattr(app, name) for name in spec.private if hasattr(app, name)})
-        except AppError as error:
-            raise AppError(f"{self._where(where)}: {error}") from None
-        # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
-        self._set(own)
-        return own, private
-
     def _value(self, where: str, name: str, value: object) -> Value:
         if isinstance(value, bool | str):
             return value
@@ -123,6 +77,81 @@ class Runner:
 
     def _where(self, where: str) -> str:
         return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"
+
+
+class Runner(AppRunner):
+    """Drives one app of the synchronous kind from state to state."""
+
+    app: SyncApp
+
+    def __init__(self, app: SyncApp, source: str) -> None:
+        """`source`: path of the app's file; a fault is reported with the line in it."""
+        super().__init__(app, source)
+        self._changes: dict[str, Value] = {}
+        self.changed: Callable[[], None] | None = None
+        """Called when other parameters are in force."""
+
+    def change(self, values: Mapping[str, object]) -> None:
+        """Other values for live parameters, from the next step on; `AppError` where one cannot be changed so, and then
+        none is."""
+        found = type(self.app).check_change(values)
+        self._changes = {**self._changes, **found}
+
+    @property
+    def size(self) -> int:
+        """Bytes of one packed state."""
+        return self.schema.size
+
+    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
+        """Let the app set its first state; returns it packed: shared, private."""
+        self._be_at(0)
+        self.app.robot.prepare("start", measurement)
+        self._call("start()", self.app.start)
+        return self._pack("start()")
+
+    def step(
+        self, k: int, own: bytes, values: Mapping[str, bytes], measurement: Measurement | None
+    ) -> tuple[bytes, bytes]:
+        """Compute x(k+1) from the own x(k) and the neighbours', by name; returns it packed: shared, private.
+
+        The neighbours are handed over sorted by name, so that sums have one order everywhere (rule R8).
+        """
+        self._be_at(k)
+        self._set(own)
+        app = self.app
+        if self._changes:
+            changes, self._changes = self._changes, {}
+            self._call(f"iteration {k}", lambda: app.change(changes))
+            if self.changed is not None:
+                self.changed()
+        view, unpack = type(app).spec.view, self.schema.unpack
+        app.robot.prepare(str(k), measurement)
+        neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]
+        where = f"iteration {k}"
+        answer: object = self._call(where, lambda: app.step(neighbours))
+        if answer is not None:
+            raise AppError(f"{self._where(where)}: it returned {answer!r}; a step assigns to the state instead")
+        packed = self._pack(where)
+        self._be_at(k + 1)
+        return packed
+
+    def restore(self, k: int, own: bytes, private: bytes) -> None:
+        """Be again where a snapshot was taken."""
+        self._be_at(k)
+        self._set(own)
+        for name, value in unpack_private(private).items():
+            setattr(self.app, name, value)
+
+    def _pack(self, where: str) -> tuple[bytes, bytes]:
+        app, spec = self.app, type(self.app).spec
+        try:
+            own = self.schema.pack({name: getattr(app, name) for name in self.schema.names})
+            private = pack_private({name: getattr(app, name) for name in spec.private if hasattr(app, name)})
+        except AppError as error:
+            raise AppError(f"{self._where(where)}: {error}") from None
+        # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
+        self._set(own)
+        return own, private
 
 
 def describe(error: BaseException, source: str) -> str:

@@ -16,6 +16,7 @@ from swarm import clock
 from swarm.codec import decode, encode
 from swarm.config import Config
 from swarm.core.graph import Graph
+from swarm.core.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import key
 from swarm.messages import AppProgress, Topology
@@ -58,9 +59,9 @@ def of_run(service: Service, app: str, run: int) -> Links | None:
     """The links of a run; waits for the mesh where they are not known yet. None = told to stop."""
     config = service.config
     if (kept := _load(_path(service.runtime, app), run)) is not None:
-        return _links(config, kept, kept=True)
+        return of_edges(config, kept, kept=True)
     if len(config.robots) == 1:
-        return _links(config, (), kept=False)
+        return of_edges(config, ())
     answers: list[Topology] = []
     answered = threading.Event()
 
@@ -79,7 +80,7 @@ def of_run(service: Service, app: str, run: int) -> Links | None:
         answered.wait(ASK_EVERY)
         reason = lacking(config, answers[-1], clock.now()) if answers else "the mesh does not tell its topology"
         if not reason:
-            return _links(config, answers[-1].edges, kept=False)
+            return of_edges(config, answers[-1].edges)
         if clock.now() >= told_at + TELL_EVERY:
             told_at = clock.now()
             progress = AppProgress(told_at, "starting", 0, (), reason)
@@ -119,7 +120,7 @@ class Watch:
         self._on_lost = on_lost
         self._lost: frozenset[str] = frozenset()
         self._version = ""
-        self._strangers: set[str] = set()
+        self._strangers: dict[str, str] = {}
 
     def take(self, topology: Topology) -> None:
         """The topology in force."""
@@ -129,14 +130,27 @@ class Watch:
             self._on_lost(self._text(lost))
         self._lost = lost
 
-    def heard(self, sender: str, *, same: bool) -> None:
-        """A host of this run, on the same links or on others."""
-        (self._strangers.discard if same else self._strangers.add)(sender)
+    def heard(self, sender: str, theirs: Channel, ours: Channel) -> None:
+        """A frame under this app's name: of this run, or of something else that never mixes with it."""
+        if theirs.run != ours.run:
+            reason = "is in another run: another number, other sources of the app, or another swarm.toml"
+        elif theirs.schema != ours.schema:
+            reason = "runs another version of this app"
+        elif theirs.epoch != ours.epoch:
+            reason = "began on other links: start a new run, with another number"
+        else:
+            self._strangers.pop(sender, None)
+            return
+        self._strangers[sender] = reason
 
     def reason(self, waiting: tuple[str, ...]) -> str:
-        """Why robots are waited for, where that is a matter of links; else empty."""
-        if strangers := self._strangers.intersection(waiting):
-            return f"{' '.join(sorted(strangers))} began on other links: start a new run, with another number"
+        """Why robots are waited for, where that is known; else empty."""
+        by_reason: dict[str, list[str]] = {}
+        for name in waiting:
+            if name in self._strangers:
+                by_reason.setdefault(self._strangers[name], []).append(name)
+        if by_reason:
+            return "; ".join(f"{' '.join(names)} {reason}" for reason, names in by_reason.items())
         lost = self._lost.intersection(waiting)
         return self._text(lost) if lost else ""
 
@@ -159,7 +173,8 @@ def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
     return kept.edges if kept.run == run else None
 
 
-def _links(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool) -> Links:
+def of_edges(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool = False) -> Links:
+    """A run's links where these are in force."""
     pairs = Graph(config.names, _pairs(edges)).edges
     epoch = CONFIGURED if pairs == config.edges else zlib.crc32(repr(pairs).encode()) or 1
     return Links(replace(config, edges=pairs), epoch, kept)

@@ -16,7 +16,7 @@ from services.balancer.core.controller import BALANCING, CALIBRATING, FAULT, IDL
 from services.balancer.core.estimator import Estimate, Estimator
 from services.balancer.core.faults import Fault
 from services.balancer.core.gyro import GyroZero, Zero
-from services.balancer.core.leds import LONGEST_CLAIM_S, Shown, shown
+from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, MOST_AHEAD, Claim, Order, Shown, shown
 from services.balancer.core.posture import at_rest, posture
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
@@ -46,8 +46,10 @@ class Balancer:
         *,
         start_mode: str = "rest",
         settings: Balancing | None = None,
+        kept_zero: Zero | None = None,
     ) -> None:
-        """`start_mode` is obeyed once the gyro's zero is known; `sleep` waits for the ATmega, 150 us at most."""
+        """`start_mode` is obeyed once the gyro's zero is known, which may be that of the process before (`kept_zero`);
+        `sleep` waits for the ATmega, 150 us at most."""
         self.bus = bus
         self.imu = Imu(bus)
         self.balboa = Balboa(bus, clock, sleep)
@@ -55,17 +57,16 @@ class Balancer:
         settings = Balancing() if settings is None else settings
         self._controller = make_controller(body, trim, settings)
         self._guard = BatteryGuard(settings.battery_warning, settings.battery_limit)
-        self._zero: GyroZero | None = GyroZero()
+        self._zero: GyroZero | None = GyroZero(kept=kept_zero)
         self._estimator: Estimator | None = None
         self._wish = start_mode
         self._connected = False
         self._unreachable: Fault | None = None
         self._retry_at = 0.0
         self._errors_in_row = 0
-        self._claim: tuple[Shown, float] | None = None
+        self._claim = Claim()
         self._leds: Shown | None = None
         self._leds_again_at = 0.0
-        self._now = 0.0
         self.notices: deque[tuple[str, str]] = deque(maxlen=8)
         """What happened and is no fault, as (about what, text), for who asks next."""
         self.estimate: Estimate | None = None
@@ -80,6 +81,11 @@ class Balancer:
     def ready(self) -> bool:
         """Whether devices were found and the gyro's zero is known."""
         return self._estimator is not None
+
+    @property
+    def gyro_zero(self) -> Zero | None:
+        """In use; None before it was found."""
+        return None if self._estimator is None else self._estimator.gyro_zero
 
     @property
     def connected(self) -> bool:
@@ -149,9 +155,10 @@ class Balancer:
             self._calibrate()
         elif mode == "lie":
             self._controller.command(mode, now)
-            self._claim = None
+            self._claim.clear()
         else:
-            self._wish, self._claim = mode, None
+            self._wish = mode
+            self._claim.clear()
             if self.ready and mode == "stand":
                 self._zero = None  # a calibration under way is given up: the zero of before holds
             self._controller.command(mode if self.ready else "rest", now)
@@ -169,11 +176,23 @@ class Balancer:
         """Change parameters, all or none; raises `LocalError` that names the first that cannot be."""
         self._controller.change(parameters)
 
-    def claim_leds(self, leds: Shown, seconds: float, now: float) -> None:
-        """Show what an app wants, for a time or until the next mode command. Raises `LocalError` for a wrong time."""
+    def claim_leds(self, leds: Shown, seconds: float, now: float, at: float | None = None) -> None:
+        """Show what an app wants, for a time or until the next mode command; from the time `at` on, or at once.
+
+        Raises `LocalError` for a wrong time, or where too many orders wait for theirs.
+        """
         if not 0.0 < seconds <= LONGEST_CLAIM_S:
             raise LocalError(f"leds: seconds: expected a time above 0 up to {LONGEST_CLAIM_S:g} s, got {seconds:.6g}")
-        self._claim = leds, now + seconds
+        if at is not None and not at <= now + LONGEST_AHEAD_S:
+            raise LocalError(f"leds: at: expected at most {LONGEST_AHEAD_S:g} s from now on, got {at - now:.6g}")
+        begin = now if at is None else at
+        if not self._claim.take(Order(leds, begin, begin + seconds), now):
+            raise LocalError(f"leds: {MOST_AHEAD} orders wait for their time already")
+
+    @property
+    def leds_due(self) -> float:
+        """When the LEDs shall change next by an app's order, s; infinity where none waits."""
+        return self._claim.next_change
 
     def stop(self, reason: str) -> bool:
         """Motors off until the next command; True where that is new."""
@@ -182,7 +201,6 @@ class Balancer:
 
     def step(self, now: float) -> None:
         """One tick: read, estimate, decide, command the motors. Bus failures end up in `fault`, not here."""
-        self._now = now
         if not self._connected and not self._connect(now):
             return
         try:
@@ -215,25 +233,26 @@ class Balancer:
             self._wish = "rest"
             self._controller.lie_down(now, Fault(faults.BATTERY, f"battery empty: {volts}"))
 
-    def show_leds(self) -> bool:
-        """Write the LEDs where they changed, and now and then; for the slack. True when they were written."""
-        if self._claim is not None and self._now >= self._claim[1]:
-            self._claim = None
+    def show_leds(self, now: float) -> bool:
+        """Write the LEDs as they shall be at `now`, where they changed, and now and then; for the slack.
+
+        True when they were written.
+        """
         wanted = shown(
             self.mode,
             "" if self.fault is None else self.fault.name,
-            None if self._claim is None else self._claim[0],
+            self._claim.leds(now),
             low_battery=self._guard.level != OK,
-            now=self._now,
+            now=now,
         )
-        if not self._connected or (wanted == self._leds and self._now < self._leds_again_at):
+        if not self._connected or (wanted == self._leds and now < self._leds_again_at):
             return False
         try:
             self.balboa.write_leds(*wanted)
         except OSError:
             self._bus_errors += 1
             return False
-        self._leds, self._leds_again_at = wanted, self._now + LEDS_AGAIN_S
+        self._leds, self._leds_again_at = wanted, now + LEDS_AGAIN_S
         return True
 
     def motors_off(self) -> None:

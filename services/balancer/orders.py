@@ -25,8 +25,8 @@ def obey(balancer: Balancer, message: Message, now: float) -> bool:
         case SetParameters(parameters):
             if _or_refuse(balancer, "parameters", lambda: balancer.change(parameters)):
                 _log.info("changed %s", " ".join(f"{name}={value:g}" for name, value in parameters.items()))
-        case SetLeds(red, yellow, green, seconds):
-            _or_refuse(balancer, "leds", lambda: balancer.claim_leds((red, yellow, green), seconds, now))
+        case SetLeds(red, yellow, green, seconds, at):
+            _or_refuse(balancer, "leds", lambda: balancer.claim_leds((red, yellow, green), seconds, now, at))
         case Stop(_, origin, reason):
             # It comes back in every state message: others' prose must not make those too large to send.
             why = f"{reason[:MAX_REASON] or 'no reason given'} (by {origin[:MAX_REASON]})"

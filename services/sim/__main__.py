@@ -11,7 +11,10 @@ from pathlib import Path
 from services.sim import options as arguments
 from services.sim import plot, report, scenario
 from services.sim.options import Options
+from services.sim.report import Outcome
 from services.sim.run import Run
+from services.sim.scenario import Scenario
+from services.sim.virtual import run as virtual
 from swarm import log, service
 from swarm.errors import LocalError
 from swarm.simulations import claim, default_run_dir
@@ -26,6 +29,8 @@ def main() -> int:
     options = arguments.parse(sys.argv[1:])
     if options.demo:
         options = _demo(options)
+    if options.virtual:
+        return _virtual(options)
     run_dir = (options.run_dir or default_run_dir()).absolute()
     with claim(run_dir):
         try:
@@ -38,11 +43,24 @@ def main() -> int:
             _clear(run_dir)
 
 
+def _virtual(options: Options) -> int:
+    if options.record is not None:
+        virtual.make_records(options.record)
+    plan = scenario.build(options, virtual.PLACE)
+    for note in plan.notes:
+        sys.stderr.write(note + "\n")
+    return _tell(options, plan, virtual.Run(options, plan).go())
+
+
 def _run(options: Options, run_dir: Path) -> int:
     _clear(run_dir)
     plan = scenario.build(options, run_dir)
     with Run(options, plan, run_dir, sys.stderr) as run:
         outcome = run.watch()
+    return _tell(options, plan, outcome)
+
+
+def _tell(options: Options, plan: Scenario, outcome: Outcome) -> int:
     found = report.summary(outcome)
     print(report.table(found, outcome))
     if options.plot is not None and plan.app is not None:

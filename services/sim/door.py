@@ -1,7 +1,8 @@
-"""The simulated body's link with what is around it: its pose to the world, and whoever acts on it.
+"""The simulated body's link with what is around it: its pose and its LEDs to the world, and whoever acts on it.
 
-The pose goes to RUN/world.sock 25 times a second; acts (`swarm.core.hands`) come to the door, RUN/<robot>/body.sock.
-A body that starts asks the world, which may know from an earlier process where it had been.
+The pose goes to RUN/world.sock 25 times a second, changes of the LEDs as they happen; acts (`swarm.core.hands`) come
+to the door, RUN/<robot>/body.sock. A body that starts asks the world, which may know from an
+earlier process where it had been.
 """
 
 import contextlib
@@ -33,7 +34,7 @@ class Door:
 
     def __init__(self, name: str, robot: SimulatedRobot, runtime: Path, now: float) -> None:
         """`runtime` is the robot's runtime directory."""
-        self._name, self._body = name, robot.body
+        self._name, self._robot, self._body = name, robot, robot.body
         self._hands = Hands(robot)
         self._world = str(socket_path(runtime.parent, WORLD_SOCKET))
         self._next = 0.0
@@ -50,6 +51,9 @@ class Door:
 
     def look(self, now: float) -> None:
         """Report and take acts when it is time; called at every write to the bus."""
+        while self._robot.atmega.led_changes:
+            t, (red, yellow, green) = self._robot.atmega.led_changes.popleft()
+            self._tell({"robot": self._name, "t": t, "red": red, "yellow": yellow, "green": green})
         if now < self._next:
             return
         self._next = now + REPORT_S

@@ -7,7 +7,7 @@ from pathlib import Path
 from swarm.bus import Bus
 from swarm.errors import PayloadError
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState, BalancerState, Links, Pose, Status, Truth, read
+from swarm.messages import AppProgress, AppState, BalancerState, LedChange, Links, Pose, Status, Truth, read
 
 
 @dataclass
@@ -51,9 +51,10 @@ class Monitor:
                 self._samples[name].__setitem__,
             )
 
-    def truth(self, robot: str, message: Truth) -> None:
-        """Publish where a robot really is."""
-        self._buses[robot].publish(key(robot, "sim", "truth"), message)
+    def truth(self, robot: str, message: Truth | LedChange) -> None:
+        """Publish where a robot really is, or what its LEDs show."""
+        topic = "truth" if isinstance(message, Truth) else "leds"
+        self._buses[robot].publish(key(robot, "sim", topic), message)
 
     def ask_status(self) -> None:
         """Ask every service for its status: what was published before we were connected is lost."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarm.codec import Value
-from swarm.errors import ConfigError
+from swarm.errors import AppError, ConfigError
+from swarm.parameters import value_of
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -23,6 +24,16 @@ class Cut:
     at: float
     """s after the first iteration of all robots (without an app: after all are ready)."""
     seconds: float
+
+
+@dataclass(frozen=True)
+class Press:
+    """A button that somebody presses."""
+
+    robot: str
+    button: str
+    at: float
+    """s, counted like a cut's."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +61,9 @@ class Options:
     jitter: float
     bandwidth: float | None
     cuts: tuple[Cut, ...]
+    presses: tuple[Press, ...]
+    lying: str | None
+    """front or back: how robots lie at the start; None: as the app wants it."""
     seconds: float | None
     iterations: int | None
     seed: int
@@ -60,6 +74,8 @@ class Options:
     record: Path | None
     """Where the trajectories are kept; without it they go with the run."""
     demo: bool
+    virtual: bool
+    """In one process under a virtual clock."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -93,6 +109,14 @@ def cut(text: str) -> Cut:
     return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
 
 
+def press(text: str) -> Press:
+    """A button `r4.A@5s`: whose, which, when."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
+    return Press(match[1], match[2].upper(), duration(match[3]))
+
+
 def setting(text: str) -> Setting:
     """A parameter `value=0.5` or, of one robot, `r2.value=3`."""
     name, equals, value = text.partition("=")
@@ -103,19 +127,10 @@ def setting(text: str) -> Setting:
 
 
 def _value(text: str) -> Value:
-    if text in ("true", "false"):
-        return text == "true"
-    if text.startswith("[") and text.endswith("]"):
-        try:
-            return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
-    for convert in (int, float):
-        try:
-            return convert(text)
-        except ValueError:
-            continue
-    return text
+    try:
+        return value_of(text)
+    except AppError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _at_least(low: int) -> Callable[[str], int]:
@@ -174,6 +189,12 @@ def parser() -> argparse.ArgumentParser:
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
+    bodies = p.add_argument_group("the bodies")
+    bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
+                        help="press a button 5 s after the first iteration")  # fmt: skip
+    bodies.add_argument(
+        "--lying", choices=("front", "back"), help="robots lie on this side at the start and wait for an order"
+    )
     run = p.add_argument_group("the run")
     end = run.add_mutually_exclusive_group()
     end.add_argument("--seconds", type=duration, metavar="S", help="end after this time")
@@ -190,6 +211,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
     run.add_argument("--record", type=Path, metavar="DIR", help="keep every robot's trajectory there, as CSV")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
+    p.add_argument("--virtual", action="store_true",
+                   help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 
@@ -214,5 +237,6 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
-    namespace.settings, namespace.cuts = tuple(namespace.settings), tuple(namespace.cuts)
+    for name in ("settings", "cuts", "presses"):
+        setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

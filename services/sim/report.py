@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from services.sim import trajectory
+from services.sim import scene, trajectory
 from services.sim.scenario import Scenario
 from services.sim.trajectory import Trajectory
 from swarm.messages import BalancerState
@@ -32,6 +32,10 @@ class Outcome:
     """Resident memory of each robot's processes."""
     restarts: Mapping[str, int]
     problems: tuple[str, ...]
+    computed_s: float | None = None
+    """s that a run under virtual time took to compute; None of one in real time."""
+    scene: Mapping[str, object] = field(default_factory=dict)
+    """What the world saw of it (services/sim/scene.py)."""
 
 
 def summary(outcome: Outcome) -> Json:
@@ -60,7 +64,11 @@ def summary(outcome: Outcome) -> Json:
         "rss_mib_per_robot": round(sum(memory) / len(memory), 1) if memory else None,
         "restarts": sum(outcome.restarts.values()),
         "problems": list(outcome.problems),
+        **({"scene": dict(outcome.scene)} if outcome.scene else {}),
     }
+    if outcome.computed_s is not None:
+        report["virtual"] = True
+        report["computed_s"] = round(outcome.computed_s, 3)
     if scenario.app == "consensus":
         report["mean"] = true_mean(scenario)
         report["error"] = consensus_error(scenario, paths)
@@ -187,6 +195,8 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
     if outcome.started_s is not None:
         ready = "the first iteration" if outcome.scenario.app else "all services ready"
         lines.append(f"start       {outcome.started_s:.2f} s from the command to {ready}")
+    if outcome.computed_s is not None:
+        lines.append(f"virtual     {outcome.seconds:.2f} s of the robots' time in {outcome.computed_s:.2f} s")
     if report["rss_mib_per_robot"] is not None:
         lines.append(
             f"memory      {report['rss_mib_per_robot']} MiB resident a robot (shared pages counted in each process)"
@@ -198,6 +208,7 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
     if "replay_deviation_cm" in report:
         lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")
+    lines += scene.sentences(outcome.scene)
     lines += [f"problem     {problem}" for problem in outcome.problems]
     return lines
 

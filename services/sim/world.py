@@ -1,4 +1,4 @@
-"""The one world of a run: true poses, and the UWB modules that range in it.
+"""The one world of a run: true poses, LEDs as they shine, and the UWB modules that range in it.
 
 Bodies integrate their own motion (in the balancer's loop, on its clock) and report their true poses here; whatever
 depends on more than one robot is decided here.
@@ -12,18 +12,22 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from services.sim.core.module_line import SOURCE as SOURCE_ATMEGA
+from services.sim.core.witness import Witness
 from services.sim.module import ModuleBoard
 from swarm import clock
 from swarm.codec import MAX_PAYLOAD, decode
 from swarm.config import Config
 from swarm.core.hands import DOOR, Place, pack
 from swarm.errors import PayloadError
-from swarm.messages import Truth
+from swarm.messages import LedChange, Truth
 from swarm.paths import socket_path
 
 SOCKET = "world.sock"
+
+T = TypeVar("T")
 
 TRUTH_PERIOD_S = 0.1
 """`sim/truth` is published at 10 Hz, as poses are."""
@@ -50,11 +54,25 @@ class BodyHello:
     robot: str
 
 
+@dataclass(frozen=True, slots=True)
+class LedReport:
+    """What a simulated body sends when its LEDs have changed."""
+
+    robot: str
+    t: float
+    red: bool
+    yellow: bool
+    green: bool
+
+
 class World:
     """Owns the true poses; works in a thread of its own until closed."""
 
-    def __init__(self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth], None]) -> None:
-        """`publish(robot, truth)` is called 10 times a second for each robot, from the world's thread."""
+    def __init__(
+        self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth | LedChange], None]
+    ) -> None:
+        """`publish(robot, message)` is called from the world's thread: 10 times a second with each robot's truth, and
+        whenever its LEDs have changed."""
         self._publish = publish
         self._publish_at = dict.fromkeys(config.names, 0.0)
         self._run_dir = run_dir
@@ -69,6 +87,8 @@ class World:
             for name in config.names:
                 self._modules.add(name)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC)
+        self._witness = Witness(config.names)
+        self._seeing = threading.Lock()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._thread.start()
@@ -81,6 +101,11 @@ class World:
         self._modules.close()
         self._socket.close()
         os.close(self._wake)
+
+    def look(self, at: Callable[[Witness], T]) -> T:
+        """`at(witness)`, while nothing new is seen."""
+        with self._seeing:
+            return at(self._witness)
 
     def _run(self) -> None:
         while not self._closing:
@@ -104,7 +129,18 @@ class World:
                     self._place(report)
 
     def _answer(self, data: bytes) -> None:
-        """Tell a body that starts where it had been: it fell over there when its process ended."""
+        """Pass on what LEDs show, or tell a body that starts where it had been: it fell over there when its process
+        ended."""
+        try:
+            leds = decode(LedReport, data, SOCKET)
+        except PayloadError:
+            pass
+        else:
+            if leds.robot in self._publish_at:
+                with self._seeing:
+                    self._witness.leds(leds.robot, leds.t, yellow=leds.yellow)
+                self._publish(leds.robot, LedChange(leds.t, leds.red, leds.yellow, leds.green))
+            return
         try:
             robot = decode(BodyHello, data, SOCKET).robot
         except PayloadError:
@@ -119,6 +155,8 @@ class World:
 
     def _place(self, report: BodyReport) -> None:
         self._last[report.robot] = report
+        with self._seeing:
+            self._witness.pose(report.robot, report.t, (report.x, report.y), report.tilt)
         if self._ranging:
             self._modules.update_pose(report.robot, report.x, report.y, report.heading)
         due = self._publish_at[report.robot]

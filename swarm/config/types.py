@@ -5,9 +5,11 @@ Loading and checking is `swarm.config.load`, the commented example `swarm.config
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from swarm.codec import Value
+from swarm.core.graph import Graph
 
 DEFAULT_KEY_FILE = "/etc/swarm/key"
 
@@ -53,8 +55,10 @@ class RelayRule:
 DEFAULT_RELAY = (
     RelayRule("swarm/{self}/app/*/sync/*", priority="sync", queue="all"),
     RelayRule("swarm/{self}/app/*/sync/*/{peer}", priority="sync", queue="all"),
+    RelayRule("swarm/{self}/app/*/latest/*", priority="sync", queue="latest"),
 )
-"""Always in force, before the rules of the file: what synchronous apps say to all neighbours, and to one."""
+"""Always in force, before the rules of the file: what synchronous apps say to all neighbours, and to one, and what
+event-driven and periodic ones say to all."""
 
 
 @dataclass(frozen=True)
@@ -234,10 +238,15 @@ class Config:
     auto: bool = False
     """Whether the robots find their links themselves; `edges` is empty then."""
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Robots' names in the order of the file."""
         return tuple(robot.name for robot in self.robots)
+
+    @cached_property
+    def graph(self) -> Graph:
+        """The topology to begin with."""
+        return Graph(self.names, self.edges)
 
     def robot(self, name: str) -> Robot:
         """The robot called `name`; KeyError where there is none."""

@@ -205,12 +205,12 @@ class Lockstep:
             self.counters["other run"] += 1
         elif channel.epoch != self.channel.epoch:
             self.counters["other epoch"] += 1
+        elif channel.schema != self.channel.schema:
+            self.counters["other version"] += 1
         elif sender == self.me:
             self._receive_own(channel)
         elif (peer := self._peers.get(sender)) is None:
             self.counters["unknown sender"] += 1
-        elif channel.incarnation >= peer.incarnation and channel.schema != self.channel.schema:
-            self._fail(f"{sender} runs another version of this app or its state")
         else:
             try:
                 frame = decode_frame(data, self._size)

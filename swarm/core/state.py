@@ -1,11 +1,12 @@
 """An app's state as bytes: shared fields at fixed width for the air, private ones as msgpack for a restart.
 
-Shared fields are packed little endian, without padding, in declared order (base classes first): float as
-float64, float32, int as int64, bool as one byte, `Annotated[Vector, n]` as n float64. The width is known
-before the start, and the schema hash (names, types, order and the app's class name) keeps robots with
-different apps apart.
+Shared fields are packed little endian, without padding, in declared order (base classes first): float as float64,
+float32, int as int64, bool as one byte, an enum.Enum as the number of its member (one byte), `Annotated[Vector, n]` as
+n float64, `Annotated[Matrix, n, m]` as n rows of m float64. The width is known before the start, and the schema hash
+(names, types, order and the app's class name) keeps robots with different apps apart.
 """
 
+import enum
 import math
 import numbers
 import re
@@ -17,10 +18,14 @@ from typing import Annotated, Any, get_args, get_origin
 
 import msgpack
 
-from swarm.errors import AppError
+from swarm.errors import AppError, FrameError
 
 Vector = tuple[float, ...]
 """A vector of fixed length; declared as `Annotated[Vector, 2]`."""
+
+
+Matrix = tuple[Vector, ...]
+"""A matrix of fixed size, a tuple of rows; declared as `Annotated[Matrix, 2, 3]`, two rows of three."""
 
 
 class _Float32:
@@ -34,9 +39,15 @@ float32 = Annotated[float, _Float32()]
 MAX_STATE = 440
 """Largest packed state, bytes: one mesh frame holds two of them (rule R2 of the lockstep)."""
 
-WIRE_TYPES = "float, float32, int, bool or Annotated[Vector, n]"
+MAX_MEMBERS = 256
+"""Members of an enum: they travel as one byte."""
 
-Item = float | int | bool | tuple[float, ...]
+WIRE_TYPES = "float, float32, int, bool, an enum.Enum, Annotated[Vector, n] or Annotated[Matrix, n, m]"
+
+Plain = float | int | bool | str | tuple[float, ...]
+"""What a field's value is on the bus and in recordings: enums by name, matrices as one row after the other."""
+
+Item = float | int | bool | enum.Enum | Vector | Matrix
 """The value of one shared field."""
 
 _INT64 = 1 << 63
@@ -50,26 +61,42 @@ class Field:
 
     name: str
     kind: str
-    """float, float32, int, bool or vector."""
+    """float, float32, int, bool, enum, vector or matrix."""
     length: int = 1
     """Numbers in it."""
+    width: int = 0
+    """Columns of a matrix."""
+    members: tuple[enum.Enum, ...] = ()
+    """Of an enum, in declared order."""
 
     @property
     def format(self) -> str:
         """Its `struct` format."""
-        return {"float": "d", "float32": "f", "int": "q", "bool": "?", "vector": f"{self.length}d"}[self.kind]
+        numbers = f"{self.length}d"
+        return {"float": "d", "float32": "f", "int": "q", "bool": "?", "enum": "B"}.get(self.kind, numbers)
+
+    @property
+    def text(self) -> str:
+        """Name and type in one word: what the schema's hash is over."""
+        shape = f"{self.length}" if not self.width else f"{self.length // self.width}x{self.width}"
+        return f"{self.name}:{self.kind}:{'|'.join(member.name for member in self.members) or shape}"
 
     @property
     def zero(self) -> Item:
         """The value it has when nothing else was said."""
         if self.kind == "vector":
             return (0.0,) * self.length
+        if self.kind == "matrix":
+            return ((0.0,) * self.width,) * (self.length // self.width)
+        if self.kind == "enum":
+            return self.members[0]
         return {"float": 0.0, "float32": 0.0, "int": 0, "bool": False}[self.kind]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Its column names in a table: `q[0]`, `q[1]`... for a vector."""
-        return tuple(f"{self.name}[{i}]" for i in range(self.length)) if self.kind == "vector" else (self.name,)
+        """Its column names in a table: `q[0]`, `q[1]`... for a vector, and for a matrix row by row."""
+        numbers = tuple(f"{self.name}[{i}]" for i in range(self.length))
+        return numbers if self.kind in ("vector", "matrix") else (self.name,)
 
     def check(self, value: object) -> Item:
         """`value` as this field holds it, numbers as floats, lists as tuples; `AppError` says what was wrong."""
@@ -91,11 +118,67 @@ class Field:
                 if -_INT64 <= whole < _INT64:
                     return whole
             raise AppError(f"expected an integer of 64 bits, got {_shown(value)}")
+        if self.kind == "enum":
+            return self._member(value)
+        if self.kind == "matrix":
+            return self._matrix(value)
         if isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping | Set):
             items = tuple(_finite(item) for item in value)
             if len(items) == self.length:
                 return items
         raise AppError(f"expected {self.length} numbers, got {_shown(value)}")
+
+    def plain(self, value: Any) -> Plain:
+        """A checked value for the bus and for recordings."""
+        if self.kind == "enum":
+            name: str = value.name
+            return name
+        if self.kind == "matrix":
+            return tuple(number for row in value for number in row)
+        same: Plain = value
+        return same
+
+    def flat(self, value: Any) -> tuple[object, ...]:
+        """A checked value as the numbers that are packed."""
+        if self.kind == "enum":
+            return (self.members.index(value),)
+        if self.kind in ("vector", "matrix"):
+            return self.plain(value)  # type: ignore[return-value]
+        return (value,)
+
+    def raised(self, numbers: tuple[Any, ...]) -> Item:
+        """The value out of the numbers that were packed; `FrameError` for an enum's member that is not there."""
+        if self.kind == "vector":
+            return numbers
+        if self.kind == "matrix":
+            return tuple(numbers[at : at + self.width] for at in range(0, self.length, self.width))
+        if self.kind == "enum":
+            if numbers[0] >= len(self.members):
+                raise FrameError(f"{self.name}: there is no member {numbers[0]}")
+            return self.members[int(numbers[0])]
+        single: Item = numbers[0]
+        return single
+
+    def _member(self, value: object) -> enum.Enum:
+        """A member, or what a configuration has for it: its name."""
+        for member in self.members:
+            if value is member or (type(value) is str and value == member.name):
+                return member
+        raise AppError(f"expected {' or '.join(member.name for member in self.members)}, got {_shown(value)}")
+
+    def _matrix(self, value: object) -> Matrix:
+        """Rows, or what a configuration has for them: all numbers in one list."""
+        rows = self.length // self.width
+        if isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping | Set):
+            items = tuple(value)
+            if len(items) == self.length and all(isinstance(item, numbers.Real) for item in items) and items:
+                return tuple(
+                    tuple(map(_finite, items[at : at + self.width])) for at in range(0, len(items), self.width)
+                )
+            nested = [tuple(row) for row in items if isinstance(row, Iterable) and not isinstance(row, str | bytes)]
+            if len(items) == len(nested) == rows and all(len(row) == self.width for row in nested):
+                return tuple(tuple(map(_finite, row)) for row in nested)
+        raise AppError(f"expected {rows} rows of {self.width} numbers, got {_shown(value)}")
 
 
 class Schema:
@@ -109,10 +192,10 @@ class Schema:
         self._struct = struct.Struct("<" + "".join(field.format for field in self.fields))
         self.size = self._struct.size
         """Bytes of one packed state."""
-        text = f"{app}({','.join(f'{f.name}:{f.kind}:{f.length}' for f in self.fields)})"
+        text = f"{app}({','.join(field.text for field in self.fields)})"
         self.hash = int.from_bytes(blake2b(text.encode(), digest_size=4).digest(), "little")
         """32 bits over class name, names, types and order."""
-        self._has_vectors = any(field.kind == "vector" for field in self.fields)
+        self._is_flat = not any(field.kind in ("vector", "matrix", "enum") for field in self.fields)
 
     def check_size(self) -> None:
         """Raise `AppError` where there is nothing to share, or more than one frame holds."""
@@ -136,26 +219,25 @@ class Schema:
         """Check and pack the fields out of `values`."""
         flat: list[object] = []
         for field, value in zip(self.fields, self.check(values).values(), strict=True):
-            if field.kind == "vector":
-                flat.extend(value)  # type: ignore[arg-type]
-            else:
-                flat.append(value)
+            flat.extend(field.flat(value))
         return self._struct.pack(*flat)
 
     def unpack(self, data: bytes) -> tuple[Item, ...]:
-        """The values in declared order. `data` is of this schema's size, whoever took it in has checked."""
+        """The values in declared order. `data` is of this schema's size, whoever took it in has checked; `FrameError`
+        where an enum has no such member."""
         flat = self._struct.unpack(data)
-        if not self._has_vectors:
+        if self._is_flat:
             return flat
         values: list[Item] = []
         at = 0
         for field in self.fields:
-            if field.kind == "vector":
-                values.append(flat[at : at + field.length])
-            else:
-                values.append(flat[at])
+            values.append(field.raised(flat[at : at + field.length]))
             at += field.length
         return tuple(values)
+
+    def plain(self, values: Mapping[str, Any]) -> dict[str, Plain]:
+        """Checked values for the bus and for recordings, by name."""
+        return {field.name: field.plain(values[field.name]) for field in self.fields}
 
 
 def field_of(name: str, annotation: object) -> Field:
@@ -164,16 +246,28 @@ def field_of(name: str, annotation: object) -> Field:
         raise AppError(f"{name}: a shared field's name is of letters a-z, digits and _")
     if annotation in (float, int, bool):
         return Field(name, annotation.__name__)
+    if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
+        members = tuple(annotation)
+        if 0 < len(members) <= MAX_MEMBERS:
+            return Field(name, "enum", members=members)
+        raise AppError(f"{name}: an enum of 1 to {MAX_MEMBERS} members can be shared, {annotation.__name__} is none")
     if get_origin(annotation) is Annotated:
-        base, mark = get_args(annotation)[:2]
+        base, mark, *more = get_args(annotation)
         if isinstance(mark, _Float32):
             return Field(name, "float32")
         if base == Vector:
             if type(mark) is int and mark > 0:
                 return Field(name, "vector", mark)
             raise AppError(f"{name}: expected Annotated[Vector, n] with n a positive integer, got n = {mark!r}")
+        if base == Matrix:
+            sizes = (mark, *more)
+            if len(sizes) == 2 and all(type(size) is int and size > 0 for size in sizes):
+                return Field(name, "matrix", mark * more[0], width=more[0])
+            raise AppError(f"{name}: expected Annotated[Matrix, n, m] with n and m positive integers, got {sizes!r}")
     if annotation == Vector:
         raise AppError(f"{name}: say how long the vector is: `{name}: Annotated[Vector, 2]`")
+    if annotation == Matrix:
+        raise AppError(f"{name}: say how large the matrix is: `{name}: Annotated[Matrix, 2, 3]`")
     shown = getattr(annotation, "__name__", None) or str(annotation)
     raise AppError(f"{name}: a shared field is of type {WIRE_TYPES}, not {shown}")
 

@@ -11,7 +11,15 @@ from swarm.codec import decode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
 from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
-from swarm.messages.apps import AppProgress, AppState
+from swarm.messages.apps import (
+    AppOutput,
+    AppParameter,
+    AppParameters,
+    AppParametersSet,
+    AppProgress,
+    AppState,
+    SetAppParameters,
+)
 from swarm.messages.balancer import (
     BalancerFault,
     BalancerState,
@@ -66,10 +74,14 @@ from swarm.messages.mesh import (
     TopologySet,
 )
 from swarm.messages.service import Status
-from swarm.messages.sim import Truth
+from swarm.messages.sim import LedChange, Truth
 
 __all__ = [
     "TOPICS",
+    "AppOutput",
+    "AppParameter",
+    "AppParameters",
+    "AppParametersSet",
     "AppProgress",
     "AppState",
     "Arm",
@@ -87,6 +99,7 @@ __all__ = [
     "I2CRates",
     "ImuRequest",
     "ImuSample",
+    "LedChange",
     "Leds",
     "LinkState",
     "Links",
@@ -109,6 +122,7 @@ __all__ = [
     "Reminder",
     "SendRequest",
     "Sent",
+    "SetAppParameters",
     "SetDisplay",
     "SetLeds",
     "SetMode",
@@ -149,7 +163,10 @@ def type_of(key: str) -> type | None:
         return Stop
     _, service, topic = parse(key)
     _, _, tail = topic.partition("/")
-    for candidate in ((service, topic), (service, f"*/{tail}"), ("*", topic)):
+    head, _, _ = tail.rpartition("/")
+    _, _, deep = tail.partition("/")
+    own = (service, topic), (service, f"*/{tail}"), (service, f"*/{head}/*"), (service, f"*/*/{deep}")
+    for candidate in (*own, ("*", topic)):
         if candidate in TOPICS:
             return TOPICS[candidate]
     return None

@@ -8,7 +8,8 @@ from swarm.messages.service import Status
 
 @dataclass(frozen=True, slots=True)
 class AppState:
-    """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 25 Hz and at the end."""
+    """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 10 Hz and at the end. A channel of an
+    app has its name behind the app's: `.../app/<app>/<channel>/state`."""
 
     t: float
     k: int
@@ -32,9 +33,63 @@ class AppProgress:
     """Why it is in fault or waits; empty otherwise."""
 
 
+@dataclass(frozen=True, slots=True)
+class AppOutput:
+    """What an app tells by `robot.publish`, on `swarm/<robot>/app/<app>/out/<topic>`."""
+
+    t: float
+    values: dict[str, Value]
+    """By name; a single one is called `value`."""
+
+
+@dataclass(frozen=True, slots=True)
+class AppParameter:
+    """One parameter of an app that runs."""
+
+    value: Value
+    unit: str
+    expected: str
+    """What it must be, in words."""
+    live: bool
+    """Whether it may be changed while the app runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class AppParameters:
+    """An app's parameters, on `swarm/<robot>/app/<app>/parameters`: on change, and answered to queries."""
+
+    t: float
+    parameters: dict[str, AppParameter]
+
+
+@dataclass(frozen=True, slots=True)
+class SetAppParameters:
+    """Command on `swarm/<robot>/app/<app>/set/parameters`: change some, all or none of them."""
+
+    ticket: str
+    """Names the request; the answer carries it."""
+    parameters: dict[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class AppParametersSet:
+    """The answer, on `swarm/<robot>/app/<app>/parameters_set`."""
+
+    t: float
+    ticket: str
+    problem: str
+    """Why none was changed; empty where all were."""
+
+
 TOPICS: dict[tuple[str, str], type] = {
     ("app", "*/status"): Status,
     ("app", "*/state"): AppState,
     ("app", "*/progress"): AppProgress,
+    ("app", "*/*/state"): AppState,
+    ("app", "*/*/progress"): AppProgress,
+    ("app", "*/out/*"): AppOutput,
+    ("app", "*/parameters"): AppParameters,
+    ("app", "*/set/parameters"): SetAppParameters,
+    ("app", "*/parameters_set"): AppParametersSet,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -109,6 +109,8 @@ class Parameters:
 class Leds:
     """LEDs as they are, on `balancer/leds`."""
 
+    t: float
+    """When they were written last."""
     red: bool
     yellow: bool
     green: bool
@@ -123,6 +125,9 @@ class SetLeds:
     green: bool
     seconds: float = 3.0
     """After which they show the balancer's own state again; at most 60."""
+    at: float | None = None
+    """From when on, by the robot's monotonic clock, at most 10 s ahead; at once without it. What was ordered for that
+    time and later is void."""
 
 
 @dataclass(frozen=True, slots=True)

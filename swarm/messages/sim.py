@@ -14,7 +14,19 @@ class Truth:
     tilt: float
 
 
+@dataclass(frozen=True, slots=True)
+class LedChange:
+    """The LEDs of a simulated robot as its ATmega's registers have them, on `swarm/<robot>/sim/leds` on change."""
+
+    t: float
+    """When the registers were written."""
+    red: bool
+    yellow: bool
+    green: bool
+
+
 TOPICS: dict[tuple[str, str], type] = {
+    ("sim", "leds"): LedChange,
     ("sim", "truth"): Truth,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -44,11 +44,14 @@ class Rig:
         self.changed = threading.Condition()
         self.progress: dict[str, AppProgress] = {}
         self.state: dict[str, AppState] = {}
+        self.told: dict[str, AppProgress] = {}
+        """By key: what every app and channel has told last."""
         for name in names:
             (directory / name).mkdir()
             self.start(name, "bus")
             bus = self.buses[name] = Bus.of(directory / name)
             bus.subscribe(f"swarm/{name}/app/*/progress", self._take(self.progress, name, AppProgress))
+            bus.subscribe(f"swarm/{name}/app/**/progress", self._keep)
             bus.subscribe(f"swarm/{name}/app/*/state", self._take(self.state, name, AppState))
             bus.serve(f"swarm/{name}/mesh/topology", lambda *_, name=name: encode(self.topology(name)))  # type: ignore[misc]
         for here, there in itertools.pairwise(names):
@@ -67,6 +70,10 @@ class Rig:
             process.wait()
 
     def start(self, robot: str, service: str, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
+        return self.launch(robot, service, ["-m", f"services.{service}", *arguments], **environment)
+
+    def launch(self, robot: str, name: str, command: Sequence[str], **environment: str) -> subprocess.Popen[bytes]:
+        """Start a Python process of a robot; it is known by `name`."""
         own = {
             "SWARM_CONFIG": str(self.directory / "swarm.toml"),
             "SWARM_ROBOT": robot,
@@ -74,15 +81,15 @@ class Rig:
             "SWARM_RECORD": str(self.records),
             "SWARM_PARENT": str(os.getpid()),
         }
-        with (self.directory / robot / f"{service}.log").open("ab") as log:
+        with (self.directory / robot / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", f"services.{service}", *arguments],
+                [sys.executable, *command],
                 env={**os.environ, **own, **environment},
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
             )
-        self.processes[robot, service] = process
+        self.processes[robot, name] = process
         return process
 
     def topology(self, name: str) -> Topology:
@@ -154,6 +161,11 @@ class Rig:
         assert sorted(rows) == list(range(len(rows)))
         return [rows[k].split(",", 1)[1] for k in range(len(rows))]
 
+    def _keep(self, key: str, payload: bytes) -> None:
+        with self.changed:
+            self.told[key] = decode(AppProgress, payload, key)
+            self.changed.notify_all()
+
     def _take(self, where: dict[str, Any], name: str, kind: type) -> Callable[[str, bytes], None]:
         def take(key: str, payload: bytes) -> None:
             with self.changed:
@@ -169,3 +181,7 @@ class Rig:
                 self.buses[there].publish(key, payload, urgent=True)
 
         self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)
+        latest = self.buses[there].publish
+        self.buses[here].subscribe(
+            f"swarm/{here}/app/*/latest/*", lambda key, payload: latest(key, payload, urgent=True)
+        )

@@ -9,6 +9,7 @@ from test_host import START, MakeRig, make_rig
 
 from services.apps import topology
 from services.apps.topology import CONFIGURED, SETTLED, Links, Watch, lacking
+from swarm.core.lockstep import Channel
 from swarm.messages import Topology
 
 __all__ = ["make_rig"]
@@ -91,18 +92,17 @@ def test_when_a_run_can_begin(topology: Topology, reason: str) -> None:
 def test_the_epoch_tells_links_apart() -> None:
     config = config_of(3)
     line, star, other = (
-        topology._links(config, edges, kept=False)
-        for edges in (config.edges, STAR, (("r0", "r1"), ("r1", "r2"), ("r0", "r2")))
+        topology.of_edges(config, edges) for edges in (config.edges, STAR, (("r0", "r1"), ("r1", "r2"), ("r0", "r2")))
     )
     assert line.epoch == CONFIGURED
     assert len({line.epoch, star.epoch, other.epoch}) == 3
-    assert topology._links(config, STAR[::-1], kept=False).epoch == star.epoch
+    assert topology.of_edges(config, STAR[::-1]).epoch == star.epoch
     assert star.neighbours("r2") == ("r0", "r1")
 
 
 def test_what_is_kept_belongs_to_one_run(runtime) -> None:
     config = config_of(3)
-    links = topology._links(config, STAR, kept=False)
+    links = topology.of_edges(config, STAR)
     path = runtime / "app.consensus.topology"
     topology.save(runtime, "consensus", 2**64 - 1, links)
     assert topology._load(path, 2**64 - 1) == STAR
@@ -114,6 +114,7 @@ def test_what_is_kept_belongs_to_one_run(runtime) -> None:
 
 def test_only_a_missing_link_that_is_waited_for_is_a_reason() -> None:
     lost: list[str] = []
+    ours = Channel(1, 5, 1, 3)
     config = dataclasses.replace(config_of(3), edges=STAR)
     watch = Watch(Links(config, 5, kept=False), "r2", lost.append)
     watch.take(told(*STAR, near="r0 r1"))
@@ -123,8 +124,8 @@ def test_only_a_missing_link_that_is_waited_for_is_a_reason() -> None:
     assert len(lost) == 1
     assert watch.reason(("r1",)) == ""
     assert watch.reason(("r0", "r1")).startswith("topology 3 has no link with r0")
-    watch.heard("r1", same=False)
+    watch.heard("r1", Channel(1, 6, 1, 3), ours)
     assert watch.reason(("r0", "r1")).startswith("r1 began on other links")
-    watch.heard("r1", same=True)
+    watch.heard("r1", ours, ours)
     watch.take(told(*STAR, version=4, near="r0 r1"))
     assert watch.reason(("r0", "r1")) == ""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from services.balancer import loop as loop_module
 from services.balancer.chores import Chores
+from services.balancer.core.gyro import Zero
 from services.balancer.link import pack, unpack
 from services.balancer.loop import Loop
 from services.balancer.orders import MAX_REASON
@@ -203,17 +204,26 @@ def test_telemetry_is_25_hz_and_odometry_begins_with_the_estimate(monkeypatch: p
 
 def test_ready_once_and_progress_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = VirtualLoop(monkeypatch).run(500)
-    assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1\nWATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
+    assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
+
+
+def test_the_gyros_zero_is_kept_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop, kept = VirtualLoop(monkeypatch), list[tuple[Zero, float]]()
+    loop.loop._keep = lambda zero, now: kept.append((zero, now))
+    loop.run(500)
+    assert [zero for zero, _ in kept] == [loop.rig.balancer.gyro_zero] * 4
+    assert [round(now - loop.started[0], 1) for _, now in kept] == [2.0, 2.8, 3.8, 4.8]
 
 
 def test_leds_are_told_on_change_and_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = VirtualLoop(monkeypatch).run(500)
-    told = loop.bridge.of(Leds)
+    told = [(leds.red, leds.yellow, leds.green) for leds in loop.bridge.of(Leds)]
     # Two seconds of blinking while it calibrates, four changes each; then on change, and once a second.
-    assert told[0] in (Leds(False, True, False), Leds(False, False, False))
-    assert told[-1] == Leds(False, False, True)
-    told = told[told.index(Leds(False, False, True)) :]
-    assert told == [Leds(False, False, True)] * 4
+    assert told[0] in ((False, True, False), (False, False, False))
+    assert told[-1] == (False, False, True)
+    told = told[told.index((False, False, True)) :]
+    assert told == [(False, False, True)] * 4
+    assert [leds.t for leds in loop.bridge.of(Leds)[-3:]] == [loop.bridge.of(Leds)[-1].t] * 3, "written once"
 
 
 def test_commands_are_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:

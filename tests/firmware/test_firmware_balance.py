@@ -47,7 +47,7 @@ class Standing:
             self.robot.run_to(deadline)
             self.balancer.step(self.robot.clock())
             self.longest_tick = max(self.longest_tick, self.robot.clock() - deadline)
-            self.balancer.show_leds()
+            self.balancer.show_leds(self.robot.clock())
             self.news += self.chores.run(deadline + PERIOD_S)
             self.longest_slack = max(self.longest_slack, self.robot.clock() - deadline)
             if self.bench.sent():

@@ -11,6 +11,7 @@ import pytest
 from conftest import wait_until
 
 from bench.simulation import Simulation, SimulationError, simulate
+from services.sim.virtual.run import simulate as virtual
 
 
 def processes_of(run_dir: Path) -> list[int]:
@@ -44,6 +45,15 @@ def test_consensus_ends_on_the_mean_and_reports_it(undisturbed):
     assert report["iteration_s_median"] > 0.010
     assert report["rss_mib_per_robot"] > 20
     assert paths["r0"].value(0, "value") == 0.5
+
+
+def test_virtual_time_gives_the_same_trajectory_bit_for_bit(undisturbed):
+    _, expected = undisturbed
+    report, outcome = virtual("consensus", "--iterations", "120", "--latency", "10ms", rows=True)
+    assert report["virtual"]
+    for name, path in expected.items():
+        assert outcome.trajectories[name].columns == path.columns
+        assert outcome.trajectories[name].rows == path.rows
 
 
 def test_killed_services_change_no_bit(undisturbed):

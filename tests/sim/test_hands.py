@@ -18,7 +18,7 @@ from swarm import config as configuration
 from swarm.bus import Bus
 from swarm.core.hands import Lay, Place, Press, Push, check, pack, unpack
 from swarm.errors import LocalError, RemoteError
-from swarm.messages import BalancerState, Buttons, SetMode, Truth, read
+from swarm.messages import BalancerState, Buttons, LedChange, SetMode, Truth, read
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "balancer"))
 from balancer_rig import Rig, upright
@@ -130,6 +130,7 @@ class Robot:
         self.robot.mkdir()
         self.world = World(self.run, configuration.load(processes.config), 1, lambda robot, truth: self.seen(truth))
         self.truth: Truth | None = None
+        self.lamps: list[LedChange] = []
         self.states: list[BalancerState] = []
         self.buttons: list[Buttons] = []
         processes.start_ready("-m", "services.bus", SWARM_RUNTIME=str(self.robot))
@@ -140,8 +141,11 @@ class Robot:
     def start(self):
         return self.processes.start("-m", "services.sim.body", SWARM_RUNTIME=str(self.robot))
 
-    def seen(self, truth: Truth) -> None:
-        self.truth = truth
+    def seen(self, message: Truth | LedChange) -> None:
+        if isinstance(message, Truth):
+            self.truth = message
+        else:
+            self.lamps.append(message)
 
     def take(self, key: str, payload: bytes) -> None:
         message = read(key, payload)
@@ -175,6 +179,7 @@ def test_hands_on_a_running_robot(robot: Robot) -> None:
     assert not any(buttons.b or buttons.c for buttons in robot.buttons)
 
     wait_until(lambda: robot.truth is not None)
+    assert (robot.lamps[-1].yellow, robot.lamps[-1].green) == (False, True), "the world sees what its LEDs show"
     start = robot.truth.x
     assert robot.hand("push", "r0", "--impulse", "0.15") == "r0: pushed with 0.15 N s\n"
     wait_until(lambda: robot.truth.x > start + 0.03, what="it is pushed away")

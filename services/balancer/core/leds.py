@@ -1,4 +1,4 @@
-"""What the three LEDs show: the balancer's state, unless an app claimed them for a while.
+"""What the three LEDs show: the balancer's state, unless an app claimed them for a while; and when they change.
 
 | lamps                        | meaning                                                    |
 |------------------------------|------------------------------------------------------------|
@@ -9,7 +9,13 @@
 | red                          | fault, through any claim                                   |
 | red and yellow               | fault: stopped by `swarm/stop`, through any claim          |
 | red flash every 2 s          | battery low, on top of everything else                     |
+
+An app's order may name the time from which it holds. It is written at that time, in the slack of a tick; where the
+time falls into a control step, just before or just after that, whichever is nearer.
 """
+
+import math
+from typing import NamedTuple
 
 from services.balancer.core.controller import BALANCING, CALIBRATING, FAULT, LYING_DOWN, STANDING_UP, STARTING
 from services.balancer.core.faults import STOPPED
@@ -20,6 +26,18 @@ Shown = tuple[bool, bool, bool]
 CLAIM_S = 3.0
 """An app's claim ends so long after its last message, as the lamps of the original system did."""
 LONGEST_CLAIM_S = 60.0
+
+LONGEST_AHEAD_S = 10.0
+"""An order may name a time so far ahead at most."""
+MOST_AHEAD = 32
+"""Orders that wait for their time."""
+
+WRITE_S = 0.7e-3
+"""On the bus, and then the LEDs have changed."""
+MARGIN_S = 0.8e-3
+"""Left free before the next tick, whose control step must not be late."""
+CONTROL_S = 3.4e-3
+"""From a tick's time until its control step leaves the bus."""
 
 _BLINK_S = 0.25
 _FLASH_EVERY_S, _FLASH_S = 2.0, 0.15
@@ -39,3 +57,62 @@ def _own(mode: str, now: float) -> Shown:
     if mode == CALIBRATING:
         return False, now % (2 * _BLINK_S) < _BLINK_S, False
     return False, mode in (STARTING, STANDING_UP, LYING_DOWN), mode == BALANCING
+
+
+class Order(NamedTuple):
+    """What an app wants shown, and from when until when, s."""
+
+    leds: Shown
+    at: float
+    until: float
+
+
+class Claim:
+    """The app's orders: the one in force, and those whose time is to come."""
+
+    def __init__(self) -> None:
+        self._current: Order | None = None
+        self._coming: list[Order] = []
+        """By time."""
+
+    def take(self, order: Order, now: float) -> bool:
+        """From `order.at` on this one holds, whatever was said of that time before. False where too many wait."""
+        before = [other for other in self._coming if other.at < order.at]
+        if order.at <= now:
+            self._current = order
+        elif len(before) < MOST_AHEAD:
+            before.append(order)
+        else:
+            return False
+        self._coming = before
+        return True
+
+    def clear(self) -> None:
+        """The LEDs are the balancer's again, now and later."""
+        self._current = None
+        self._coming = []
+
+    def leds(self, now: float) -> Shown | None:
+        """What is to be shown at `now`; None where the app wants nothing."""
+        while self._coming and self._coming[0].at <= now:
+            self._current = self._coming.pop(0)
+        if self._current is not None and now >= self._current.until:
+            self._current = None
+        return None if self._current is None else self._current.leds
+
+    @property
+    def next_change(self) -> float:
+        """When the next order begins, s; infinity where none waits."""
+        return self._coming[0].at if self._coming else math.inf
+
+
+def moment(at: float, until: float) -> float | None:
+    """When in this slack, which ends with the tick at `until`, LEDs that shall change at `at` are to be written.
+
+    None: not in this one. The transfer takes `WRITE_S`, so it begins as much earlier.
+    """
+    last = until - MARGIN_S - WRITE_S
+    wish = at - WRITE_S
+    if wish <= last:
+        return wish
+    return last if wish - last < until + CONTROL_S - wish else None

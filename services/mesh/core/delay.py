@@ -70,8 +70,8 @@ class DelayLine:
         """When the last chunk taken in has left the sender. Until then the sender's queue, not this line,
         holds what comes next: take nothing in, so that the sender feels the link's bandwidth."""
 
-    def push(self, data: bytes, stamp: float) -> None:
-        """Take in a chunk that was sent at `stamp`; b"" stands for the end of the stream."""
+    def push(self, data: bytes, stamp: float) -> float:
+        """Take in a chunk that was sent at `stamp`; b"" stands for the end of the stream. Returns when it arrives."""
         model = self._model
         self.free_at = max(self.free_at, stamp)
         if model.bandwidth is not None:
@@ -81,6 +81,7 @@ class DelayLine:
             delay = max(self._gauss(delay, model.jitter), model.shortest)
         self._last_arrival = max(self._last_arrival, self.free_at + delay)
         self._chunks.append((self._last_arrival, data))
+        return self._last_arrival
 
     def next_arrival(self) -> float | None:
         """When the oldest chunk on the air arrives."""

@@ -8,6 +8,7 @@ import errno
 import math
 import os
 import struct
+from collections import deque
 
 from services.balancer.core import balboa
 from services.balancer.core.mailbox import State as Mail
@@ -16,6 +17,7 @@ from services.sim.core.module_line import PAGES, ModuleLine
 
 _NOTES_ROOM = 1 + 2 * balboa.TUNE_NOTES
 _WINDOW_END = balboa.MAILBOX_WINDOW + balboa.WINDOW_SIZE
+_CHANGES_KEPT = 64
 _FREE_STACK = 1100
 """Bytes; what the firmware shows in the simulator."""
 
@@ -31,6 +33,9 @@ class AtmegaDevice:
         self.tune: tuple[int, tuple[tuple[int, int], ...]] = (0, ())
         """The last one written: volume, pairs of pitch and duration in 10 ms."""
         self.in_bootloader = False
+        self.led_changes: deque[tuple[float, tuple[bool, bool, bool]]] = deque(maxlen=_CHANGES_KEPT)
+        """When the LEDs' registers changed, and to what; for the world, which takes them out."""
+        self._lit = (False, False, False)
         self._buttons = 0
         self.reset(0)
 
@@ -48,6 +53,7 @@ class AtmegaDevice:
         self._index = 0
         self._page = 0
         self.line = ModuleLine(self._now)
+        self._see_leds(self._now)
         self._front, self._report = bytes(self._buffer), self.line.report(self._now)
 
     @property
@@ -154,6 +160,11 @@ class AtmegaDevice:
             return 2
         return _WINDOW_END - at if balboa.MAILBOX_PAGE <= at < _WINDOW_END else 0
 
+    def _see_leds(self, now: float) -> None:
+        if (leds := self.leds) != self._lit:
+            self._lit = leds
+            self.led_changes.append((now, leds))
+
     def _refuse(self) -> None:
         self._buffer[balboa.REFUSED] = (self._buffer[balboa.REFUSED] + 1) % 256
 
@@ -162,6 +173,7 @@ class AtmegaDevice:
         first = self._index
         if first < balboa.ENCODERS:
             self._buffer[first : first + len(values)] = values
+            self._see_leds(now)
             if first + len(values) > balboa.MOTORS:
                 self._buffer[balboa.MOTORS : balboa.ENCODERS] = balboa.encode_motors(*self.motors)
                 self._body.drive(*self.motors)

@@ -1,0 +1,320 @@
+"""Files, thread and keys of one strand of an app: a lockstep with its snapshot, recording, state and progress."""
+
+import queue
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from services.apps import topology
+from services.apps.core.strand import ALONE, Strand
+from services.apps.measurements import Measurements
+from services.apps.recorder import Recorder
+from services.apps.runner import Runner
+from services.apps.snapshot import SnapshotFile
+from swarm import clock
+from swarm.codec import Value, encode
+from swarm.core.lockstep import Action, Advanced, Channel, Compute, Fault, Save, Send
+from swarm.errors import AppError, SwarmError
+from swarm.keys import key
+from swarm.messages import AppProgress, AppState, Measurement, Topology
+from swarm.service import Service
+
+EVERY = 1.0
+"""s between two messages of progress and state when nothing changes; a measurement that late is given as a
+reason."""
+CLOSE_WITHIN = 2.0
+"""s that a running step has when the process is to end."""
+STUCK = 10.0
+"""s after which a step that still runs no longer feeds systemd's watchdog."""
+
+
+@dataclass(frozen=True)
+class Latest:
+    """A state as others may read it while steps run: the newest one, whole."""
+
+    k: int
+    t: float
+    """s, when it was computed."""
+    state: dict[str, Value]
+
+
+class Worker:
+    """Runs one strand: takes its frames, runs its steps in a thread of its own, keeps its files."""
+
+    def __init__(
+        self,
+        service: Service,
+        app: str,
+        part: str,
+        runner: Runner,
+        channel: Channel,
+        links: topology.Links,
+        measurements: Measurements | None,
+        last: int | None,
+        record: Path | None,
+    ) -> None:
+        """`part`: name of the channel within the app, empty for an app that is one lockstep. Raises `LocalError` where
+        the snapshot's file cannot be had."""
+        self.latest: Latest | None = None
+        self._service = service
+        self._runner = runner
+        self._record = record
+        self._file = f"{app}.{part}" if part else app
+        self._keys = f"app/{app}/{part}" if part else f"app/{app}"
+        self._counted = f"{part}_sync" if part else "sync"
+        self._channel = channel
+        self._sync = key(service.robot, f"app/{app}", "sync", channel.text)
+        self._snapshots = SnapshotFile(service.runtime / f"app.{self._file}.snapshot")
+        self._strand = Strand(service.robot, links.neighbours(service.robot), channel, runner, last)
+        self._measurements = measurements
+        self._recorder: Recorder | None = None
+        self._lock = threading.Lock()  # around the strand
+        self._app_lock = threading.Lock()  # around the app, taken first: results are looked at between steps only
+        self._todo: queue.SimpleQueue[Compute | None] = queue.SimpleQueue()
+        self._closing = False
+        self._step_began: float | None = None
+        self._measuring: float | None = None
+        self._muted = False
+        self._state: AppState | None = None
+        self._told: tuple[object, ...] = ()
+        self._told_at = 0.0
+        self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
+        service.bus.serve(key(service.robot, self._keys, "state"), self._answer)
+        service.bus.serve(key(service.robot, self._keys, "progress"), lambda *_: encode(self._progress()))
+        # A daemon: a step that never returns must not keep the process from ending.
+        self._thread = threading.Thread(target=self._guarded, name=f"steps {part}".strip(), daemon=True)
+
+    def start(self) -> None:
+        """Begin; frames may come at once."""
+        self._thread.start()
+
+    @property
+    def failed(self) -> bool:
+        """Whether it has stopped for a fault."""
+        return self._strand.phase == "fault"
+
+    @property
+    def reason(self) -> str:
+        """Of a fault."""
+        return self._strand.reason
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has its first state."""
+        return self._strand.begun
+
+    @property
+    def stuck(self) -> bool:
+        """Whether a step does not end. Waiting for others is no fault of ours."""
+        began = self._step_began
+        return began is not None and clock.now() - began >= STUCK
+
+    def stop(self) -> None:
+        """Wish the thread to end."""
+        self._closing = True
+        self._todo.put(None)
+
+    def close(self) -> bool:
+        """Let go of the files. A step that runs is waited for, but not for ever; False if it did not end."""
+        self._thread.join(CLOSE_WITHIN)
+        if self._thread.is_alive():
+            self._service.log.warning("the step of iteration %d does not end", self._strand.k)
+            return False
+        if self._recorder is not None:
+            self._recorder.close()
+        self._snapshots.close()
+        return True
+
+    # On Zenoh's thread
+
+    def receive(self, sender: str, channel: Channel, payload: bytes) -> None:
+        """A frame of this run and this strand."""
+        with self._lock:
+            if sender != self._service.robot:
+                self._watch.heard(sender, channel, self._channel)
+            self._strand.receive(sender, channel, payload, clock.now())
+            self._perform()
+
+    def stranger(self, sender: str, channel: Channel) -> None:
+        """A frame of something else that calls itself this app."""
+        with self._lock:
+            self._watch.heard(sender, channel, self._channel)
+
+    def nudge(self) -> None:
+        """The bus or a link came up: ask now for what is missing."""
+        with self._lock:
+            self._strand.nudge(clock.now())
+            self._perform()
+
+    def take_rtt(self, rtt: float) -> None:
+        """The slowest link's round-trip time, s."""
+        self._strand.lockstep.rtt = rtt
+
+    def take(self, in_force: Topology) -> None:
+        """The mesh's topology."""
+        with self._lock:
+            self._watch.take(in_force)
+
+    # On the worker's thread
+
+    def _work(self) -> None:
+        if not self._begin():
+            return
+        while (todo := self._todo.get()) is not None:
+            if not todo.values:
+                self._service.stopping.wait(ALONE)
+            measurement = self._measure(todo.k)
+            if self._closing or self.failed:
+                return
+            with self._app_lock:
+                self._step_began = clock.now()
+                answer = self._strand.compute(todo, measurement)
+                self._step_began = None
+                with self._lock:
+                    self._strand.computed(answer, clock.now())
+                    self._perform()
+
+    def _begin(self) -> bool:
+        """Go on from a snapshot of this run, or begin it; False when told to stop before there was a
+        measurement."""
+        data = self._snapshots.read()
+        saved = self._strand.saved(data)
+        if data is not None and saved is None:
+            self._service.log.info("the snapshot is of another run, this one begins anew")
+        if self._record is not None:
+            path = self._record / f"{self._service.robot}.{self._file}.csv"
+            self._recorder = Recorder(path, self._runner.schema, self._service.counters, append=saved is not None)
+        measurement = self._measure(0) if saved is None else None
+        if self._closing:
+            return False
+        with self._app_lock, self._lock:
+            self._strand.begin(saved, measurement, clock.now())
+            if saved is not None:
+                self._service.log.info("goes on at iteration %d", saved.k)
+            self._perform()
+        return True
+
+    def _measure(self, k: int) -> Measurement | None:
+        """The measurement for step k where the app wants one; waits for it."""
+        if self._measurements is None:
+            return None
+        self._measuring = clock.now()
+        measurement = self._measurements.get(k)
+        self._measuring = None
+        return measurement
+
+    def _guarded(self) -> None:
+        """Run the steps; what they raise is a fault of the app, our own mistakes included."""
+        try:
+            self._work()
+        except SwarmError as error:
+            self._fail(str(error))
+        except Exception as error:
+            self._service.log.exception("the app host has a fault of its own")
+            self._fail(f"fault of the app host: {error!r}")
+
+    # On the ticker's thread
+
+    def next_deadline(self) -> float | None:
+        """When `tick` is wanted at the latest."""
+        with self._lock:
+            return self._strand.next_deadline()
+
+    def tick(self) -> bool:
+        """Run the timers, publish what is new; True where something was."""
+        now = clock.now()
+        with self._lock:
+            deadline = self._strand.next_deadline()
+            if deadline is not None and now >= deadline:
+                self._strand.handle_timer(now)
+                self._perform()
+            news = self._report(now)
+        repeat = now - self._told_at >= EVERY
+        if repeat:
+            for name, count in self._strand.lockstep.counters.copy().items():
+                self._service.counters[f"{self._counted}_{name.replace(' ', '_')}"] = count
+        self._show(repeat)
+        if not repeat and news == self._told:
+            return False
+        self._told, self._told_at = news, now
+        self._publish("progress", self._progress())
+        return True
+
+    def _show(self, repeat: bool) -> None:
+        """Publish the state if it is new and no step is running (else the next look will find it)."""
+        state, strand = self._state, self._strand
+        if strand.phase not in ("running", "done") or (state is not None and state.k == strand.k and not repeat):
+            return
+        if self._app_lock.acquire(blocking=False):
+            runner = self._runner
+            try:
+                state = AppState(strand.computed_at, runner.k, runner.state(), runner.result())
+            except AppError as error:
+                self._fail(str(error))
+                return
+            finally:
+                self._app_lock.release()
+            self._state = state
+            self._publish("state", state)
+
+    def _report(self, now: float) -> tuple[str, tuple[str, ...], str]:
+        """Phase, robots waited for, reason."""
+        strand, measuring = self._strand, self._measuring
+        if strand.phase in ("starting", "running") and measuring is not None and now - measuring >= EVERY:
+            return "waiting", (), "the dwm service gives no measurement"
+        if strand.phase == "running" and strand.waiting:
+            return "waiting", strand.waiting, self._watch.reason(strand.waiting)
+        return strand.phase, (), strand.reason
+
+    def _progress(self) -> AppProgress:
+        now = clock.now()
+        phase, peers, reason = self._report(now)
+        return AppProgress(now, phase, self._strand.k, peers, reason)
+
+    def _answer(self, *_: object) -> bytes | None:
+        state = self._state
+        return None if state is None else encode(state)
+
+    # Everywhere
+
+    def _perform(self) -> None:
+        """Carry out what the strand wants, in its order; the lock is held."""
+        for action in self._strand.actions():
+            if not self._muted:
+                self._do(action)
+
+    def _do(self, action: Action) -> None:
+        match action:
+            case Save(data):
+                try:
+                    self._snapshots.write(data)
+                except SwarmError as error:
+                    # What was not written must never be sent (R5): the neighbours keep what they had of us.
+                    self._muted = True
+                    self._failed(str(error))
+            case Send(data, to):
+                self._service.bus.publish(self._sync if to is None else f"{self._sync}/{to}", data, urgent=True)
+            case Advanced(k, _):
+                self.latest = Latest(k, self._strand.computed_at, self._runner.state())
+                if self._recorder is not None:
+                    self._recorder.write(k, self.latest.t, self.latest.state, self._runner.result())
+            case Compute():
+                self._todo.put(action)
+            case Fault(reason):
+                self._tell(reason)
+
+    def _fail(self, reason: str) -> None:
+        with self._lock:
+            self._failed(reason)
+
+    def _failed(self, reason: str) -> None:
+        """Stop computing, say why, and stay; the lock is held."""
+        if self._strand.fail(reason):
+            self._tell(reason)
+
+    def _tell(self, reason: str) -> None:
+        self._service.log.error("%s", reason)
+        self._service.degraded(reason)
+
+    def _publish(self, topic: str, message: object) -> None:
+        self._service.bus.publish(key(self._service.robot, self._keys, topic), message)

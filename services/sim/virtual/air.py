@@ -1,0 +1,151 @@
+"""Links under virtual time: byte pipes with latency, jitter, bandwidth and cuts, as `services.mesh.links.sim` makes
+them of Unix sockets, with the same delays from the same generators."""
+
+import random
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from services.mesh.core.delay import AirModel, DelayLine
+from services.mesh.core.session import Session
+from services.sim.virtual.events import EventQueue
+
+if TYPE_CHECKING:
+    from services.sim.virtual.mesh import VirtualMesh
+
+CHUNK = 4096
+"""Bytes taken from a session at a time, as `services.mesh.runner` does."""
+SOCKET = 50_000
+"""Bytes that the sender's socket takes, as `services.mesh.links.sim.SEND_BUFFER` has it."""
+
+UNREACHABLE = "unreachable"
+
+
+class End:
+    """One end of a connection, and the way from it to the other."""
+
+    __slots__ = ("alive", "line", "mesh", "other", "session", "socket", "waits")
+
+    def __init__(self, mesh: "VirtualMesh", line: DelayLine) -> None:
+        self.mesh = mesh
+        self.line = line
+        """The air from here to the other end."""
+        self.other: End = self
+        self.session: Session | None = None
+        self.alive = True
+        """False once this end has closed, or has noticed that the other one has."""
+        self.socket: deque[bytes] = deque()
+        """Writes that wait for the air."""
+        self.waits = False
+        """Whether the air's next free moment is planned."""
+
+
+class Air:
+    """All links of a swarm."""
+
+    def __init__(self, time: EventQueue, model: AirModel) -> None:
+        self._time = time
+        self._model = model
+        self._meshes: dict[str, VirtualMesh] = {}
+        self._cuts: dict[frozenset[str], float] = {}
+
+    def add(self, mesh: "VirtualMesh") -> None:
+        """A robot that can be dialled."""
+        self._meshes[mesh.robot] = mesh
+
+    def remove(self, mesh: "VirtualMesh") -> None:
+        """It can no more."""
+        del self._meshes[mesh.robot]
+
+    def cut(self, a: str, b: str, seconds: float) -> None:
+        """Nothing passes between two robots for a while; what is under way arrives afterwards."""
+        pair = frozenset((a, b))
+        self._cuts[pair] = max(self._cuts.get(pair, 0.0), self._time.now + seconds)
+
+    def dial(self, caller: "VirtualMesh", peer: str) -> None:
+        """Make a connection, and tell both ends of it; or tell the caller that there is none."""
+        self._time.at(self._time.now + self._model.dial, self._dialled, caller, peer)
+
+    def flush(self, end: End) -> None:
+        """Put what the session of an end has to send on the air, as far as it takes it."""
+        session, now = end.session, self._time.now
+        if session is None or not end.alive:
+            return
+        if self._model.bandwidth is None:
+            while data := session.data_to_send(now, CHUNK):
+                self._time.at(end.line.push(data, now), self._arrive, end)
+            return
+        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(now, CHUNK)):
+            end.socket.append(data)
+        self._send(end)
+
+    def close(self, end: End) -> None:
+        """Close an end: the other one hears of it as of everything else."""
+        if not end.alive:
+            return
+        end.alive = False
+        while end.socket:
+            self._push(end, end.socket.popleft())
+        self._push(end, b"")
+
+    def _dialled(self, caller: "VirtualMesh", peer: str) -> None:
+        if not caller.running:
+            return
+        mesh = self._meshes.get(peer)
+        if mesh is None or self._cut_until(caller.robot, peer) > self._time.now:
+            caller.dial_failed(peer, UNREACHABLE)
+            return
+        near, far = End(caller, self._line(caller.robot, peer)), End(mesh, self._line(peer, caller.robot))
+        near.other, far.other = far, near
+        caller.dialled(peer, near)
+        mesh.accepted(far)
+
+    def _line(self, sender: str, receiver: str) -> DelayLine:
+        return DelayLine(self._model, _gauss(self._model, sender, receiver))
+
+    def _send(self, end: End) -> None:
+        """From the socket onto the air at its own pace."""
+        while end.socket and end.line.free_at <= self._time.now:
+            self._push(end, end.socket.popleft())
+        if end.socket and not end.waits:
+            end.waits = True
+            self._time.at(end.line.free_at, self._freed, end)
+
+    def _freed(self, end: End) -> None:
+        end.waits = False
+        self._send(end)
+        self.flush(end)
+
+    def _push(self, end: End, data: bytes) -> None:
+        self._time.at(end.line.push(data, self._time.now), self._arrive, end)
+
+    def _cut_until(self, a: str, b: str) -> float:
+        return self._cuts.get(frozenset((a, b)), 0.0) if self._cuts else 0.0
+
+    def _arrive(self, sender: End) -> None:
+        """The oldest chunk on the way from `sender` arrives."""
+        receiver = sender.other
+        if self._cuts:
+            until = self._cut_until(sender.mesh.robot, receiver.mesh.robot)
+            if until > self._time.now:
+                # What follows is planned later for the same moment, so the order stays.
+                self._time.at(until, self._arrive, sender)
+                return
+        data = sender.line.pop()
+        if not receiver.alive:
+            return
+        if data:
+            receiver.mesh.receive(receiver, data)
+        else:
+            receiver.alive = False
+            receiver.mesh.transport_down(receiver)
+
+
+def _gauss(model: AirModel, sender: str, receiver: str) -> Callable[[float, float], float]:
+    if not model.jitter:
+        return _unused  # a generator takes 2.5 kB, and there may be many links
+    return random.Random(f"{model.seed}:{sender}>{receiver}").gauss
+
+
+def _unused(mean: float, deviation: float) -> float:
+    raise AssertionError("a link without jitter draws no numbers")

@@ -1,0 +1,145 @@
+"""A robot's bus in memory, with the methods of `swarm.bus.Bus`: what talks to that one runs here unchanged.
+
+A message reaches the callbacks of other sessions at the same moment of virtual time, after the call that published it:
+as on the real bus nobody is called from within his own publishing. Nothing is lost, the router never goes away.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from re import Pattern
+from typing import NamedTuple
+
+from services.mesh.core.relay import matches, pattern
+from services.sim.virtual.events import EventQueue
+from swarm.codec import MAX_BINARY, encode
+from swarm.errors import LocalError
+from swarm.keys import MAX_KEY_LENGTH
+
+OnSample = Callable[[str, bytes], None]
+OnQuery = Callable[[str, dict[str, str]], bytes | None]
+
+_pattern = lru_cache(maxsize=65536)(pattern)
+
+
+class _Subscription(NamedTuple):
+    expression: str
+    pattern: Pattern[str] | None
+    """None where the expression is one key."""
+    session: "VirtualBus"
+    callback: OnSample
+
+    def takes(self, key: str) -> bool:
+        return self.expression == key if self.pattern is None else matches(self.pattern, key)
+
+
+@dataclass
+class VirtualRouter:
+    """What the sessions of one robot share."""
+
+    time: EventQueue
+    subscriptions: list[_Subscription] = field(default_factory=list)
+    servers: dict[str, OnQuery] = field(default_factory=dict)
+    tokens: list[str] = field(default_factory=list)
+    watchers: list[tuple[Pattern[str], Callable[[str, bool], None]]] = field(default_factory=list)
+    sessions: list["VirtualBus"] = field(default_factory=list)
+
+    def changed(self) -> None:
+        """Others may be interested in a key now than before."""
+        for session in self.sessions:
+            session.targets.clear()
+
+
+class VirtualBus:
+    """One session of a robot's bus."""
+
+    connected = True
+
+    def __init__(self, router: VirtualRouter) -> None:
+        self._router = router
+        self._time = router.time
+        self.targets: dict[str, tuple[OnSample, ...]] = {}
+        """Who gets what this session publishes, by key, as far as it was asked for."""
+        router.sessions.append(self)
+
+    def wait_connected(self, timeout_s: float | None) -> bool:
+        """True."""
+        return True
+
+    def on_change(self, callback: Callable[[bool], None]) -> None:
+        """Call `callback(True)`."""
+        self._time.soon(callback, True)
+
+    def wanted(self, key: str) -> bool:
+        """Whether anybody hears what this session publishes there: making a message may cost more than sending it."""
+        return bool(self._targets(key))
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        """To all other sessions that subscribe to it; raises `LocalError` as the real bus does."""
+        if len(key) > MAX_KEY_LENGTH:
+            raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
+        targets = self.targets.get(key)
+        if targets is None:
+            targets = self._targets(key)
+        if not targets:
+            return
+        if isinstance(message, bytes | bytearray):
+            payload = bytes(message)
+            if len(payload) > MAX_BINARY:
+                raise LocalError(f"{key}: {len(payload)} bytes, the bus takes at most {MAX_BINARY}")
+        else:
+            payload = encode(message)
+        soon = self._time.soon
+        for callback in targets:
+            soon(callback, key, payload)
+
+    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> None:
+        """Call `callback(key, payload)` for every sample of other sessions."""
+        for key in (keys,) if isinstance(keys, str) else keys:
+            compiled = _pattern(key) if "*" in key else None
+            self._router.subscriptions.append(_Subscription(key, compiled, self, callback))
+        self._router.changed()
+
+    def serve(self, key: str, answer: OnQuery) -> None:
+        """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""
+        self._router.servers[key] = answer
+
+    def ask(self, key: str, on_reply: OnSample, *, timeout_s: float = 1.0, **parameters: object) -> None:
+        """Send a query; `on_reply(key, payload)` is called for each answer."""
+        self._time.soon(self._query, key, on_reply, {name: str(value) for name, value in parameters.items()})
+
+    def announce(self, key: str) -> None:
+        """Declare a liveliness token."""
+        self._router.tokens.append(key)
+        for compiled, callback in self._router.watchers:
+            if matches(compiled, key):
+                self._time.soon(callback, key, True)
+
+    def watch(self, key: str, callback: Callable[[str, bool], None]) -> None:
+        """Call `callback(key, True)` for each token."""
+        compiled = _pattern(key)
+        self._router.watchers.append((compiled, callback))
+        for token in self._router.tokens:
+            if matches(compiled, token):
+                self._time.soon(callback, token, True)
+
+    def close(self) -> None:
+        """Hear and say nothing any more."""
+        router = self._router
+        router.subscriptions = [each for each in router.subscriptions if each.session is not self]
+        router.sessions.remove(self)
+        router.changed()
+
+    def _targets(self, key: str) -> tuple[OnSample, ...]:
+        found = self.targets.get(key)
+        if found is None:
+            found = self.targets[key] = tuple(
+                each.callback for each in self._router.subscriptions if each.session is not self and each.takes(key)
+            )
+        return found
+
+    def _query(self, key: str, on_reply: OnSample, parameters: dict[str, str]) -> None:
+        compiled = _pattern(key)
+        for name, answer in tuple(self._router.servers.items()):
+            if matches(compiled, name) and (payload := answer(name, parameters)) is not None:
+                on_reply(name, payload)

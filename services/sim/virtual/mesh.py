@@ -1,0 +1,267 @@
+"""The mesh service of one robot under virtual time: what `services.mesh.runner` and its main program do around the
+node, without threads and sockets."""
+
+import random
+from collections import Counter
+from functools import partial
+
+from services.mesh.core.dialler import can_link, dials
+from services.mesh.core.events import Received
+from services.mesh.core.handshake import Local
+from services.mesh.core.linking import Start
+from services.mesh.core.node import Node
+from services.mesh.core.orders import Close, Dial, LinksChanged, Note
+from services.mesh.core.overlays import Overlays
+from services.mesh.core.relay import Relay
+from services.mesh.core.session import Session
+from services.mesh.core.topology import Ground
+from services.sim.virtual.air import Air, End
+from services.sim.virtual.bus import VirtualBus
+from services.sim.virtual.events import EventQueue
+from swarm.codec import MAX_BINARY, encode
+from swarm.config import Config
+from swarm.errors import PayloadError
+from swarm.keys import STOP, key
+from swarm.messages import (
+    Arm,
+    Clock,
+    EchoRequest,
+    FloodRequest,
+    Links,
+    Reminder,
+    SendRequest,
+    Stop,
+    TopologyRequest,
+    read,
+)
+
+REPORT_PERIOD = 1.0
+"""s between two publications of `mesh/links`, `mesh/clock` and `mesh/topology`, as the service has it."""
+
+_NEVER = float("inf")
+
+
+class Common:
+    """What the meshes of all robots have in common; made once, since it grows with the swarm."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.robots = {robot.name: robot for robot in config.robots}
+        self.names = frozenset(self.robots)
+        self.ground = Ground(config.names, config.edges, auto=config.auto)
+        near: dict[str, set[str]] = {name: set() for name in config.names}
+        for a, b in config.edges:
+            near[a].add(b)
+            near[b].add(a)
+        self.near = {name: tuple(sorted(others)) for name, others in near.items()}
+
+    def dials(self, robot: str) -> dict[str, bool]:
+        """Whom a robot may be linked with, and whether it calls them: of a fixed topology its neighbours alone, or the
+        tables of a thousand robots would hold a million entries that nobody uses."""
+        own = self.robots[robot]
+        others = self.names - {robot} if self.config.auto else self.near[robot]
+        peers = (self.robots[name] for name in sorted(others))
+        return {peer.name: dials(own, peer) for peer in peers if can_link(own, peer)}
+
+
+class VirtualMesh:
+    """One robot's mesh."""
+
+    def __init__(self, common: Common, robot: str, time: EventQueue, air: Air, bus: VirtualBus, seed: object) -> None:
+        self.robot = robot
+        self.running = True
+        self.counters: Counter[str] = Counter()
+        self.notes: list[tuple[float, str]] = []
+        """What it would have put into its log as a warning."""
+        self._time = time
+        self._air = air
+        self._bus = bus
+        self._ends: dict[Session, End] = {}
+        self._timer = _NEVER
+        self._changed = False
+        # The text's hash is not Python's own, which differs from process to process.
+        numbers = random.Random(f"{seed} {robot} mesh")
+        config, settings = common.config, common.config.mesh
+        local = Local(
+            robot=robot,
+            network=config.network,
+            incarnation=numbers.getrandbits(64),
+            insecure=True,
+            dials=common.dials(robot),
+            robots=common.names,
+            heartbeat=settings.heartbeat,
+            suspect=settings.suspect,
+            dead=settings.dead,
+        )
+        relay = Relay(robot, (), config.relay, common.names)
+        overlays = Overlays(
+            robot,
+            common.names,
+            incarnation=1 + int(time.now * 1e6),
+            random=numbers.random,
+            counters=self.counters,
+            metric=settings.metric,
+            start=Start(common.ground, local.dials, None),
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+        )
+        self.node = Node(
+            local,
+            relay,
+            overlays,
+            random=numbers.random,
+            nonce=partial(numbers.randbytes, 16),
+            counters=self.counters,
+        )
+        for source, expression in enumerate(relay.subscriptions):
+            bus.subscribe(expression, partial(self._publish, source))
+        bus.subscribe([STOP, key(robot, "mesh", "set", "*")], self._obey)
+        self._links_key = key(robot, "mesh", "links")
+        self._clock_key = key(robot, "mesh", "clock")
+        self._topology_key = key(robot, "mesh", "topology")
+        bus.serve(key(robot, "mesh", "members"), lambda *_: encode(overlays.members(time.now)))
+        bus.serve(key(robot, "mesh", "stopped"), lambda *_: encode(overlays.stopped(time.now)))
+        bus.serve(self._topology_key, lambda *_: encode(overlays.topology(time.now)))
+        bus.serve(self._clock_key, lambda *_: encode(Clock(*self.node.clock(time.now))))
+        bus.serve(
+            key(robot, "mesh", "graph"), lambda _, asked: encode(overlays.graph(time.now, asked.get("after", "")))
+        )
+        air.add(self)
+        time.soon(self._carry_out)
+        # Robots are not switched on in the same microsecond: their reports do not all fall on one moment.
+        time.at(time.now + REPORT_PERIOD * numbers.random(), self._report_regularly)
+
+    # -- what the air calls ------------------------------------------------------------------------------------
+
+    def dialled(self, peer: str, end: End) -> None:
+        """The connection asked for is there."""
+        end.session = self.node.dialled(peer, self._time.now)
+        self._ends[end.session] = end
+        self._carry_out()
+
+    def accepted(self, end: End) -> None:
+        """Somebody has called."""
+        end.session = self.node.accepted(self._time.now)
+        if end.session is None:
+            self._air.close(end)
+        else:
+            self._ends[end.session] = end
+        self._carry_out()
+
+    def dial_failed(self, peer: str, reason: str) -> None:
+        """The connection asked for could not be made."""
+        self.node.dial_failed(peer, reason, self._time.now)
+        self._carry_out()
+
+    def receive(self, end: End, data: bytes) -> None:
+        """Bytes came."""
+        if end.session is not None:
+            self.node.receive(end.session, data, self._time.now)
+            self._carry_out()
+
+    def transport_down(self, end: End) -> None:
+        """The other end has closed."""
+        if end.session is not None:
+            self.node.transport_down(end.session, "closed by the other end", self._time.now)
+            self._carry_out()
+
+    def stop(self) -> None:
+        """End as the service does on SIGTERM: say goodbye, then close."""
+        self.node.leave(self._time.now)
+        self._carry_out()
+        self.node.close(self._time.now)
+        self._carry_out()
+        self.kill()
+
+    def kill(self) -> None:
+        """End as by kill -9: the connections close, nothing is said."""
+        self.running = False
+        self._air.remove(self)
+        for end in self._ends.values():
+            self._air.close(end)
+        self._ends.clear()
+        self._bus.close()
+
+    # -- inside ------------------------------------------------------------------------------------------------
+
+    def _publish(self, source: int, key: str, payload: bytes) -> None:
+        """A sample of the own bus."""
+        if self.running:
+            self.node.publish(source, key, payload, self._time.now)
+            self._carry_out()
+
+    def _obey(self, key: str, payload: bytes) -> None:
+        """A sample of `swarm/stop` or of a key with `set`."""
+        if not self.running:
+            return
+        try:
+            message = read(key, payload)
+        except PayloadError as error:
+            self.counters["refused_requests"] += 1
+            self.notes.append((self._time.now, f"request refused: {error}"))
+            return
+        now = self._time.now
+        match message:
+            case FloodRequest() | SendRequest() | Reminder() | TopologyRequest():
+                self.node.ask(lambda each, now: each.request(message, now), now)
+            case EchoRequest():
+                self.node.ping(message, now)
+            case Stop():
+                self.node.ask(lambda each, now: each.stop(message, now), now)
+            case Arm():
+                self.node.ask(lambda each, now: each.arm(now), now)
+        self._carry_out()
+
+    def _carry_out(self) -> None:
+        """Send what is to be sent, and do what the node asks for."""
+        node, ends = self.node, self._ends
+        for session in node.ready():
+            if (end := ends.get(session)) is not None:
+                self._air.flush(end)
+        for action in node.actions():
+            if type(action) is Received:
+                if len(action.payload) <= MAX_BINARY:
+                    self._bus.publish(action.key, action.payload)
+                else:
+                    self.counters["too_large"] += 1
+            elif type(action) is LinksChanged:
+                self._tell_links()
+            elif type(action) is Dial:
+                self._air.dial(self, action.peer)
+            elif type(action) is Close and (end := ends.pop(action.session, None)) is not None:
+                self._air.flush(end)
+                self._air.close(end)
+            elif type(action) is Note and action.problem:
+                self.notes.append((self._time.now, action.text))
+        deadline = node.next_deadline()
+        if deadline < self._timer:
+            self._timer = deadline
+            self._time.at(deadline, self._tick, deadline)
+
+    def _tick(self, planned: float) -> None:
+        if planned != self._timer or not self.running:
+            return  # an earlier one came before
+        self._timer = _NEVER
+        self.node.handle_timer(self._time.now)
+        self._carry_out()
+
+    def _tell_links(self) -> None:
+        """Once for all changes of a moment."""
+        if not self._changed:
+            self._changed = True
+            self._time.soon(self._report)
+
+    def _report_regularly(self) -> None:
+        if self.running:
+            self._report()
+            self._time.at(self._time.now + REPORT_PERIOD, self._report_regularly)
+
+    def _report(self) -> None:
+        self._changed = False
+        now, bus = self._time.now, self._bus
+        if bus.wanted(self._topology_key):
+            bus.publish(self._topology_key, self.node.overlays.topology(now))
+        if bus.wanted(self._links_key):
+            bus.publish(self._links_key, Links(now, self.node.links()))
+        if bus.wanted(self._clock_key):
+            bus.publish(self._clock_key, Clock(*self.node.clock(now)))

@@ -1,0 +1,116 @@
+"""Several locksteps in one app, and several apps on one robot: none touches another."""
+
+import signal
+
+from apps_rig import NAMES, Rig
+from test_host import MakeRig, consensus, make_rig
+
+__all__ = ["make_rig"]
+
+PAIR = """
+import sys
+from services.apps import loader, topology
+from services.apps.host import Host, Part
+from swarm.service import Service, run
+
+def main():
+    fast, slow = (loader.load(path) for path in sys.argv[1:])
+    with Service("app/pair") as service:
+        links = topology.of_run(service, "pair", 7)
+        parts = [Part(name, app.make(service.config, service.robot)) for name, app in (("a", fast), ("b", slow))]
+        host = Host(service, "pair", parts, ("pair.py", b"1"), 7, links, 50, service.runtime.parent / "records")
+        service.stopping.wait()
+        host.close()
+        return 3 if host.failed else 0
+
+run(main)
+"""
+
+COUNTER = """
+from swarm import SyncApp
+
+class Counter(SyncApp):
+    value: float
+
+    def step(self, neighbours):
+        if "{trap}" == self.robot.name and self.k == 5:
+            raise ValueError("no more")
+        self.value += sum(n.value for n in neighbours) + 1
+"""
+
+
+def phase(rig: Rig, name: str, channel: str, wanted: str) -> None:
+    key = f"swarm/{name}/app/pair/{channel}/progress"
+    rig.until(lambda: key in rig.told and rig.told[key].phase == wanted, f"{key} {wanted}")
+
+
+def test_two_channels_of_one_app_never_mix(make_rig: MakeRig) -> None:
+    """The same class twice, one of them in fault on one robot: the other goes to its end, kills and all."""
+    rig = make_rig("")
+    for file, trap in (("good", ""), ("bad", "r2")):
+        (rig.directory / f"{file}.py").write_text(COUNTER.format(trap=trap))
+    (rig.directory / "pair.py").write_text(PAIR)
+    command = [str(rig.directory / f"{file}.py") for file in ("pair", "good", "bad")]
+    rig.gate = 20
+    for name in NAMES:
+        rig.launch(name, "apps", command)
+    phase(rig, "r2", "b", "fault")
+    assert rig.told["swarm/r2/app/pair/b/progress"].reason.endswith("line 9: ValueError: no more")
+    phase(rig, "r1", "a", "waiting")
+    rig.kill("r0")
+    rig.launch("r0", "apps", command)
+    rig.gate = 2**32
+    for name in NAMES:
+        phase(rig, name, "a", "done")
+    phase(rig, "r1", "b", "waiting")
+    assert rig.told["swarm/r1/app/pair/b/progress"].waiting_for == ("r2",)
+    assert rig.values("r0", "pair.a")[-1] == rig.values("r2", "pair.a")[-1]
+    assert len(rig.values("r1", "pair.a")) == 51
+    assert len(rig.values("r1", "pair.b")) == 7
+    assert rig.values("r1", "pair.b") == rig.values("r1", "pair.a")[:7]
+    assert [rig.stop(name) for name in NAMES] == [0, 0, 3]
+
+
+def test_two_apps_on_one_robot(make_rig: MakeRig) -> None:
+    """One is killed, and one robot's is stopped for good: the other never notices."""
+    rig = make_rig()
+    (rig.directory / "other.py").write_text(COUNTER.format(trap=""))
+    rig.gate = 10
+    rig.start_all("consensus", "--iterations", "40")
+    for name in NAMES:
+        rig.launch(name, "other", ["-m", "services.apps", str(rig.directory / "other.py"), "--iterations", "40"])
+    rig.until(lambda: all(f"swarm/{n}/app/other/progress" in rig.told for n in NAMES), "both have begun")
+    rig.kill("r1", "other")
+    rig.processes["r2", "other"].send_signal(signal.SIGSTOP)
+    rig.gate = 2**32
+    rig.until(lambda: all(rig.told[f"swarm/{n}/app/consensus/progress"].phase == "done" for n in NAMES), "one is done")
+    for name, rows in consensus(40).items():
+        assert rig.values(name) == rows
+    assert rig.told["swarm/r0/app/other/progress"].phase != "done"
+    rig.launch("r1", "other", ["-m", "services.apps", str(rig.directory / "other.py"), "--iterations", "40"])
+    rig.processes["r2", "other"].send_signal(signal.SIGCONT)
+    rig.until(lambda: all(rig.told[f"swarm/{n}/app/other/progress"].phase == "done" for n in NAMES), "the other too")
+    assert rig.values("r0", "other")[-1] == rig.values("r2", "other")[-1]
+
+
+def test_robots_with_other_sources_are_named(make_rig: MakeRig) -> None:
+    """Under one run number and under numbers of their own; with the right file the run goes on."""
+    rig = make_rig("")
+    for name in NAMES:
+        (rig.directory / name / "count.py").write_text(COUNTER.format(trap="") + "\n" * (name == "r2"))
+
+    def start(name: str, source: str, **environment: str) -> None:
+        rig.start(name, "apps", str(rig.directory / source / "count.py"), "--iterations", "5", **environment)
+
+    for name in NAMES:
+        start(name, name, SWARM_RUN="5")
+    for name, other in (("r1", "r2"), ("r2", "r1")):
+        rig.until_waits(name, other)
+        assert rig.progress[name].reason == f"{other} runs another version of this app"
+    rig.stop("r2")
+    start("r2", "r2")
+    reason = "r2 is in another run: another number, other sources of the app, or another swarm.toml"
+    rig.until(lambda: rig.progress["r1"].reason == reason, "the other run is named")
+    rig.stop("r2")
+    start("r2", "r0", SWARM_RUN="5")
+    rig.until_phase("done")

@@ -1,0 +1,86 @@
+"""The bus in memory does what `swarm.bus.Bus` does, at the present moment and never from within."""
+
+import inspect
+
+import pytest
+
+from services.sim.virtual.bus import VirtualBus, VirtualRouter
+from services.sim.virtual.events import EventQueue
+from swarm.bus import Bus
+from swarm.codec import decode
+from swarm.errors import LocalError
+from swarm.mesh_clock import MeshClock
+from swarm.messages import Clock, Stop
+
+
+@pytest.fixture
+def router():
+    return VirtualRouter(EventQueue())
+
+
+def test_it_has_the_methods_of_the_real_one():
+    for name, method in inspect.getmembers(Bus, inspect.isfunction):
+        if not name.startswith("_"):
+            assert inspect.signature(getattr(VirtualBus, name)) == inspect.signature(method), name
+
+
+def test_samples_reach_other_sessions_after_the_present_call(router):
+    first, second, seen = VirtualBus(router), VirtualBus(router), []
+    for bus, name in ((first, "first"), (second, "second")):
+        bus.subscribe(["swarm/*/app/**", "swarm/stop"], lambda *sample, name=name: seen.append((name, *sample)))
+    first.publish("swarm/r0/app/x/sync/1", b"frame")
+    second.publish("swarm/stop", Stop(1.0, "r0", "why"))
+    second.publish("swarm/r0/mesh/links", b"nobody hears")
+    assert seen == []
+    router.time.run()
+    assert seen[0] == ("second", "swarm/r0/app/x/sync/1", b"frame")
+    assert seen[1][:2] == ("first", "swarm/stop")
+    assert decode(Stop, seen[1][2], "swarm/stop") == Stop(1.0, "r0", "why")
+    assert len(seen) == 2
+
+
+def test_who_subscribes_later_hears_later_samples(router):
+    first, second, seen = VirtualBus(router), VirtualBus(router), []
+    first.publish("swarm/r0/x/y", b"1")
+    assert not first.wanted("swarm/r0/x/y")
+    second.subscribe("swarm/r0/**", lambda *sample: seen.append(sample))
+    assert first.wanted("swarm/r0/x/y")
+    assert not second.wanted("swarm/r0/x/y")
+    first.publish("swarm/r0/x/y", b"2")
+    router.time.run()
+    assert seen == [("swarm/r0/x/y", b"2")]
+    second.close()
+    first.publish("swarm/r0/x/y", b"3")
+    router.time.run()
+    assert len(seen) == 1
+
+
+def test_queries_are_answered_and_tokens_seen(router):
+    first, second, seen = VirtualBus(router), VirtualBus(router), []
+    first.serve("swarm/r0/x/row", lambda key, asked: b"row " + asked["sequence"].encode() if asked else None)
+    second.ask("swarm/r0/x/row", lambda *reply: seen.append(reply), sequence=3)
+    second.ask("swarm/r0/x/row", lambda *reply: seen.append(reply))
+    first.announce("swarm/r0/x/alive")
+    second.watch("swarm/*/*/alive", lambda *token: seen.append(token))
+    first.announce("swarm/r0/y/alive")
+    router.time.run()
+    assert seen == [("swarm/r0/x/row", b"row 3"), ("swarm/r0/x/alive", True), ("swarm/r0/y/alive", True)]
+
+
+def test_what_the_real_bus_refuses_it_refuses(router):
+    first, second = VirtualBus(router), VirtualBus(router)
+    second.subscribe("swarm/**", lambda *_: None)
+    with pytest.raises(LocalError, match="longer"):
+        first.publish("swarm/r0/" + "x" * 300, b"")
+    with pytest.raises(LocalError, match="at most"):
+        first.publish("swarm/r0/x/y", bytes(1 << 20))
+
+
+def test_clients_of_the_bus_run_on_it(router):
+    mesh, app = VirtualBus(router), VirtualBus(router)
+    clock = MeshClock(app, "r0", lambda: router.time.now + 2.0)
+    mesh.publish("swarm/r0/mesh/clock", Clock(2.0, 5.0, 0.0, "r0", 0, 0.0))
+    router.time.run()
+    assert clock.state is not None
+    assert clock.root == "r0"
+    assert clock.now() == 7.0
