@@ -17,8 +17,9 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "bundle", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh",
-    "pair", "param", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
+    "arm", "bundle", "command", "config", "deploy", "doctor", "estop", "fetch", "key", "kill", "lay", "logs", "measure",
+    "mesh", "pair", "param", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
+    "unplug",
 )  # fmt: skip
 """Modules of this package."""
 

@@ -11,6 +11,7 @@ from fake_robots import FakeRobots, Run, needs_ssh, outcomes
 
 from swarm.cli import status
 
+pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
 
 
