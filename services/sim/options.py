@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.sim.virtual.body import MODELS
 from swarm.codec import Value
 from swarm.errors import AppError, ConfigError
 from swarm.parameters import value_of
@@ -24,6 +25,10 @@ class Cut:
     at: float
     """s after the first iteration of all robots (without an app: after all are ready)."""
     seconds: float
+
+
+PRESS_S = 0.3
+"""How long a button is held down."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,8 @@ class Options:
     demo: bool
     virtual: bool
     """In one process under a virtual clock."""
+    body: str
+    """Model of the bodies then."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -213,6 +220,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
     p.add_argument("--virtual", action="store_true",
                    help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
+    p.add_argument("--body", choices=MODELS, default=MODELS[0],
+                   help="how bodies move under virtual time: with ramps and errors, or as they are told")  # fmt: skip
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 

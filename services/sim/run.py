@@ -10,7 +10,7 @@ from typing import TextIO
 
 from services.sim import air, footprint, scene, trajectory
 from services.sim.monitor import Monitor, Seen
-from services.sim.options import Cut, Options, Press
+from services.sim.options import PRESS_S, Cut, Options, Press
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
@@ -33,9 +33,6 @@ APP_SERVICE = "services.apps"
 
 START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
-
-PRESS_S = 0.3
-"""How long a button is held down."""
 
 TICK_S = 0.05
 REFRESH_LIMIT_S = 0.5

@@ -23,6 +23,11 @@ VERBS = (
 """Modules of this package."""
 
 HANDED_ON = {
+    "new": ("write a commented app and its test", ("services.apps.rehearsal.new",)),
+    "check": (
+        "look at an app before any robot moves: size, time, determinism, convergence",
+        ("services.apps.rehearsal.check",),
+    ),
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
     "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
