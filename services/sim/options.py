@@ -225,7 +225,7 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
-    run.add_argument("--record", type=Path, metavar="DIR", help="keep every robot's trajectory there, as CSV")
+    run.add_argument("--record", type=Path, metavar="DIR", help="keep the recording of the run in this folder")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
     p.add_argument("--virtual", action="store_true",
                    help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip

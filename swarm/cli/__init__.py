@@ -17,8 +17,8 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh", "param",
-    "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
+    "arm", "bundle", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh",
+    "pair", "param", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
 )  # fmt: skip
 """Modules of this package."""
 

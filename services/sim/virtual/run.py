@@ -19,8 +19,12 @@ from services.sim.virtual.host import VirtualHost
 from services.sim.virtual.strand import Line, Teller, Told
 from services.sim.virtual.tape import Tape
 from services.sim.virtual.world import World
+from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import LocalError
+from swarm.recording import folder
+from swarm.recording.plain import PlainRecording
+from swarm.recording.reader import SUFFIX
 
 STALLED = 60.0
 """s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
@@ -48,6 +52,7 @@ class Run:
             scenario.config, model, options.seed, body=options.body, lying=scenario.lying, witness=self._witness
         )
         self._tapes = {name: Tape(keep=self._rows) for name in names}
+        self._recording: PlainRecording | None = None
         self._recorders: dict[str, Recorder] = {}
         self._running = set(names)
         self._missing_first = set(names)
@@ -64,6 +69,8 @@ class Run:
         if scenario.program is not None:
             app = loader.load(scenario.program)
             number = random.Random(f"{options.seed} run").getrandbits(64)
+            if options.record is not None:
+                self._begin_record(options.record, app, number)
             for name in scenario.config.names:
                 world.start_app(
                     name,
@@ -77,8 +84,8 @@ class Run:
             self._first_done()
         self._watch()
         ended_at = world.time.now
-        for recorder in self._recorders.values():
-            recorder.close()
+        if self._recording is not None:
+            self._recording.close()
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
 
@@ -107,8 +114,8 @@ class Run:
         """A robot has done an iteration."""
         name = teller.robot
         self._last_progress = line.t
-        if self._options.record is not None:
-            self._record(self._options.record, teller, line)
+        if self._recorders:
+            self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
         if teller.part:
             return
         self._tapes[name].write(teller, line)
@@ -117,14 +124,12 @@ class Run:
             if not self._missing_first:
                 self._first_done()
 
-    def _record(self, folder: Path, teller: Teller, line: Line) -> None:
-        name = ".".join(filter(None, (teller.robot, teller.app, teller.part)))
-        recorder = self._recorders.get(name)
-        if recorder is None:
-            counters = self.world.robots[teller.robot].mesh.counters
-            recorder = Recorder(folder / f"{name}.csv", teller.runner.schema, counters, append=False)
-            self._recorders[name] = recorder
-        recorder.write(line.k, line.t, line.state, line.result)
+    def _begin_record(self, place: Path, app: loader.App, number: int) -> None:
+        """Begin the recording: one file for all robots."""
+        run = folder.describe(app.name, number, self._options.seed, app.digest)
+        folder.begin(place, run, {folder.CONFIG_FILE: dump(self._scenario.config).encode()})
+        self._recording = recording = PlainRecording(place / f"{app.name}{SUFFIX}", run)
+        self._recorders = {name: Recorder(recording, name, app.name) for name in self._scenario.config.names}
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""

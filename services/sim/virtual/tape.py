@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from services.sim.trajectory import EMPTY, Trajectory
 from services.sim.virtual.strand import Line, Teller
 from swarm.codec import Value
+from swarm.recording.trajectory import EMPTY, Trajectory
 
 
 class Tape:
