@@ -8,13 +8,13 @@ restart.
 import argparse
 import hashlib
 import os
-from pathlib import Path
 
 from services.apps import loader, topology
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
 from services.apps.host import Host, Part
 from services.apps.measurements import source_of
+from services.apps.recording import Recording, place_of
 from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
@@ -58,23 +58,27 @@ def main() -> int:
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
         instance.robot.devices = devices = Devices(service.bus, service.robot)
-        record = os.environ.get("SWARM_RECORD")
-        folder = Path(record) if record else None
+        place = place_of(app.name, number, wanted=options.record)
+        recording = Recording(service, app, number, seed, place) if place is not None else None
+        recorder = recording.recorder if recording is not None else None
+        instance.robot.recording = recorder.value if recorder is not None else None
         code = (app.source, app.digest)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(
-                service, app.name, events, code, number, links, options.iterations, overlays, devices, folder
+                service, app.name, events, code, number, links, options.iterations, overlays, devices, recorder
             )
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
             parts = [Part("", instance, measurements)]
-            host = Host(service, app.name, parts, code, number, links, options.iterations, folder)
+            host = Host(service, app.name, parts, code, number, links, options.iterations, recorder)
         service.stopping.wait()
         if measurements is not None:
             measurements.close()
         host.close()
+        if recording is not None:
+            recording.close()
         return FAULT if host.failed else 0
 
 
@@ -91,6 +95,9 @@ def _options() -> argparse.Namespace:
         "--set", dest="settings", action="append", type=_setting, default=[], metavar="[ROBOT.]NAME=VALUE",
         help="a parameter, above swarm.toml; the same ones on all robots",
     )  # fmt: skip
+    parser.add_argument(
+        "--record", action="store_true", help="keep what it does (without: only where SWARM_RECORD names a folder)"
+    )
     options = parser.parse_args()
     text = options.run or os.environ.get("SWARM_RUN")
     options.run = None if not text else _number("--run or SWARM_RUN", text, 16)

@@ -11,7 +11,6 @@ import queue
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 
 from services.apps import topology
 from services.apps.changes import Changes
@@ -56,7 +55,7 @@ class EventHost:
         last: int | None,
         overlays: Overlays,
         devices: Devices,
-        record: Path | None = None,
+        recorder: Recorder | None = None,
     ) -> None:
         """`code`: path and digest of the app's source. Raises `LocalError` where another process runs this app."""
         self._service = service
@@ -87,11 +86,8 @@ class EventHost:
         self._closing = False
         self._changed_at = clock.now()
         self._state: AppState | None = None
-        self._recorder: Recorder | None = None
+        self._recorder = recorder
         self._recorded = -1
-        if record is not None:
-            path = record / f"{service.robot}.{name}.csv"
-            self._recorder = Recorder(path, runner.schema, service.counters, append=False)
         self._hold = Hold(devices)
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
         kept = (service.runtime / f"app.{name}.parameters", run)
@@ -100,7 +96,7 @@ class EventHost:
         app.robot.timers = self._after
         self._views = {name: getattr(app, name) for name in channels_of(type(app))}
         self._channels: Host | None = None
-        self._open_channels = partial(self._host_channels, code, run, links, record)
+        self._open_channels = partial(self._host_channels, code, run, links)
         self._subscribe()
         # Daemons: a handler that never returns must not keep the process from ending.
         self._threads = [
@@ -135,8 +131,6 @@ class EventHost:
         self._hold.close()
         if self._channels is not None:
             self._channels.close()
-        if self._recorder is not None:
-            self._recorder.close()
         self._claim.close()
 
     def _subscribe(self) -> None:
@@ -223,7 +217,7 @@ class EventHost:
             self._feed(partial(self._returned, own))
             self._keep()
 
-    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links, record: Path | None) -> None:
+    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links) -> None:
         """Start the app's locksteps, with the first values that its `start` gave them."""
         mine = self._runner.app.robot
         for view in self._views.values():
@@ -233,7 +227,7 @@ class EventHost:
             view.begin()
         parts = [Part(name, view.app) for name, view in self._views.items()]
         links = links._replace(kept=True)  # saved already
-        self._channels = Host(self._service, self._name, parts, code, run, links, None, record, self._claim)
+        self._channels = Host(self._service, self._name, parts, code, run, links, None, self._recorder, self._claim)
 
     def _take_channels(self) -> None:
         """Let the app see its channels' newest states: the same ones throughout a handler."""
@@ -256,7 +250,7 @@ class EventHost:
         k = self._core.k
         if self._recorder is not None and k != self._recorded:
             self._recorded = k
-            self._recorder.write(k, self._changed_at, self._runner.state(), self._runner.result())
+            self._recorder.state(k, self._changed_at, self._runner.state(), self._runner.result())
 
     # On the ticker's thread
 
@@ -279,13 +273,17 @@ class EventHost:
             looked_at = now
             repeat = now - told_at >= EVERY
             self._show(repeat)
-            if repeat or news != told:
+            changed = news != told
+            if repeat or changed:
                 told, told_at = news, now
                 self._count()
                 # A handler that does not end is a fault; waiting for others is none.
                 if not self._core.hangs(now):
                     self._service.watchdog()
-                self._publish("progress", self._progress())
+                progress = self._progress()
+                if self._recorder is not None and changed:
+                    self._recorder.progress(progress)
+                self._publish("progress", progress)
 
     def _pause(self, looked_at: float) -> float:
         now = clock.now()

@@ -9,13 +9,13 @@ import hashlib
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.hold import Hold
 from services.apps.measurements import Measurements
+from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.worker import CLOSE_WITHIN, Latest, Worker
 from swarm import clock
@@ -57,7 +57,7 @@ class Host:
         run: int,
         links: topology.Links,
         last: int | None,
-        record: Path | None,
+        recorder: Recorder | None,
         claim: Claim | None = None,
     ) -> None:
         """`code`: path and digest of the app's source. `claim`: the app's lock where somebody else holds it, for the
@@ -79,7 +79,7 @@ class Host:
             channel = Channel(run, links.epoch, held.incarnation, schema)
             if not part.channel:
                 self._let_change(name, runner, run)
-            worker = Worker(service, name, part.channel, runner, channel, links, part.measurements, last, record)
+            worker = Worker(service, name, part.channel, runner, channel, links, part.measurements, last, recorder)
             self._workers[part.channel] = self._by_schema[schema] = worker
         service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)

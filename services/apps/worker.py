@@ -3,7 +3,6 @@
 import queue
 import threading
 from dataclasses import dataclass
-from pathlib import Path
 
 from services.apps import topology
 from services.apps.core.strand import ALONE, Strand
@@ -51,14 +50,15 @@ class Worker:
         links: topology.Links,
         measurements: Measurements | None,
         last: int | None,
-        record: Path | None,
+        recorder: Recorder | None,
     ) -> None:
         """`part`: name of the channel within the app, empty for an app that is one lockstep. Raises `LocalError` where
         the snapshot's file cannot be had."""
         self.latest: Latest | None = None
         self._service = service
         self._runner = runner
-        self._record = record
+        self._part = part
+        self._recorder = recorder
         self._file = f"{app}.{part}" if part else app
         self._keys = f"app/{app}/{part}" if part else f"app/{app}"
         self._counted = f"{part}_sync" if part else "sync"
@@ -67,7 +67,6 @@ class Worker:
         self._snapshots = SnapshotFile(service.runtime / f"app.{self._file}.snapshot")
         self._strand = Strand(service.robot, links.neighbours(service.robot), channel, runner, last)
         self._measurements = measurements
-        self._recorder: Recorder | None = None
         self._lock = threading.Lock()  # around the strand
         self._app_lock = threading.Lock()  # around the app, taken first: results are looked at between steps only
         self._todo: queue.SimpleQueue[Compute | None] = queue.SimpleQueue()
@@ -120,8 +119,6 @@ class Worker:
         if self._thread.is_alive():
             self._service.log.warning("the step of iteration %d does not end", self._strand.k)
             return False
-        if self._recorder is not None:
-            self._recorder.close()
         self._snapshots.close()
         return True
 
@@ -181,9 +178,6 @@ class Worker:
         saved = self._strand.saved(data)
         if data is not None and saved is None:
             self._service.log.info("the snapshot is of another run, this one begins anew")
-        if self._record is not None:
-            path = self._record / f"{self._service.robot}.{self._file}.csv"
-            self._recorder = Recorder(path, self._runner.schema, self._service.counters, append=saved is not None)
         measurement = self._measure(0) if saved is None else None
         if self._closing:
             return False
@@ -236,8 +230,11 @@ class Worker:
         self._show(repeat)
         if not repeat and news == self._told:
             return False
+        progress = self._progress()
+        if self._recorder is not None and news != self._told:
+            self._recorder.progress(progress, self._part)
         self._told, self._told_at = news, now
-        self._publish("progress", self._progress())
+        self._publish("progress", progress)
         return True
 
     def _show(self, repeat: bool) -> None:
@@ -297,7 +294,7 @@ class Worker:
             case Advanced(k, _):
                 self.latest = Latest(k, self._strand.computed_at, self._runner.state())
                 if self._recorder is not None:
-                    self._recorder.write(k, self.latest.t, self.latest.state, self._runner.result())
+                    self._recorder.state(k, self.latest.t, self.latest.state, self._runner.result(), self._part)
             case Compute():
                 self._todo.put(action)
             case Fault(reason):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.sim.virtual.body import MODELS
 from swarm import settings
 from swarm.errors import AppError, ConfigError
 from swarm.settings import Setting
@@ -24,6 +25,10 @@ class Cut:
     at: float
     """s after the first iteration of all robots (without an app: after all are ready)."""
     seconds: float
+
+
+PRESS_S = 0.3
+"""How long a button is held down."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,8 @@ class Options:
     demo: bool
     virtual: bool
     """In one process under a virtual clock."""
+    body: str
+    """Model of the bodies then."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -192,10 +199,12 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
-    run.add_argument("--record", type=Path, metavar="DIR", help="keep every robot's trajectory there, as CSV")
+    run.add_argument("--record", type=Path, metavar="DIR", help="keep the recording of the run in this folder")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
     p.add_argument("--virtual", action="store_true",
                    help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
+    p.add_argument("--body", choices=MODELS, default=MODELS[0],
+                   help="how bodies move under virtual time: with ramps and errors, or as they are told")  # fmt: skip
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 

@@ -4,10 +4,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from services.sim import scene, trajectory
+from services.sim import scene
 from services.sim.scenario import Scenario
-from services.sim.trajectory import Trajectory
 from swarm.messages import BalancerState
+from swarm.recording import trajectory
+from swarm.recording.trajectory import Trajectory
 
 Json = dict[str, object]
 

@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--set", dest="settings", action="append", default=[], metavar="[ROBOT.]NAME=VALUE",
         help="a parameter of the app, of all robots or one: --set gain=0.5 --set r2.value=3",
     )  # fmt: skip
+    parser.add_argument("--no-record", action="store_true", help="keep no recording (swarm fetch brings them)")
     parser.add_argument("--force", action="store_true", help="even where release, config or firmware differ")
     everyone.add_arguments(parser, timeout_s=60)
 
@@ -59,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     folder = f"{APPS}/{name}-{digest}" if source is not None else ""
     # One number for this run on every robot: what an earlier run left behind has another.
     arguments = ["--run", secrets.token_hex(8)]
+    if not args.no_record:
+        arguments.append("--record")
     if args.iterations is not None:
         arguments += ["--iterations", str(args.iterations)]
     for setting in args.settings:

@@ -4,11 +4,11 @@ import math
 from pathlib import Path
 
 import pytest
-from memory_events import MemoryEvents
 from memory_swarm import TARGET, MemorySwarm, config_of
 from test_localization import exact, noisy
 
 from services.apps import loader
+from services.apps.rehearsal.events import EventRehearsal
 from swarm.errors import AppError
 from swarm.messages import SetDisplay, SetLeds
 
@@ -143,7 +143,7 @@ def test_example_find_target(measure: object, within: float) -> None:
 
 
 def test_example_button_count() -> None:
-    swarm = MemoryEvents(str(EXAMPLES / "button_count.py"), config_of(3))
+    swarm = EventRehearsal(loader.load(str(EXAMPLES / "button_count.py")), config_of(3))
     swarm.run(1.0)
     swarm.units["r1"].press("b")
     swarm.run(2.0)
@@ -156,7 +156,9 @@ def test_example_button_count() -> None:
 
 def test_example_follow_leds() -> None:
     robots = {"r0": {"first": True}}
-    swarm = MemoryEvents(str(EXAMPLES / "follow_leds.py"), config_of(4, app="follow_leds", robots=robots))
+    swarm = EventRehearsal(
+        loader.load(str(EXAMPLES / "follow_leds.py")), config_of(4, app="follow_leds", robots=robots)
+    )
     swarm.run(10.0)
     lit = {}
     for name, unit in swarm.units.items():

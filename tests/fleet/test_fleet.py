@@ -208,14 +208,15 @@ def test_an_app_is_started_with_one_number_for_all(robots: FakeRobots, run: Run)
     assert files(homes[0] / "etc") == files(homes[1] / "etc")
     said = files(homes[0] / "etc")["apps/mine.env"]
     assert said.startswith(f"APP=/var/lib/swarm/{code.removeprefix('lib/')}\nARGUMENTS=--run ")
-    assert re.search(r"^ARGUMENTS=--run [0-9a-f]{16} --iterations 50 --set gain=0.5 --set r1.value=3$", said, re.M)
+    assert re.search(r"^ARGUMENTS=--run [0-9a-f]{16} --record --iterations 50 --set gain=0.5 --set r1.value=3$", said, re.M)
     assert (homes[0] / "systemctl.log").read_text() == "restart --no-block swarm-app@mine.service\n"
 
     app.write_text("class Other: ...\n")
     assert run("run", str(app)) == 0
     assert list(files(homes[0] / "lib").values()) == ["class Other: ...\n"]
-    assert run("run", "consensus") == 0
-    assert files(homes[0] / "etc")["apps/consensus.env"].startswith("APP=consensus\nARGUMENTS=--run ")
+    assert run("run", "consensus", "--no-record") == 0
+    said = files(homes[0] / "etc")["apps/consensus.env"]
+    assert re.fullmatch(r"APP=consensus\nARGUMENTS=--run [0-9a-f]{16}\n", said)
 
 
 def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
