@@ -208,7 +208,8 @@ def test_an_app_is_started_with_one_number_for_all(robots: FakeRobots, run: Run)
     assert files(homes[0] / "etc") == files(homes[1] / "etc")
     said = files(homes[0] / "etc")["apps/mine.env"]
     assert said.startswith(f"APP=/var/lib/swarm/{code.removeprefix('lib/')}\nARGUMENTS=--run ")
-    assert re.search(r"^ARGUMENTS=--run [0-9a-f]{16} --record --iterations 50 --set gain=0.5 --set r1.value=3$", said, re.M)
+    arguments = r"^ARGUMENTS=--run [0-9a-f]{16} --record --iterations 50 --set gain=0.5 --set r1.value=3$"
+    assert re.search(arguments, said, re.M)
     assert (homes[0] / "systemctl.log").read_text() == "restart --no-block swarm-app@mine.service\n"
 
     app.write_text("class Other: ...\n")
