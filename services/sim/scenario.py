@@ -48,6 +48,9 @@ STANDING_UP_FROM = "front"
 """How robots lie at the start where the app is about standing up."""
 
 DEFAULT_ITERATIONS = 100
+BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
+ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
+"""Of apps that want others; those of goto are the most it may take, it ends when all have arrived."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
             raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None:
-        iterations = DEFAULT_ITERATIONS
+        iterations = ITERATIONS.get(app.name, DEFAULT_ITERATIONS)
     if recordings:
         rows = min(len(recording.rows) for recording in recordings)
         iterations = rows if options.iterations is None else min(rows, options.iterations)
@@ -128,7 +131,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         recordings=recorded,
         steps=app is not None and not _reacts_only(app),
         lying=options.lying or (STANDING_UP_FROM if app is not None and app.name == "stand_up" else None),
-        notes=_step_size(config, app, recorded) if app is not None else (),
+        notes=(*_step_size(config, app, recorded), *_buttons(app, options)) if app is not None else (),
     )
 
 
@@ -173,6 +176,13 @@ def _step_size(config: Config, app: loader.App, recordings: Mapping[str, Recordi
             raise
         warning = str(error)
     return (told, f"warning: {warning}") if warning else (told,)
+
+
+def _buttons(app: loader.App, options: Options) -> tuple[str, ...]:
+    """Tell of the hands that an app waits for."""
+    if app.name not in BEGUN_BY_BUTTON or options.presses:
+        return ()
+    return (f"{app.name} waits for a button: swarm press r0 A, from another terminal, or --press r0.A@2s",)
 
 
 def _both_units(gamma: float) -> str:
