@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.sim.core.noise import ERRORS
 from services.sim.virtual.body import MODELS
 from swarm import settings
 from swarm.errors import AppError, ConfigError
@@ -64,6 +65,8 @@ class Options:
     iterations: int | None
     seed: int
     replay: Path | None
+    noise: str | None
+    """Of `core.noise.ERRORS`: how measurements err; None: as the simulated modules do."""
     json: bool
     plot: Path | None
     run_dir: Path | None
@@ -171,6 +174,12 @@ def parser() -> argparse.ArgumentParser:
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
     )
+    app.add_argument(
+        "--noise",
+        choices=list(ERRORS),
+        metavar="MODEL",
+        help="measurements of a simulation study: none, bias (5 %%), thesis (5 %% and 2 %% every 5 iterations)",
+    )
     radio = p.add_argument_group("the radio")
     radio.add_argument("--latency", type=duration, default=0.03, metavar="30ms", help="one way (30ms)")
     radio.add_argument(
@@ -214,11 +223,14 @@ def parse(arguments: list[str]) -> Options:
     options = Options(**vars(_tuples(parser().parse_args(arguments))))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
+    if options.noise is not None and options.replay is not None:
+        raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
     if options.app is None:
         for given, name in (
             (options.algorithm, "--algorithm"),
             (options.settings, "--set"),
             (options.replay, "--replay"),
+            (options.noise, "--noise"),
             (options.plot, "--plot"),
         ):
             if given:
