@@ -59,7 +59,9 @@ def main() -> int:
         place = place_of(app.name, number, wanted=options.record)
         recording = Recording(service, app, number, seed, place) if place is not None else None
         recorder = recording.recorder if recording is not None else None
-        instance.robot.recording = recorder.value if recorder is not None else None
+        if recording is not None:
+            instance.robot.recording = recording.recorder.value
+            overlays.asked = recording.watch.asked
         code = (app.source, app.digest)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
