@@ -247,6 +247,8 @@ class Devices:
         before, self._presses = self._presses, presses
         if before is None or self._on_button is None:
             return
+        if any(new < old for old, new in zip(before, presses, strict=True)):
+            before = (0, 0, 0)
         for name, old, new in zip(BUTTONS, before, presses, strict=True):
-            for _ in range(new - old if new >= old else new):
+            for _ in range(new - old):
                 self._on_button(name)

@@ -190,7 +190,7 @@ class Asynchronous:
             self.counters["bad_frame"] += 1
             return
         if channel.incarnation > peer.incarnation:
-            peer.incarnation, peer.sequence = channel.incarnation, 0
+            peer.incarnation = channel.incarnation
         elif sequence <= peer.sequence:
             self.counters["duplicate"] += 1
             return
@@ -208,6 +208,12 @@ class Asynchronous:
         """Call `on_timer(name)` in so many seconds; said again, it is moved."""
         self._timers[name] = now + seconds
 
+    def set_neighbours(self, names: Sequence[str], now: float) -> None:
+        """There are other neighbours now. Those that stay keep what they have told, the new ones are told at once."""
+        self.neighbours = tuple(names)
+        self._peers = {name: self._peers.get(name) or _Peer() for name in self.neighbours}
+        self._tell_soon(now)
+
     def set_period(self, period: float, now: float) -> None:
         """Step this often from now on."""
         self.period = period
@@ -224,7 +230,7 @@ class Asynchronous:
         if call.handler == "start":
             self._roll |= self._bits[self.me]
             self._hear(all_here=False, roll=0, now=now)
-        if state != self._state or self._tell_at == math.inf:
+        if state != self._state:
             self._state = state
             self._tell_soon(now)
         if finished or (self.last is not None and self.period is not None and self.k >= self.last):

@@ -81,6 +81,8 @@ class VirtualEventHost:
         if "on_message" in runner.handled:
             overlays.on_flood(lambda sender, data: self._happened("on_message", Message(sender, data, flooded=True)))
             overlays.on_message(lambda sender, data: self._happened("on_message", Message(sender, data, flooded=False)))
+        if "on_announced" in runner.handled:
+            overlays.on_complete(lambda origin, answer: self._happened("on_announced", origin, answer))
         if "on_answer" in runner.handled:
             overlays.on_answer(lambda ticket, answer: self._happened("on_answer", ticket, answer))
 
