@@ -140,7 +140,8 @@ def test_an_absent_device_is_a_fault_until_it_is_there(address: int) -> None:
     rig = Rig(start_mode="rest")
     device = rig.robot.devices.pop(address)
     rig.run(2.0)
-    assert rig.balancer.fault == ("bus", "I2C, IMU: Remote I/O error (error 121)")
+    who = {imu.ADDRESS: "IMU", balboa.ADDRESS: "ATmega"}[address]
+    assert rig.balancer.fault == ("bus", f"I2C, {who}: Remote I/O error (error 121)")
     assert rig.body.held
     rig.robot.devices[address] = device
     rig.run(4.0)

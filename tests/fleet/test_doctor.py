@@ -70,7 +70,7 @@ def test_a_swarm_that_is_well_then_one_with_faults(ask: Ask, simulation: Simulat
     assert set(report) == {"r0", "r1", "r2"}
     assert list(report["r0"]) == [check.name for check in core.CHECKS]
     assert {name for name, each in report["r0"].items() if each["state"] == "ok"} >= {
-        "disk", "services", "devices", "body", "battery", "module", "ranges", "links", "time"
+        "disk", "services", "devices", "firmware", "body", "battery", "module", "ranges", "links", "time"
     }  # fmt: skip
 
     # An IMU that does not acknowledge.
