@@ -220,12 +220,14 @@ def show(key: str, payload: bytes) -> str:
     return as_text(Sample(0.25, "", key, payload)).split(maxsplit=1)[1]
 
 
-def test_frames_of_synchronous_apps() -> None:
+def test_frames_of_apps() -> None:
     key = "swarm/r0/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
     step = b"\x01\x07\x00\x00\x00" + bytes(16)
     assert show(key, step) == f"{key} STEP k=7 21 bytes 0x{step.hex()}"
     assert show(key + "/r1", b"\x02\x07\x00\x00\x00") == f"{key}/r1 WANT k=7 5 bytes 0x0207000000"
     assert show(key, b"\x09\x07\x00\x00\x00") == f"{key} kind 9 k=7 5 bytes 0x0907000000"
+    latest = key.replace("sync", "latest")
+    assert show(latest, b"\x01\x07\x00\x00\x00\xff") == f"{latest} STATE sequence=7 6 bytes 0x0107000000ff"
     data = json.loads(as_json(Sample(0.25, "r0", key, step)))
     assert (data["frame"], data["k"], data["bytes"], data["hex"]) == ("STEP", 7, 21, step.hex())
 
