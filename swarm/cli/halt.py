@@ -4,7 +4,7 @@ The command goes to every bus that can be reached, so that these robots obey eve
 carries it to the others. It is given again until it is confirmed, since a bus may lose it. A robot confirms by its
 `mesh/stopped`, its own or what it floods; where its balancer's state can be seen, the motors must be off, too.
 
-From a laptop the same is said to each robot by ssh at the same time (halt_ssh.py): a robot is confirmed by any of these.
+From a laptop each robot is told by ssh, too, at the same time (halt_ssh.py): it is confirmed by any of these.
 """
 
 import argparse
@@ -83,11 +83,9 @@ def run(args: argparse.Namespace, *, stop: bool, reason: str) -> int:
             rows = _command(opened_buses, stop=stop, reason=reason, timeout=args.timeout)
     if thread is not None:
         thread.join()
-    done = all(
-        row.confirmed for row in rows if row.state not in (*AWAY, "no bus") and row.robot not in answers.outcomes
-    )
     by_robot = {row.robot: row for row in rows}
-    done &= all(_how(name, by_robot, answers) for name in answers.outcomes)
+    reached = [row for row in rows if row.state not in (*AWAY, "no bus") and row.robot not in answers.outcomes]
+    done = all(row.confirmed for row in reached) and all(_how(name, by_robot, answers) for name in answers.outcomes)
     if args.json:
         report: dict[str, object] = {"stop": stop, "confirmed": done, "robots": [asdict(row) for row in rows]}
         if far is not None:

@@ -1,7 +1,7 @@
 """`swarm estop` and `swarm arm` by ssh: every robot is told on its own bus, whatever became of mesh and laptop's bus.
 
-A robot whose own bus or balancer does not confirm a stop has its balancer stopped by systemd: motors off is its last act,
-and the ATmega switches them off 0.2 s later in any case.
+A robot whose own bus or balancer does not confirm a stop has its balancer stopped by systemd: motors off is its last
+act, and the ATmega switches them off 0.2 s later in any case.
 """
 
 import argparse
@@ -72,7 +72,10 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> A
         await ssh.check(host, "sudo -n systemctl stop swarm-balancer.service")
         return f"its balancer was stopped ({problem}): swarm start balancer, when all is well"
 
-    found = asyncio.run(everyone.each(robots, job, THERE_S + _SLACK_S, lambda *_: None))
+    try:
+        found = asyncio.run(everyone.each(robots, job, THERE_S + _SLACK_S, lambda *_: None))
+    except LocalError as error:  # there is no ssh here: nobody was told
+        found = [everyone.Outcome(host.robot, False, str(error), 0.0) for host in robots]
     answers.outcomes = {outcome.robot: outcome for outcome in found}
     return answers
 

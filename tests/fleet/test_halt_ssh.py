@@ -41,9 +41,8 @@ def test_every_robot_is_told_on_its_own_bus(robots: FakeRobots, run: Run, capsys
     assert lines[1].split() == ["r0", "yes", "ssh", "its", "own", "bus", "and", "balancer", "say", "so"]
     assert lines[-1] == "stopped: 2 of 2 robots"
     asked = (homes[1] / "asked").read_text().replace(str(robots.folder), "")
-    assert asked == (
-        "env SWARM_ROBOT=r1 SWARM_RUNTIME=/no-robot /opt/swarm/current/bin/swarm estop it's burning --json --timeout 3.0\n"
-    )
+    words = "/opt/swarm/current/bin/swarm estop it's burning --json --timeout 3.0\n"
+    assert asked == f"env SWARM_ROBOT=r1 SWARM_RUNTIME=/no-robot {words}"
     assert not (homes[0] / "systemctl.log").exists()
     assert run("arm") == 0
     assert "/bin/swarm arm --json" in (homes[0] / "asked").read_text()
@@ -85,6 +84,10 @@ def test_without_any_path_it_says_so(
     robots.add("r0")
     assert run("estop", "--no-ssh") == 2
     assert "no simulation is running" in capsys.readouterr().err
+    robots.ready()
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert run("estop") == 1
+    assert "there is no ssh here" in capsys.readouterr().out
     robots.config.write_text("network = 3")
     assert run("estop") == 2
     assert "swarm.toml" in capsys.readouterr().err
