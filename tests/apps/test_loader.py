@@ -30,7 +30,7 @@ APP = (
 def test_built_in_apps_are_found_with_their_algorithms() -> None:
     consensus, localization = loader.load("consensus").algorithms, loader.load("localization").algorithms
     assert list(consensus) == ["metropolis", "thesis", "second_order", "chebyshev", "flood"]
-    assert list(localization) == ["info", "nids", "flood", "diging", "thesis"]
+    assert list(localization) == ["info", "nids", "flood", "diging", "thesis", "moving"]
 
 
 def test_a_file_is_an_app_named_as_the_file(tmp_path: Path) -> None:
