@@ -174,6 +174,7 @@ class Run:
             restarts=dict.fromkeys(names, 0),
             problems=tuple(self._problems),
             computed_s=self.computed,
+            witness=self._witness,
             scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
         )
 
