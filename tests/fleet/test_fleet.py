@@ -12,6 +12,7 @@ from fake_robots import FakeRobots, Run, needs_ssh, outcomes
 from swarm.cli import status
 from swarm.fleet.everyone import Outcome
 
+pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
 
 
