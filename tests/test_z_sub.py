@@ -200,7 +200,7 @@ def test_what_it_refuses(processes: Processes, runtime: Path) -> None:
     no_robot = "no simulation is running here (looked in "
     assert no_robot in refused(processes, SWARM_RUNTIME="") or Path("/run/swarm").is_dir()
     assert f"no simulation is running in {runtime}/x" in refused(processes, "--run-dir", f"{runtime}/x")
-    assert "no simulation is running" in refused(processes, "--robot", "r0")
+    assert "r99 is no robot of" in refused(processes, "--robot", "r99")  # it would be reached by ssh
     assert "expected unixsock-stream/PATH" in refused(processes, "-e", "tcp/localhost:7447")
     assert "key 'swarm//x'" in refused(processes, "swarm//x")
     assert "use one of them" in refused(processes, "-e", "unixsock-stream//x", "--robot", "r0")

@@ -28,7 +28,7 @@ _REASONS = {
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """Request: do (look, forget, trust, listen, call), peer, adapter, inquiry (s). `problem` is empty where it is done."""
+    """Request: do (look, forget, trust, listen, call), peer, adapter, inquiry (s). `problem`: empty where done."""
     try:
         bluez = Bluez(request.get("adapter"))
     except BluezError as error:
