@@ -18,8 +18,8 @@ from swarm.errors import LocalError, SwarmError
 
 VERBS = (
     "arm", "bundle", "command", "config", "deploy", "estop", "export", "fetch", "import", "key", "kill", "lay",
-    "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "restart", "run", "start",
-    "status", "stop", "topology",
+    "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay", "restart", "run",
+    "start", "status", "stop", "topology",
 )  # fmt: skip
 """Modules of this package."""
 
