@@ -2,6 +2,7 @@
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
+#include <avr/pgmspace.h>
 #include <avr/wdt.h>
 #include <util/atomic.h>
 
@@ -30,6 +31,20 @@ constexpr uint16_t KEY = 0x7777;
 constexpr uint16_t KEY_ADDRESS = 0x0800;
 
 }  // namespace
+
+// Nothing reads it here: `swarm flash` looks for it in the file, and refuses what is not for this chip or this layout.
+struct Mark {
+    char text[22];
+    uint8_t signature[3];
+    uint8_t layout;
+    uint8_t revision;
+};
+static const Mark identity PROGMEM __attribute__((used)) = {
+    "balboa-swarm firmware",
+    {SIGNATURE_0, SIGNATURE_1, SIGNATURE_2},
+    layout::LAYOUT_VERSION,
+    layout::REVISION_NUMBER,
+};
 
 // Before variables are set up: no stack frame, only registers and .noinit.
 extern "C" void boot_early() __attribute__((naked, used, section(".init3")));

@@ -15,7 +15,7 @@ docs/apps.md. Apps that react to events, or step each by their own clock, are in
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from swarm.app_spec import Spec, checked, read_spec
 from swarm.codec import Value
@@ -98,21 +98,25 @@ class App:
         """Raise `AppError` where the shared state cannot be sent."""
         cls.spec.schema.check_size()
 
-    def change(self, values: Mapping[str, object]) -> None:
-        """Called by the host between two handlers or steps: give live parameters other values, all or none of them."""
-        parameters = type(self).spec.parameters
+    @classmethod
+    def check_change(cls, values: Mapping[str, object]) -> dict[str, Value]:
+        """Other values for live parameters as the app gets them; `AppError` where one of them cannot be changed so."""
+        parameters = cls.spec.parameters
         found = {}
         for name, value in values.items():
             declared = parameters.get(name)
             if declared is None:
-                raise AppError(f"unknown parameter {name!r}; {type(self).__name__} has {', '.join(parameters)}")
+                raise AppError(f"unknown parameter {name!r}; {cls.__name__} has {', '.join(parameters)}")
             if not declared.live:
                 raise AppError(f"{name}: cannot be changed while the app runs: it is declared without live=True")
-            found[name] = checked(declared, name, value)
-        for name, value in found.items():
+            found[name] = cast(Value, checked(declared, name, value))
+        return found
+
+    def change(self, values: Mapping[str, Value]) -> None:
+        """Called by the host between two handlers or steps, with what `check_change` gave."""
+        for name, value in values.items():
             self._put(name, value)
-        if "weights" in found:
-            self._weigh()
+        self._weigh()
 
     def __setattr__(self, name: str, value: object) -> None:
         spec = type(self).spec

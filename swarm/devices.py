@@ -37,6 +37,9 @@ SILENT = 2.0
 POSE_LOST = 5.0
 """s after which a pose is none any more."""
 
+MAX_TEXT = 200
+"""Letters for the display that the balancer takes; it shows fewer."""
+
 BUTTONS = ("a", "b", "c")
 MODES = {"balancing": "standing", "standing_up": "standing_up", "lying_down": "lying_down"}
 """Posture of a robot in these modes of the balancer; in the others it is as the tilt has it."""
@@ -128,19 +131,24 @@ class Devices:
 
     # -- acting
 
-    def leds(self, red: bool | None, yellow: bool | None, green: bool | None) -> None:
-        """Switch LEDs; None leaves one as the app had it (off at first)."""
+    def leds(self, red: bool | None, yellow: bool | None, green: bool | None, at: float | None) -> None:
+        """Switch LEDs at once, or from a time of the robot's clock on; None leaves one as it was (off at first).
+        What was ordered for that time and later is void."""
+        if at is not None and not math.isfinite(at):
+            raise AppError(f"robot.leds: at: expected a time of robot.now or later, got {at!r}")
         with self._lock:
             had = self._leds or (False, False, False)
             wanted = [old if new is None else bool(new) for old, new in zip(had, (red, yellow, green), strict=True)]
             self._leds = (wanted[0], wanted[1], wanted[2])
-            self._leds_at = self._now()
-        self.handle_timer()
+            self._command("leds", SetLeds(*self._leds, LED_CLAIM, at))
+            # Claimed again when the last order's time has come: that would void the orders for later times.
+            now = self._now()
+            self._leds_at = max(now, now if at is None else at) + LED_REPEAT
 
     def display(self, lines: Iterable[object]) -> None:
         """Show text; none shows the app's values again."""
         with self._lock:
-            self._text = "\n".join(map(str, lines))
+            self._text = "\n".join(map(str, lines))[:MAX_TEXT]
             self._display_at = self._now()
         self.handle_timer()
 
@@ -172,8 +180,8 @@ class Devices:
                 self._command("leds", SetLeds(*self._leds, LED_CLAIM))
                 self._leds_at = now + LED_REPEAT
             if now >= self._display_at and self._text is not None:
-                self._command("display", SetDisplay(self._text))
-                self._text, self._display_at = self._text or None, math.inf
+                self._command("display", SetDisplay(self._text, LED_CLAIM))
+                self._text, self._display_at = (self._text, now + LED_REPEAT) if self._text else (None, math.inf)
             if now >= self._drive_at and self._velocity is not None:
                 self._command("velocity", SetVelocity(*self._velocity, DRIVE_CLAIM))
                 at_rest = self._velocity == (0.0, 0.0)

@@ -45,6 +45,9 @@ class EventApp(App):
     """The newest states of those neighbours that have told one, sorted by name, each with `name`, the shared fields and
     `age`: s since it was told, at most some 1 s for one that is well. Set before each handler."""
 
+    finished: str | None
+    """What `finish` was called with; None = it was not."""
+
     def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
         """See `App`. Values named `CHANNEL_NAME` are parameters and first values of a channel."""
         rest, mine = dict(values or {}), {}
@@ -74,6 +77,10 @@ class EventApp(App):
     def on_answer(self, ticket: str, outcome: Flooded | Sent) -> None:
         """What became of a flood or a message of this app: the `ticket` is that of the handle which `flood` and `send`
         gave."""
+
+    def on_announced(self, origin: str, outcome: Flooded) -> None:
+        """Another robot's flood that was made with `announce` has come to its end: whom it has reached, and whether
+        that is all."""
 
     def on_neighbour(self, neighbour: Any) -> None:
         """A neighbour's state is another one than before. Of several changes since the last call only the newest
@@ -127,7 +134,8 @@ def channel(kind: type[SyncApp], **values: object) -> Any:
     """Declare a lockstep channel: `frequency = channel(FrequencyConsensus, gain=0.3)` in the body of an app's class.
 
     It runs by itself, with states and messages of its own. In the app `self.frequency.value` is the field `value` of
-    its newest iteration, `self.frequency.k` the iteration. Its parameters and first values come from `values`, from
+    its newest iteration, `self.frequency.k` the iteration; `self.frequency.feed(_heard=0.3)` sets a private field, an
+    input for its next step. Its parameters and first values come from `values`, from
     swarm.toml and `--set` as `frequency_NAME`, and `start` may assign first values: `self.frequency.value = 2.0`.
     """
     if not (isinstance(kind, type) and issubclass(kind, SyncApp)):
@@ -174,6 +182,17 @@ class Channel:
         """Called by the host with each new state: unpacked and never changed again."""
         super().__setattr__("_values", values)
         super().__setattr__("k", k)
+
+    def feed(self, **inputs: object) -> None:
+        """Give the running lockstep an input: private fields, which its next step finds changed. What it makes of them
+        is no function of the start any more; all else of the lockstep holds."""
+        for name, value in inputs.items():
+            if name not in type(self.app).spec.private:
+                fields = ", ".join(type(self.app).spec.private) or "no private field"
+                raise AttributeError(
+                    f"channel {self.name}: {name!r} is no input; {type(self.app).__name__} has {fields}"
+                )
+            setattr(self.app, name, value)
 
     def __getattr__(self, name: str) -> Item:
         try:

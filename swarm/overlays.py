@@ -108,8 +108,8 @@ class Handle(Generic[A]):
         if answer is not None:
             callback(answer)
 
-    def finish(self, answer: A) -> None:
-        """Called by `Overlays` when the answer came."""
+    def finish(self, answer: A) -> bool:
+        """Called by `Overlays` when the answer came; True for the first time."""
         with self._lock:
             first = self._answer is None
             self._answer = answer
@@ -118,6 +118,7 @@ class Handle(Generic[A]):
         self._done.set()
         if first and callback is not None:
             callback(answer)
+        return first
 
 
 class Overlays:
@@ -141,6 +142,7 @@ class Overlays:
         self._flood_key = key(robot, "mesh", "set", "flood")
         self._send_key = key(robot, "mesh", "set", "send")
         self._remind_key = key(robot, "mesh", "set", "remind")
+        self._on_answer: Callable[[str, Flooded | Sent], None] | None = None
         bus.subscribe(key(robot, "mesh", "flooded"), self._on_flooded)
         bus.subscribe(key(robot, "mesh", "sent"), self._on_sent)
         bus.subscribe(key(robot, "mesh", "progress"), self._on_progress)
@@ -175,6 +177,18 @@ class Overlays:
             self._collected.clear()
             self._collected_bytes = 0
         return found
+
+    def on_answer(self, callback: Callable[[str, Flooded | Sent], None]) -> None:
+        """Call `callback(ticket, answer)` on Zenoh's thread when a request of this process is answered; `remind` is to
+        be called now and then."""
+        self._on_answer = callback
+
+    def remind(self) -> None:
+        """Repeat the requests that have waited for `REPEAT` s."""
+        with self._lock:
+            waiting = [handle for handle in self._handles.values() if not handle.done]
+        for handle in waiting:
+            _ = handle.answer
 
     def on_flood(self, callback: OnPayload) -> None:
         """Call `callback(origin, payload)` on Zenoh's thread for each flood of this app on other robots."""
@@ -263,8 +277,8 @@ class Overlays:
         if answer is not None:
             with self._lock:
                 handle = self._handles.get(answer.ticket)
-            if handle is not None:
-                handle.finish(answer)
+            if handle is not None and handle.finish(answer) and self._on_answer is not None:
+                self._on_answer(answer.ticket, answer)
 
 
 def _nothing() -> None:

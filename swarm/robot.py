@@ -161,9 +161,18 @@ class Robot:
         """The buttons held at this moment: of "a", "b" and "c". Presses come to `on_button`."""
         return self._devices().buttons
 
-    def leds(self, red: bool | None = None, yellow: bool | None = None, green: bool | None = None) -> None:
-        """Switch LEDs; what is left out stays. They show the robot's own state again when the app stops or dies."""
-        self._devices().leds(red, yellow, green)
+    def leds(
+        self,
+        red: bool | None = None,
+        yellow: bool | None = None,
+        green: bool | None = None,
+        *,
+        at: float | None = None,
+    ) -> None:
+        """Switch LEDs at once, or at a time `at` of `now` (at most 10 s ahead, to some ms: `clock.monotonic` makes one
+        of the swarm's common time); what was ordered for that time and later is void. What is left out stays as the
+        app had it. They show the robot's own state again when the app stops or dies."""
+        self._devices().leds(red, yellow, green, at)
 
     def display(self, *lines: object) -> None:
         """Show up to four lines of 21 letters; without any, the app's values again."""

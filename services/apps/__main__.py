@@ -11,11 +11,16 @@ import os
 from pathlib import Path
 
 from services.apps import loader, topology
+from services.apps.event_host import EventHost
+from services.apps.event_runner import EventRunner
 from services.apps.host import Host, Part
 from services.apps.measurements import source_of
+from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
+from swarm.devices import Devices
 from swarm.errors import LocalError
+from swarm.event_app import EventApp
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
@@ -29,7 +34,7 @@ def main() -> int:
     """Run the app until told to stop; after the last iteration its result stays to be read."""
     options = _options()
     app = loader.load(options.app)
-    host: Host | None = None
+    host: Host | EventHost | None = None
 
     def on_bus(connected: bool) -> None:
         if connected and host is not None:
@@ -39,21 +44,31 @@ def main() -> int:
         number = options.run if options.run is not None else _default_run(app, service.config)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
         instance = app.make(service.config, service.robot, seed)  # what is wrong with it is said at once
-        measurements = source_of(service, options.iterations) if instance.measured else None
+        measured = isinstance(instance, SyncApp) and instance.measured
+        measurements = source_of(service, options.iterations) if measured else None
         links = topology.of_run(service, app.name, number)
         if links is None:
             return 0
         if links.config.edges != service.config.edges:
             instance = app.make(links.config, service.robot, seed)
-        instance.robot.overlays = Overlays(service.bus, service.robot, app.name)
-        instance.robot.overlays.collect()
+        instance.robot.bus = service.bus
+        instance.robot.overlays = overlays = Overlays(service.bus, service.robot, app.name)
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
+        instance.robot.devices = devices = Devices(service.bus, service.robot)
         record = os.environ.get("SWARM_RECORD")
         folder = Path(record) if record else None
-        parts = [Part("", instance, measurements)]
         code = (app.source, app.digest)
-        host = Host(service, app.name, parts, code, number, links, options.iterations, folder)
+        if isinstance(instance, EventApp):
+            events = EventRunner(instance, app.source)
+            host = EventHost(
+                service, app.name, events, code, number, links, options.iterations, overlays, devices, folder
+            )
+        else:
+            assert isinstance(instance, SyncApp)
+            overlays.collect()
+            parts = [Part("", instance, measurements)]
+            host = Host(service, app.name, parts, code, number, links, options.iterations, folder)
         service.stopping.wait()
         if measurements is not None:
             measurements.close()

@@ -56,12 +56,16 @@ class Host:
         links: topology.Links,
         last: int | None,
         record: Path | None,
+        claim: Claim | None = None,
     ) -> None:
-        """`code`: path and digest of the app's source. Raises `LocalError` where lock or snapshots cannot be had."""
+        """`code`: path and digest of the app's source. `claim`: the app's lock where somebody else holds it, for the
+        channels of an event-driven app. Raises `LocalError` where lock or snapshots cannot be had."""
         self._service = service
         self._run = run
         source, digest = code
-        self._claim = Claim(service.runtime, name)
+        self._own_claim = Claim(service.runtime, name) if claim is None else None
+        held = claim or self._own_claim
+        assert held is not None
         if not links.kept:
             topology.save(service.runtime, name, run, links)
         self._connections: dict[str, int] = {}
@@ -70,7 +74,7 @@ class Host:
         for part in parts:
             runner = Runner(part.app, source)
             schema = schema_of(runner, part.channel, digest)
-            channel = Channel(run, links.epoch, self._claim.incarnation, schema)
+            channel = Channel(run, links.epoch, held.incarnation, schema)
             worker = Worker(service, name, part.channel, runner, channel, links, part.measurements, last, record)
             self._workers[part.channel] = self._by_schema[schema] = worker
         service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
@@ -85,6 +89,11 @@ class Host:
     def failed(self) -> bool:
         """Whether a channel has stopped for a fault."""
         return any(worker.failed for worker in self._workers.values())
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """Why channels have stopped, by name."""
+        return {channel: worker.reason for channel, worker in self._workers.items() if worker.failed}
 
     def latest(self, channel: str) -> Latest | None:
         """The newest state of a channel, whole; None before the first one."""
@@ -101,8 +110,8 @@ class Host:
             worker.stop()
         self._ticks.join(CLOSE_WITHIN)
         closed = [worker.close() for worker in self._workers.values()]
-        if all(closed):
-            self._claim.close()
+        if all(closed) and self._own_claim is not None:
+            self._own_claim.close()
 
     # On Zenoh's thread
 

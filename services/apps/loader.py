@@ -13,14 +13,28 @@ from pathlib import Path
 from types import ModuleType
 
 from services.apps.runner import describe
+from swarm.app import App as AnyApp
 from swarm.app import SyncApp
 from swarm.codec import Value
 from swarm.config import Config
 from swarm.errors import AppError
+from swarm.event_app import EventApp, PeriodicApp, channels_of
 from swarm.keys import is_name
 from swarm.robot import Robot
 
-BUILT_IN = ("consensus", "localization")
+KINDS = " or ".join(kind.__name__ for kind in (SyncApp, EventApp, PeriodicApp))
+"""What an app may be derived from, in words."""
+
+BUILT_IN = (
+    "consensus",
+    "flooding_demo",
+    "formation",
+    "goto",
+    "led_sync",
+    "localization",
+    "stand_up",
+    "unicast_demo",
+)
 """Modules of `services.apps` that are apps."""
 
 
@@ -32,12 +46,12 @@ class App:
     """Name on the bus and in swarm.toml: the built-in name, or the file's name without `.py`."""
     source: str
     """Path of its file."""
-    algorithms: Mapping[str, type[SyncApp]]
+    algorithms: Mapping[str, type[AnyApp]]
     """By name, the default one first; the only name is empty where there is no choice."""
     digest: bytes
     """Of the source text."""
 
-    def choose(self, values: Mapping[str, Value]) -> tuple[type[SyncApp], dict[str, Value]]:
+    def choose(self, values: Mapping[str, Value]) -> tuple[type[AnyApp], dict[str, Value]]:
         """The class that the parameter `algorithm` asks for, and the other parameters."""
         rest = dict(values)
         if "" in self.algorithms:
@@ -48,9 +62,9 @@ class App:
             raise AppError(f"algorithm: expected {' or '.join(map(repr, self.algorithms))}, got {algorithm!r}")
         return self.algorithms[algorithm], rest
 
-    def make(self, config: Config, robot: str, seed: int = 0) -> SyncApp:
+    def make(self, config: Config, robot: str, seed: int = 0) -> AnyApp:
         """The instance of one robot, with its parameters of swarm.toml; `AppError` names a wrong entry."""
-        known = Robot(robot, config.graph, config.anchors, seed)
+        known = Robot(robot, config.graph, config.anchors, seed, app=self.name)
         try:
             kind, values = self.choose(config.app(self.name).of(robot))
             return kind(known, values)
@@ -107,9 +121,12 @@ def _app(name: str, path: Path, module: ModuleType) -> App:
     found = {
         kind.__name__: kind
         for kind in vars(module).values()
-        if isinstance(kind, type) and issubclass(kind, SyncApp) and kind.__module__ == module.__name__
+        if isinstance(kind, type) and issubclass(kind, AnyApp) and kind.__module__ == module.__name__
     }
-    algorithms: Mapping[str, type[SyncApp]]
+    # Those that run as channels of another one are none by themselves.
+    inner = {declared.kind.__name__ for kind in found.values() for declared in channels_of(kind).values()}
+    found = {name: kind for name, kind in found.items() if name not in inner}
+    algorithms: Mapping[str, type[AnyApp]]
     if hasattr(module, "ALGORITHMS"):
         algorithms = module.ALGORITHMS
     elif len(found) == 1:
@@ -120,5 +137,5 @@ def _app(name: str, path: Path, module: ModuleType) -> App:
             'ALGORITHMS = {"name": Class, ...}, the default first'
         )
     else:
-        raise AppError(f"{path} defines no app: expected one class derived from SyncApp (docs/apps.md)")
+        raise AppError(f"{path} defines no app: expected one class derived from {KINDS} (docs/apps.md)")
     return App(name, str(path), algorithms, digest.digest())

@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
-from swarm.app import SyncApp
+from swarm.app import App, SyncApp
 from swarm.codec import Value
 from swarm.core.state import pack_private, unpack_private
 from swarm.errors import AppError
@@ -18,16 +18,75 @@ from swarm.messages import Measurement
 T = TypeVar("T")
 
 
-class Runner:
-    """Drives one app instance from state to state."""
+class AppRunner:
+    """What runners of all kinds of apps share: the app's state and result, and its faults in words."""
 
-    def __init__(self, app: SyncApp, source: str) -> None:
+    def __init__(self, app: App, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
         self.app = app
         self.schema = type(app).spec.schema
         self.k = 0
         self._source = source
         self._columns: tuple[str, ...] | None = None
+
+    def state(self) -> dict[str, Value]:
+        """The shared state by name."""
+        return self.schema.plain({name: getattr(self.app, name) for name in self.schema.names})
+
+    def result(self) -> dict[str, Value]:
+        """What the app reports now; its names never change."""
+        where = f"result() at iteration {self.k}"
+        answer: object = self._call(where, self.app.result)
+        if not isinstance(answer, Mapping) or not all(isinstance(name, str) for name in answer):
+            raise AppError(f"{self._where(where)}: expected a dict by name, got {answer!r}")
+        result = {name: self._value(where, name, value) for name, value in answer.items()}
+        if self._columns is None:
+            self._columns = tuple(result)
+        elif self._columns != tuple(result):
+            raise AppError(
+                f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
+            )
+        return result
+
+    def _be_at(self, k: int) -> None:
+        self.k = k
+        object.__setattr__(self.app, "k", k)
+
+    def _set(self, own: bytes) -> None:
+        for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):
+            setattr(self.app, name, value)
+
+    def _value(self, where: str, name: str, value: object) -> Value:
+        if isinstance(value, bool | str):
+            return value
+        if isinstance(value, int) and -(1 << 63) <= value < 1 << 63:
+            return int(value)
+        if isinstance(value, float) and math.isfinite(value):
+            return float(value)
+        if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
+            return tuple(float(x) for x in value)
+        raise AppError(f"{self._where(where)}: {name}: expected a finite number, bool, text or vector, got {value!r}")
+
+    def _call(self, where: str, function: Callable[[], T]) -> T:
+        try:
+            return function()
+        except AppError as error:
+            raise AppError(f"{self._where(where)}: {error}") from None
+        except Exception as error:
+            raise AppError(f"{self._where(where)}: {describe(error, self._source)}") from error
+
+    def _where(self, where: str) -> str:
+        return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"
+
+
+class Runner(AppRunner):
+    """Drives one app of the synchronous kind from state to state."""
+
+    app: SyncApp
+
+    def __init__(self, app: SyncApp, source: str) -> None:
+        """`source`: path of the app's file; a fault is reported with the line in it."""
+        super().__init__(app, source)
 
     @property
     def size(self) -> int:
@@ -69,33 +128,6 @@ class Runner:
         for name, value in unpack_private(private).items():
             setattr(self.app, name, value)
 
-    def state(self) -> dict[str, Value]:
-        """The shared state by name."""
-        return self.schema.plain({name: getattr(self.app, name) for name in self.schema.names})
-
-    def result(self) -> dict[str, Value]:
-        """What the app reports now; its names never change."""
-        where = f"result() at iteration {self.k}"
-        answer: object = self._call(where, self.app.result)
-        if not isinstance(answer, Mapping) or not all(isinstance(name, str) for name in answer):
-            raise AppError(f"{self._where(where)}: expected a dict by name, got {answer!r}")
-        result = {name: self._value(where, name, value) for name, value in answer.items()}
-        if self._columns is None:
-            self._columns = tuple(result)
-        elif self._columns != tuple(result):
-            raise AppError(
-                f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
-            )
-        return result
-
-    def _be_at(self, k: int) -> None:
-        self.k = k
-        object.__setattr__(self.app, "k", k)
-
-    def _set(self, own: bytes) -> None:
-        for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):
-            setattr(self.app, name, value)
-
     def _pack(self, where: str) -> tuple[bytes, bytes]:
         app, spec = self.app, type(self.app).spec
         try:
@@ -106,28 +138,6 @@ class Runner:
         # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
         self._set(own)
         return own, private
-
-    def _value(self, where: str, name: str, value: object) -> Value:
-        if isinstance(value, bool | str):
-            return value
-        if isinstance(value, int) and -(1 << 63) <= value < 1 << 63:
-            return int(value)
-        if isinstance(value, float) and math.isfinite(value):
-            return float(value)
-        if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
-            return tuple(float(x) for x in value)
-        raise AppError(f"{self._where(where)}: {name}: expected a finite number, bool, text or vector, got {value!r}")
-
-    def _call(self, where: str, function: Callable[[], T]) -> T:
-        try:
-            return function()
-        except AppError as error:
-            raise AppError(f"{self._where(where)}: {error}") from None
-        except Exception as error:
-            raise AppError(f"{self._where(where)}: {describe(error, self._source)}") from error
-
-    def _where(self, where: str) -> str:
-        return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"
 
 
 def describe(error: BaseException, source: str) -> str:

@@ -94,6 +94,11 @@ class Worker:
         return self._strand.phase == "fault"
 
     @property
+    def reason(self) -> str:
+        """Of a fault."""
+        return self._strand.reason
+
+    @property
     def begun(self) -> bool:
         """Whether it has its first state."""
         return self._strand.begun

@@ -4,6 +4,7 @@
 """
 
 import contextlib
+import math
 import socket
 import sys
 
@@ -126,7 +127,8 @@ class Relay:
             self._refuse(name, "refused", f"{name}: {error}")
             return
         if isinstance(message, SetDisplay):
-            self._composer.take_text(message.text)
+            until = math.inf if message.seconds is None else clock.now() + message.seconds
+            self._composer.take_text(message.text, until)
         elif isinstance(message, Command):
             self._hand_over(message, name)
 

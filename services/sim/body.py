@@ -13,7 +13,7 @@ from pathlib import Path
 from services.balancer.core.body import body_model
 from services.balancer.i2c import I2CBus
 from services.balancer.loop import main as balance
-from services.sim.core.balboa import BalboaBody
+from services.sim.core.balboa import REST_TILT, BalboaBody
 from services.sim.core.devices import SimulatedRobot, draw_errors
 from services.sim.core.module_line import SOURCE, TTY, ModuleLine
 from services.sim.door import Door
@@ -63,6 +63,15 @@ class ModuleWire:
             self._terminal = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
 
 
+def lying() -> int:
+    """1 where robots begin on their front, -1 on their back, 0 where they stand up by themselves."""
+    text = os.environ.get("SWARM_SIM_LYING", "")
+    sides = {"": 0, "front": 1, "back": -1}
+    if text not in sides:
+        raise LocalError(f"SWARM_SIM_LYING={text!r}: expected front or back")
+    return sides[text]
+
+
 def simulated_bus(config: Config, robot: str) -> I2CBus:
     """A robot standing at its place of the config, held upright until its motors start, or lying where it fell when an
     earlier process of its balancer ended."""
@@ -73,6 +82,8 @@ def simulated_bus(config: Config, robot: str) -> I2CBus:
     shape = config.body_of(robot)
     place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
     body = BalboaBody(body_model(config.robot(robot).board, shape), clock.now(), place=place)
+    if side := lying():
+        body.put_down(*place, side * REST_TILT)
     devices = SimulatedRobot(body, noise, errors=draw_errors(noise), trim=shape.trim)
     wires: list[Callable[[float], None]] = [Door(robot, devices, runtime_dir(), clock.now()).look]
     if config.dwm.source == SOURCE:
@@ -86,8 +97,8 @@ def simulated_bus(config: Config, robot: str) -> I2CBus:
 
 
 def main() -> None:
-    """Stand up, since nobody has to be warned of a simulated robot."""
-    balance(simulated_bus, start_mode="stand")
+    """Stand up, since nobody has to be warned of a simulated robot; where they begin lying they wait for an order."""
+    balance(simulated_bus, start_mode="rest" if lying() else "stand")
 
 
 if __name__ == "__main__":

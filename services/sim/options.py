@@ -26,6 +26,16 @@ class Cut:
 
 
 @dataclass(frozen=True)
+class Press:
+    """A button that somebody presses."""
+
+    robot: str
+    button: str
+    at: float
+    """s, counted like a cut's."""
+
+
+@dataclass(frozen=True)
 class Setting:
     """A parameter of the app; `robot` is None where it holds for all."""
 
@@ -50,6 +60,9 @@ class Options:
     jitter: float
     bandwidth: float | None
     cuts: tuple[Cut, ...]
+    presses: tuple[Press, ...]
+    lying: str | None
+    """front or back: how robots lie at the start; None: as the app wants it."""
     seconds: float | None
     iterations: int | None
     seed: int
@@ -93,6 +106,14 @@ def cut(text: str) -> Cut:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
     return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
+
+
+def press(text: str) -> Press:
+    """A button `r4.A@5s`: whose, which, when."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
+    return Press(match[1], match[2].upper(), duration(match[3]))
 
 
 def setting(text: str) -> Setting:
@@ -176,6 +197,12 @@ def parser() -> argparse.ArgumentParser:
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
+    bodies = p.add_argument_group("the bodies")
+    bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
+                        help="press a button 5 s after the first iteration")  # fmt: skip
+    bodies.add_argument(
+        "--lying", choices=("front", "back"), help="robots lie on this side at the start and wait for an order"
+    )
     run = p.add_argument_group("the run")
     end = run.add_mutually_exclusive_group()
     end.add_argument("--seconds", type=duration, metavar="S", help="end after this time")
@@ -218,5 +245,6 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
-    namespace.settings, namespace.cuts = tuple(namespace.settings), tuple(namespace.cuts)
+    for name in ("settings", "cuts", "presses"):
+        setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

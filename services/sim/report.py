@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from services.sim import trajectory
+from services.sim import scene, trajectory
 from services.sim.scenario import Scenario
 from services.sim.trajectory import Trajectory
 from swarm.messages import BalancerState
@@ -34,6 +34,8 @@ class Outcome:
     problems: tuple[str, ...]
     computed_s: float | None = None
     """s that a run under virtual time took to compute; None of one in real time."""
+    scene: Mapping[str, object] = field(default_factory=dict)
+    """What the world saw of it (services/sim/scene.py)."""
 
 
 def summary(outcome: Outcome) -> Json:
@@ -62,6 +64,7 @@ def summary(outcome: Outcome) -> Json:
         "rss_mib_per_robot": round(sum(memory) / len(memory), 1) if memory else None,
         "restarts": sum(outcome.restarts.values()),
         "problems": list(outcome.problems),
+        **({"scene": dict(outcome.scene)} if outcome.scene else {}),
     }
     if outcome.computed_s is not None:
         report["virtual"] = True
@@ -205,6 +208,7 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
     if "replay_deviation_cm" in report:
         lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")
+    lines += scene.sentences(outcome.scene)
     lines += [f"problem     {problem}" for problem in outcome.problems]
     return lines
 

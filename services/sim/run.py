@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from services.sim import air, footprint, trajectory
+from services.sim import air, footprint, scene, trajectory
 from services.sim.monitor import Monitor, Seen
-from services.sim.options import Cut, Options
+from services.sim.options import Cut, Options, Press
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
@@ -18,7 +18,9 @@ from services.sim.scenario import Scenario
 from services.sim.world import World
 from swarm import clock
 from swarm.config.dump import dump
+from swarm.core import hands
 from swarm.errors import LocalError
+from swarm.hands import do
 
 SERVICE_MODULES = {
     "bus": "services.bus",
@@ -31,6 +33,9 @@ APP_SERVICE = "services.apps"
 
 START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
+
+PRESS_S = 0.3
+"""How long a button is held down."""
 
 TICK_S = 0.05
 REFRESH_LIMIT_S = 0.5
@@ -79,6 +84,7 @@ class Run:
         """Follow the run until its end (iterations, seconds, Ctrl-C, or a service that cannot be kept up)."""
         started: float | None = None
         cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
+        presses = sorted(self._options.presses, key=lambda press: press.at)
         asked = 0.0
         while not self._stop:
             now = clock.now()
@@ -102,6 +108,8 @@ class Run:
             else:
                 while cuts and now - started >= cuts[0].at:
                     self._cut(cuts.pop(0))
+                while presses and now - started >= presses[0].at:
+                    self._press(presses.pop(0))
                 if self._is_done(seen, now - started):
                     break
             time.sleep(TICK_S)
@@ -133,12 +141,17 @@ class Run:
             "SWARM_RECORD": str(self._records),
             "SWARM_RUN": os.urandom(8).hex(),  # frames of another run, should one still be about, are told apart by it
             "SWARM_SEED": str(options.seed),
+            "SWARM_SIM_LYING": self._scenario.lying or "",
             "SWARM_SIM_LINK": ",".join(f"{name}={value}" for name, value in link.items() if value is not None),
         }
 
     def _has_started(self, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> bool:
         if self._scenario.app is None:
             return not any(missing.values())
+        if not self._scenario.steps:  # it may wait for a button, or a message, for ever
+            return not any(missing.values()) and all(
+                robot.progress is not None and robot.progress.phase == "running" for robot in seen.values()
+            )
         return all(_iteration(robot) >= 1 for robot in seen.values())
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
@@ -161,6 +174,13 @@ class Run:
         for robot, peer in ((cut.a, cut.b), (cut.b, cut.a)):
             with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
                 air.silence(self._run_dir, robot, peer, cut.seconds)
+
+    def _press(self, press: Press) -> None:
+        self._progress.say(f"press {press.button} of {press.robot}")
+        try:
+            do(self._run_dir / press.robot, hands.Press(press.button, PRESS_S))
+        except LocalError as error:
+            self._progress.say(f"warning: {error}")
 
     def _refresh(self, now: float) -> None:
         """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""
@@ -197,6 +217,7 @@ class Run:
             rss_mib={name: footprint.resident_mib(self._processes.of(name)) for name in names},
             restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
             problems=tuple(self._problems),
+            scene=self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded)),
         )
 
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from services.apps import loader
 from services.apps.localization.guard import check_step_size, limit_step_size
@@ -21,6 +22,7 @@ from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
 from swarm.errors import AppError, ConfigError, LocalError
+from swarm.event_app import EventApp, PeriodicApp
 from swarm.paths import socket_path
 from swarm.recordings import Recording, read_folder
 
@@ -41,6 +43,9 @@ WINDOW = 30
 START_VALUES = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
 """The thesis' starting values of consensus (figure 4.4)."""
 
+STANDING_UP_FROM = "front"
+"""How robots lie at the start where the app is about standing up."""
+
 DEFAULT_ITERATIONS = 100
 
 
@@ -59,6 +64,12 @@ class Scenario:
     iterations: int | None
     recordings: dict[str, Recording]
     """By robot; empty without --replay."""
+
+    steps: bool
+    """Whether the app has iterations; one that only reacts to events has none."""
+
+    lying: str | None
+    """The side on which the robots lie at the start; None: they stand up by themselves."""
 
     notes: tuple[str, ...]
     """What to tell before it starts."""
@@ -96,6 +107,9 @@ def build(options: Options, run_dir: Path) -> Scenario:
     for cut in options.cuts:
         if not config.auto and cut.b not in config.neighbours(cut.a):
             raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
+    for press in options.presses:
+        if press.robot not in config.names:
+            raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
     iterations = options.iterations
     if app is not None and iterations is None and options.seconds is None:
         iterations = DEFAULT_ITERATIONS
@@ -111,8 +125,15 @@ def build(options: Options, run_dir: Path) -> Scenario:
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
         recordings=recorded,
+        steps=app is not None and not _reacts_only(app),
+        lying=options.lying or (STANDING_UP_FROM if app is not None and app.name == "stand_up" else None),
         notes=_step_size(config, app, recorded) if app is not None else (),
     )
+
+
+def _reacts_only(app: loader.App) -> bool:
+    kind = next(iter(app.algorithms.values()))
+    return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
 
 
 def _program(app: loader.App) -> str:
@@ -129,22 +150,25 @@ def _algorithm(config: Config, app: loader.App) -> str | None:
 def _step_size(config: Config, app: loader.App, recordings: Mapping[str, Recording]) -> tuple[str, ...]:
     """Hold gradient tracking's step size against the limit of this graph and geometry.
 
-    One above it is refused, but in a replay, where the places are those of the recording, it is only told. Of an
-    automatic topology nobody knows the graph yet.
+    One above it is refused, but in a replay, where the places are those of the recording, and with `check = false` it
+    is only told. Of an automatic topology nobody knows the graph yet.
     """
-    if app.name != "localization" or _algorithm(config, app) != "thesis" or config.auto:
+    algorithm = _algorithm(config, app)
+    if app.name != "localization" or algorithm not in ("thesis", "diging") or config.auto:
         return ()
-    gamma = app.make(config, config.names[0]).step_size  # type: ignore[attr-defined]
+    made: Any = app.make(config, config.names[0])
+    gamma = made.step_size
     places = {name: (x, y) for name, (x, y, _) in config.simulation.places.items()}
     places |= {name: (recording.rows[0].x, recording.rows[0].y) for name, recording in recordings.items()}
-    limit = limit_step_size(Graph(config.names, config.edges), places, config.simulation.target)
+    graph = Graph(config.names, config.edges)
+    limit = limit_step_size(graph, places, config.simulation.target, metropolis=algorithm == "diging")
     told = (
         f"step size {gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2, limit {limit * 1e-4:.3g} 1/cm^2 = {limit:.3g} 1/m^2"
     )
     try:
         warning = check_step_size(gamma, limit)
     except AppError as error:
-        if not recordings:
+        if made.check and not recordings:
             raise
         warning = str(error)
     return (told, f"warning: {warning}") if warning else (told,)

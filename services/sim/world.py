@@ -12,8 +12,10 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from services.sim.core.module_line import SOURCE as SOURCE_ATMEGA
+from services.sim.core.witness import Witness
 from services.sim.module import ModuleBoard
 from swarm import clock
 from swarm.codec import MAX_PAYLOAD, decode
@@ -24,6 +26,8 @@ from swarm.messages import LedChange, Truth
 from swarm.paths import socket_path
 
 SOCKET = "world.sock"
+
+T = TypeVar("T")
 
 TRUTH_PERIOD_S = 0.1
 """`sim/truth` is published at 10 Hz, as poses are."""
@@ -83,6 +87,8 @@ class World:
             for name in config.names:
                 self._modules.add(name)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC)
+        self._witness = Witness(config.names)
+        self._seeing = threading.Lock()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._thread.start()
@@ -95,6 +101,11 @@ class World:
         self._modules.close()
         self._socket.close()
         os.close(self._wake)
+
+    def look(self, at: Callable[[Witness], T]) -> T:
+        """`at(witness)`, while nothing new is seen."""
+        with self._seeing:
+            return at(self._witness)
 
     def _run(self) -> None:
         while not self._closing:
@@ -126,6 +137,8 @@ class World:
             pass
         else:
             if leds.robot in self._publish_at:
+                with self._seeing:
+                    self._witness.leds(leds.robot, leds.t, yellow=leds.yellow)
                 self._publish(leds.robot, LedChange(leds.t, leds.red, leds.yellow, leds.green))
             return
         try:
@@ -142,6 +155,8 @@ class World:
 
     def _place(self, report: BodyReport) -> None:
         self._last[report.robot] = report
+        with self._seeing:
+            self._witness.pose(report.robot, report.t, (report.x, report.y), report.tilt)
         if self._ranging:
             self._modules.update_pose(report.robot, report.x, report.y, report.heading)
         due = self._publish_at[report.robot]

@@ -17,13 +17,14 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "command", "config", "deploy", "estop", "key", "kill", "lay", "logs", "measure", "mesh", "press", "push",
-    "restart", "run", "start", "status", "stop", "topology",
+    "arm", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh", "press",
+    "provision", "push", "restart", "run", "start", "status", "stop", "topology",
 )  # fmt: skip
 """Modules of this package."""
 
 HANDED_ON = {
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
+    "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),
@@ -84,7 +85,7 @@ def _main(argv: list[str]) -> int:
 def _usage() -> str:
     helps = {verb: importlib.import_module(f"swarm.cli.{verb}").HELP for verb in VERBS}
     helps |= {verb: text for verb, (text, _) in HANDED_ON.items()}
-    lines = [f"  {verb:<8} {text}" for verb, text in helps.items()]
+    lines = [f"  {verb:<9} {text}" for verb, text in helps.items()]
     return "\n".join(["usage: swarm COMMAND ...   (swarm COMMAND --help, swarm --version)", "", *lines, ""])
 
 

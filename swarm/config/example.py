@@ -71,7 +71,7 @@ rfcomm_channel = 1         # of Bluetooth, 1 to 30, the same on every robot (blu
 rfcomm_encrypt = false     # true: Bluetooth encrypts the links; needs bluetoothd and unasked pairing
 
 # ---- Relay: which keys of its own a robot sends to others, where they appear under the same name.
-# What synchronous apps say to each other (swarm/{self}/app/*/sync/...) is relayed without a rule here.
+# What apps say to their neighbours (swarm/{self}/app/*/sync/..., latest/...) needs no rule here.
 # {self} is the robot's own name; {peer}, as a chunk, the name of the robot the key goes to.
 
 [[relay]]

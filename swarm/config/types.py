@@ -55,8 +55,10 @@ class RelayRule:
 DEFAULT_RELAY = (
     RelayRule("swarm/{self}/app/*/sync/*", priority="sync", queue="all"),
     RelayRule("swarm/{self}/app/*/sync/*/{peer}", priority="sync", queue="all"),
+    RelayRule("swarm/{self}/app/*/latest/*", priority="sync", queue="latest"),
 )
-"""Always in force, before the rules of the file: what synchronous apps say to all neighbours, and to one."""
+"""Always in force, before the rules of the file: what synchronous apps say to all neighbours, and to one, and what
+event-driven and periodic ones say to all."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ The app's handlers run one at a time: `actions` gives a `Call`, and the next one
 import math
 import struct
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -39,13 +39,14 @@ MAX_QUEUE = 256
 
 _HEAD = struct.Struct("<BI")
 _ALL = 1
+_ALWAYS = ("start", "step", "on_parameter")
 
 
 class Call(NamedTuple):
     """Call this handler of the app now, and say when it has returned."""
 
     handler: str
-    """start, step, on_button, on_message, on_answer, on_neighbour, on_parameter or on_timer."""
+    """start, step, on_button, on_message, on_answer, on_announced, on_neighbour, on_parameter or on_timer."""
     arguments: tuple[object, ...] = ()
     """As the handler has them; a neighbour is given by name."""
 
@@ -94,6 +95,8 @@ class Asynchronous:
     """s between two steps; None = the app has none."""
     barrier: bool = False
     """Whether steps wait until all robots have been there."""
+    handled: Collection[str] | None = None
+    """Handlers that the app has, of on_button, on_message, on_answer, on_neighbour and on_timer; None = all."""
     last: int | None = None
     """Number of steps after which it is done; None = it goes on."""
 
@@ -320,6 +323,8 @@ class Asynchronous:
 
     def _add(self, call: Call, now: float) -> None:
         if self.failure or self._done:
+            return
+        if self.handled is not None and call.handler not in (*_ALWAYS, *self.handled):
             return
         if call.handler in ("on_neighbour", "step") and call in self._queue:
             return  # only the newest counts

@@ -78,8 +78,13 @@ class Ssh:
         *,
         feed: Sequence[bytes] = (),
         on_line: Callable[[str], None] | None = None,
+        hold: asyncio.Event | None = None,
+        on_data: Callable[[bytes], None] | None = None,
     ) -> Done:
-        """Run a command; `feed` is its input, `on_line` gets its output as it comes (it is not collected then).
+        """Run a command; `feed` is its input. `on_line` gets its output as it comes, line by line, or `on_data` as raw
+        bytes; it is not collected then.
+
+        With `hold` the input stays open after `feed` until that is set, or the command has ended.
 
         Raises `HostError` where the robot could not be reached or the connection broke. Cancelling ends the command's
         connection at once.
@@ -97,10 +102,13 @@ class Ssh:
         assert process.stdout is not None
         assert process.stderr is not None
         try:
-            _, out, err = await asyncio.gather(
-                _write(process.stdin, feed), _read(process.stdout, on_line), _read(process.stderr, None)
-            )
-            code = await process.wait()
+            writing = asyncio.ensure_future(_write(process.stdin, feed, hold))
+            try:
+                out, err = await asyncio.gather(_read(process.stdout, on_line, on_data), _read(process.stderr))
+                code = await process.wait()
+            finally:
+                writing.cancel()
+                await asyncio.gather(writing, return_exceptions=True)
         finally:
             if process.returncode is None:
                 process.kill()
@@ -117,17 +125,27 @@ class Ssh:
         return done.out
 
 
-async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes]) -> None:
+async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyncio.Event | None) -> None:
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the exit code will say more
         for data in feed:
             for start in range(0, len(data), _CHUNK):
                 stream.write(data[start : start + _CHUNK])
                 await stream.drain()
+        if hold is not None:
+            await hold.wait()
         stream.close()
         await stream.wait_closed()
 
 
-async def _read(stream: asyncio.StreamReader, on_line: Callable[[str], None] | None) -> str:
+async def _read(
+    stream: asyncio.StreamReader,
+    on_line: Callable[[str], None] | None = None,
+    on_data: Callable[[bytes], None] | None = None,
+) -> str:
+    if on_data is not None:
+        while data := await stream.read(_CHUNK):
+            on_data(data)
+        return ""
     if on_line is None:
         return (await stream.read()).decode(errors="replace")
     rest = b""

@@ -146,6 +146,8 @@ class SetDisplay:
 
     text: str
     """Four lines of 21 letters (ASCII) are shown, longer ones are wrapped; empty = the app's values again."""
+    seconds: float | None = None
+    """After which those are shown again; None = as long as nobody says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -181,3 +181,7 @@ class Rig:
                 self.buses[there].publish(key, payload, urgent=True)
 
         self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)
+        latest = self.buses[there].publish
+        self.buses[here].subscribe(
+            f"swarm/{here}/app/*/latest/*", lambda key, payload: latest(key, payload, urgent=True)
+        )

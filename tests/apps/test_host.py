@@ -264,7 +264,7 @@ def test_an_app_that_raises_is_named_and_the_others_wait_for_it(make_rig: MakeRi
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("nothing",), "there is no app 'nothing': expected consensus, localization, or a file FILE.py"),
+        (("nothing",), "there is no app 'nothing': expected consensus, flooding_demo, "),
         (("consensus", "--run", "xyz"), "--run or SWARM_RUN: expected a hexadecimal number of 64 bits, got 'xyz'"),
         (("consensus", "--iterations", "-1"), "expected 0 to 4294967295"),
         (("localization",), "[dwm] target: expected the address of the target's module, this app needs it"),

@@ -4,11 +4,13 @@ import math
 from pathlib import Path
 
 import pytest
+from memory_events import MemoryEvents
 from memory_swarm import TARGET, MemorySwarm, config_of
 from test_localization import exact, noisy
 
 from services.apps import loader
 from swarm.errors import AppError
+from swarm.messages import SetDisplay, SetLeds
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -25,8 +27,9 @@ APP = (
 
 
 def test_built_in_apps_are_found_with_their_algorithms() -> None:
-    assert list(loader.load("consensus").algorithms) == ["metropolis", "thesis"]
-    assert list(loader.load("localization").algorithms) == ["info", "thesis"]
+    consensus, localization = loader.load("consensus").algorithms, loader.load("localization").algorithms
+    assert list(consensus) == ["metropolis", "thesis", "second_order", "chebyshev", "flood"]
+    assert list(localization) == ["info", "nids", "flood", "diging", "thesis"]
 
 
 def test_a_file_is_an_app_named_as_the_file(tmp_path: Path) -> None:
@@ -57,7 +60,7 @@ def test_files_that_are_no_app_are_one_message_with_file_and_line(tmp_path: Path
 
 
 def test_names_that_are_no_app(tmp_path: Path) -> None:
-    with pytest.raises(AppError, match=r"no app 'consensu': expected consensus, localization, or a file FILE\.py"):
+    with pytest.raises(AppError, match=r"no app 'consensu': expected consensus, .*, unicast_demo, or a file FILE\.py"):
         loader.load("consensu")
     with pytest.raises(AppError, match="no such file"):
         loader.load(str(tmp_path / "none.py"))
@@ -92,10 +95,15 @@ def test_wrong_parameters_name_app_and_robot() -> None:
     config = config_of(3, parameters={}, robots={"r2": {"valeu": 1.0}})
     with pytest.raises(AppError, match="app consensus on r2: unknown parameter 'valeu'; Consensus has weights, value"):
         app.check(config)
-    with pytest.raises(AppError, match="app consensus on r0: algorithm: expected 'metropolis' or 'thesis', got 'best'"):
+    with pytest.raises(AppError, match=r"app consensus on r0: algorithm: expected 'metropolis' or .* got 'best'"):
         app.check(config_of(3, parameters={"algorithm": "best"}))
     with pytest.raises(AppError, match="app consensus: r1 runs another algorithm than r0"):
         app.check(config_of(3, robots={"r1": {"algorithm": "thesis"}}))
+
+
+def test_a_class_that_is_a_channel_of_another_is_no_app_by_itself(tmp_path: Path) -> None:
+    text = APP + "from swarm import PeriodicApp, channel\nclass Outer(PeriodicApp):\n    inner = channel(Mine)\n"
+    assert loader.load(write(tmp_path, text)).algorithms[""].__name__ == "Outer"
 
 
 # The examples
@@ -104,7 +112,8 @@ def test_wrong_parameters_name_app_and_robot() -> None:
 def test_every_example_is_short_and_tested_here() -> None:
     """But for roll_call.py, which needs meshes: tests/mesh/test_mesh_apps.py."""
     files = {path.name: path.read_text() for path in EXAMPLES.glob("*.py")}
-    assert set(files) == {"consensus.py", "max_finder.py", "find_target.py", "roll_call.py"}
+    synchronous = {"consensus.py", "max_finder.py", "find_target.py", "roll_call.py"}
+    assert set(files) == {*synchronous, "button_count.py", "follow_leds.py"}
     assert all(len(text.splitlines()) <= 40 for text in files.values())
 
 
@@ -131,3 +140,26 @@ def test_example_find_target(measure: object, within: float) -> None:
     swarm = MemorySwarm(app, config_of(3, app="find_target"), 150, measure)
     for result in swarm.final.values():
         assert math.dist((result["x"], result["y"]), TARGET) < within
+
+
+def test_example_button_count() -> None:
+    swarm = MemoryEvents(str(EXAMPLES / "button_count.py"), config_of(3))
+    swarm.run(1.0)
+    swarm.units["r1"].press("b")
+    swarm.run(2.0)
+    swarm.units["r2"].press("a")
+    swarm.run(3.0)
+    for unit in swarm.units.values():
+        assert unit.app.presses == 2
+        assert "2 presses\nlast: a on r2" in [message.text for _, message in unit.bus.sent(SetDisplay)]
+
+
+def test_example_follow_leds() -> None:
+    robots = {"r0": {"first": True}}
+    swarm = MemoryEvents(str(EXAMPLES / "follow_leds.py"), config_of(4, app="follow_leds", robots=robots))
+    swarm.run(10.0)
+    lit = {}
+    for name, unit in swarm.units.items():
+        assert unit.core.phase == "running"
+        lit[name] = next(time for time, leds in unit.bus.sent(SetLeds) if leds.green)
+    assert lit["r0"] < lit["r1"] < lit["r2"] < lit["r3"] < 3.0

@@ -1,12 +1,26 @@
 """Robots that are nothing but a real OpenSSH server each, on a port and in a home folder of its own."""
 
+import contextlib
+import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 SSHD = next((path for path in ("/usr/sbin/sshd", "/usr/local/sbin/sshd") if Path(path).exists()), None)
+
+Run = Callable[..., int]
+"""`swarm VERB ...` for these robots (the fixture `run`); its exit code."""
+
+needs_ssh = pytest.mark.skipif(
+    not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),
+    reason="needs an ssh server and client: sudo apt-get install openssh-server openssh-client",
+)
 
 CONFIG = """Port {port}
 ListenAddress 127.0.0.1
@@ -34,7 +48,13 @@ exec "$@"
 
 SYSTEMCTL = """#!/bin/sh
 echo "$@" >> $HOME/systemctl.log
+case $1 in list-units) [ ! -e $HOME/units ] || cat $HOME/units ;; esac
 """
+
+
+def outcomes(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]:
+    """What a command with --json has printed."""
+    return dict(json.loads(capsys.readouterr().out)["robots"])
 
 
 def free_port() -> int:
@@ -56,7 +76,8 @@ class FakeRobots:
         self._keygen(self._key)
 
     def add(self, name: str, *, hook: str = "", known: bool = True, up: bool = True) -> Path:
-        """A robot; `hook` is shell code before each command, `known` whether the user knows its host key. Its home."""
+        """A robot; `hook` is shell code before each command (one
+        that hangs writes its pid to ./hung), `known` whether the user knows its host key. Its home."""
         home = self.folder / name
         (home / "bin").mkdir(parents=True)
         self._ports[name] = port = free_port()
@@ -95,6 +116,15 @@ class FakeRobots:
             server.terminate()
         for server in self._servers:
             server.wait()
+        for hung in self.folder.glob("*/hung"):  # sshd leaves what it has started
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(hung.read_text()), signal.SIGKILL)
+
+    def script(self, name: str, program: str, text: str) -> None:
+        """Put a shell script into a robot's PATH."""
+        path = self.folder / name / "bin" / program
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
 
     def _write(self) -> None:
         text = "".join(f"Host {name}\n  HostName 127.0.0.1\n  Port {port}\n" for name, port in self._ports.items())

@@ -1,47 +1,17 @@
 """Commands for all robots, over real ssh servers: every robot has its outcome, none waits for another."""
 
 import io
-import json
 import os
 import re
-import shutil
 import tarfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from fake_robots import SSHD, FakeRobots
+from fake_robots import FakeRobots, Run, needs_ssh, outcomes
 
-from swarm.cli import main, status
+from swarm.cli import status
 
-pytestmark = pytest.mark.skipif(
-    not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),
-    reason="needs an ssh server and client: sudo apt-get install openssh-server openssh-client",
-)
-
-Run = Callable[..., int]
-
-
-@pytest.fixture
-def robots(tmp_path: Path) -> Iterator[FakeRobots]:
-    robots = FakeRobots(tmp_path)
-    yield robots
-    robots.close()
-
-
-@pytest.fixture
-def run(robots: FakeRobots) -> Run:
-    def swarm(verb: str, *arguments: str) -> int:
-        robots.ready()
-        with pytest.raises(SystemExit) as end:
-            main([verb, *arguments, "--config", str(robots.config), "--ssh-config", str(robots.ssh_config)])
-        return int(str(end.value.code))
-
-    return swarm
-
-
-def outcomes(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]:
-    return dict(json.loads(capsys.readouterr().out)["robots"])
+pytestmark = needs_ssh
 
 
 def test_a_command_runs_on_every_robot(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,7 +42,7 @@ def test_what_is_wrong_is_named_and_the_others_go_on(
     robots.add("r1", up=False)
     robots.add("r2", known=False)
     robots.add("r3", hook="kill -9 $PPID")
-    robots.add("r4", hook="exec sleep 1000")
+    robots.add("r4", hook="echo $$ > hung; exec sleep 1000")
     assert run("command", "echo here", "--timeout", "12", "--json") == 1
     found = {name: str(outcome["text"]) for name, outcome in outcomes(capsys).items()}
     assert found["r0"] == ""

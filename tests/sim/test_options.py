@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.sim import options
-from services.sim.options import Cut, Setting
+from services.sim.options import Cut, Press, Setting
 from swarm.errors import ConfigError
 
 
@@ -15,6 +15,7 @@ def test_durations_and_rates_have_units():
     assert options.duration("1.5") == 1.5
     assert options.rate("78kB") == 78000
     assert options.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
+    assert options.press("r4.a@1500ms") == Press("r4", "A", 1.5)
     assert options.setting("value=0.5") == Setting(None, "value", 0.5)
     assert options.setting("r2.value=3") == Setting("r2", "value", 3)
     assert options.setting("weights=row") == Setting(None, "weights", "row")
@@ -29,6 +30,8 @@ def test_durations_and_rates_have_units():
         (options.rate, "0kB"),
         (options.cut, "r0r1@12s,3s"),
         (options.cut, "r0-r1@12s"),
+        (options.press, "r4.D@1s"),
+        (options.press, "r4@1s"),
         (options.setting, "value"),
         (options.setting, "a b=3"),
         (options.setting, "value=[1,x]"),
@@ -41,7 +44,7 @@ def test_wrong_text_is_refused_by_argparse(convert, text):
 
 @given(st.text(max_size=20))
 def test_any_text_is_a_value_or_refused(text):
-    for convert in (options.duration, options.rate, options.cut, options.setting):
+    for convert in (options.duration, options.rate, options.cut, options.press, options.setting):
         try:
             convert(text)
         except argparse.ArgumentTypeError:

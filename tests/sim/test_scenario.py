@@ -50,7 +50,7 @@ def test_the_config_a_run_uses_is_a_valid_file(tmp_path):
         (["consensus", "--topology", "thesis-d"], "six robots"),
         (["consensus", "--cut", "r0-r2@1s,1s"], "no such link"),
         (["missing.py"], "no such file"),
-        (["nonsense"], "expected consensus, localization, or a file"),
+        (["nonsense"], "expected consensus, flooding_demo, "),
         (["consensus", "--algorithm", "magic"], "expected 'metropolis' or 'thesis'"),
         (["consensus", "--set", "valu=3"], "unknown parameter 'valu'"),
     ],

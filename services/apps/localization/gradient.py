@@ -7,7 +7,7 @@ square: the cost that 4.3 is the gradient of is (phi^2 - |x - p|^2)^2.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-Vector2 = tuple[float, ...]
+Vector2 = tuple[float, float]
 """Two numbers."""
 
 

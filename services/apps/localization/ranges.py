@@ -48,8 +48,13 @@ class Estimate:
     rank: int
     """3: three places not in line; 2: places in line, two candidates; 1: one place, `x`, `y` is the centre of
     a circle."""
-    sigma: float
-    """Standard deviation of the place, sqrt of the trace of its covariance, m; at most the mean range."""
+    covariance: tuple[float, float, float]
+    """xx, xy and yy of the error, m^2; no larger than the mean range in any direction that the ranges leave open."""
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the place, sqrt of the trace of its covariance, m."""
+        return math.sqrt(self.covariance[0] + self.covariance[2])
 
     @property
     def ambiguous(self) -> bool:
@@ -94,7 +99,8 @@ def solve(s: Statistics, robots: int) -> Estimate | None:
     big, small = mean + half, max(mean - half, 0.0)
     along, across = cos * r1 + sin * r2, cos * r2 - sin * r1
     if math.sqrt(max(big, 0.0) / (4 * w)) < SMALLEST_SPREAD:
-        return Estimate(cx, cy, None, 1, math.sqrt(max(v3 / w, 0.0)))
+        half = max(v3 / w, 0.0) / 2
+        return Estimate(cx, cy, None, 1, (half, 0.0, half))
     if math.sqrt(small / (4 * w)) < SMALLEST_SPREAD:
         small, across = 0.0, 0.0  # in line but for rounding: nothing tells the two sides apart
     problem = _Problem(big, small, along, across, w, v3)
@@ -105,15 +111,25 @@ def solve(s: Statistics, robots: int) -> Estimate | None:
     # Fisher information of the place, from the same sums: 4 w (x - p)(x - p)' = unit vectors / s^2.
     i11, i22, i12 = big + 4 * w * u * u, small + 4 * w * h * h, 4 * w * u * h
     determinant = i11 * i22 - i12 * i12
-    sigma = math.sqrt(u * u + h * h + (big + small) / (4 * w))
-    if determinant > 0.0:
-        sigma = min(sigma, math.sqrt((i11 + i22) / (robots * determinant)))
+    widest = (u * u + h * h + (big + small) / (4 * w)) / 2
+    covariance = (widest, 0.0, widest)
+    if determinant > 0.0 and (i11 + i22) / (robots * determinant) < 2 * widest:
+        covariance = tuple(part / (robots * determinant) for part in _turned(i22, -i12, i11, cos, sin))  # type: ignore[assignment]
 
     def back(u: float, h: float) -> tuple[float, float]:
         return cx + cos * u - sin * h, cy + sin * u + cos * h
 
     x, y = back(u, h)
-    return Estimate(x, y, None if other is None else back(*other), 3 if small > 0.0 else 2, sigma)
+    return Estimate(x, y, None if other is None else back(*other), 3 if small > 0.0 else 2, covariance)
+
+
+def _turned(uu: float, uh: float, hh: float, cos: float, sin: float) -> tuple[float, float, float]:
+    """A symmetric matrix of the axes u, h in those of x, y."""
+    return (
+        cos * cos * uu - 2 * cos * sin * uh + sin * sin * hh,
+        cos * sin * (uu - hh) + (cos * cos - sin * sin) * uh,
+        sin * sin * uu + 2 * cos * sin * uh + cos * cos * hh,
+    )
 
 
 @dataclass(frozen=True)

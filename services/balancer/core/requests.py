@@ -11,6 +11,8 @@ IMU_RATE = 100.0
 IMU_DURATION_S = 60.0
 TEXT_LIMIT = 200
 """Letters of a text for the display: more than it can show."""
+TEXT_SECONDS = 60.0
+"""For which it may be claimed: who wants it for longer says so again."""
 
 
 def check(command: object) -> None:
@@ -22,9 +24,11 @@ def check(command: object) -> None:
             check_request(command)
         case SetNotes():
             check_notes(command)
-        case SetDisplay(text):
+        case SetDisplay(text, seconds):
             if len(text) > TEXT_LIMIT:
                 raise LocalError(f"text: {len(text)} letters, at most {TEXT_LIMIT}")
+            if seconds is not None:
+                _in_range("seconds", seconds, 0.0, TEXT_SECONDS, "s")
         case ImuRequest(rate, duration):
             _in_range("rate", rate, 0.01, IMU_RATE, "Hz")
             _in_range("duration", duration, 0.0, IMU_DURATION_S, "s")

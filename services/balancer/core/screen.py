@@ -1,5 +1,6 @@
 """What the display says: name, state, battery, and what an app or a person wants shown."""
 
+import math
 from dataclasses import dataclass
 
 from services.balancer.core.display import LETTERS_PER_LINE
@@ -41,6 +42,7 @@ class Composer:
         self._state: BalancerState | None = None
         self._app = ""
         self._text = ""
+        self._text_until = math.inf
         self._last: tuple[str, ...] = ()
         self._next_at = 0.0
 
@@ -53,14 +55,16 @@ class Composer:
         values = [f"{field} {_short(value)}" for field, value in state.state.items()]
         self._app = "\n".join([f"{name} k={state.k}", *values])
 
-    def take_text(self, text: str) -> None:
-        """What somebody wants shown instead of the app's values; empty = those again."""
-        self._text = text
+    def take_text(self, text: str, until: float = math.inf) -> None:
+        """What somebody wants shown instead of the app's values up to a time, s; empty = those again."""
+        self._text, self._text_until = text, until
 
     def lines(self, now: float) -> ScreenText | None:
         """What is to be shown, None where that has not changed or changed a moment ago."""
         if self._state is None or now < self._next_at:
             return None
+        if now >= self._text_until:
+            self.take_text("")
         state = self._state
         battery = "" if state.battery is None else f"{state.battery:.1f} V"
         mode = state.mode.replace("_", " ")

@@ -11,9 +11,11 @@ from services.sim.virtual.bus import VirtualBus, VirtualRouter
 from services.sim.virtual.events import EventQueue
 from services.sim.virtual.mesh import Common, VirtualMesh
 from services.sim.virtual.sync import Line, Measurements, SyncHost
+from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep import Channel
 from swarm.devices import Devices
+from swarm.errors import AppError
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
@@ -74,6 +76,8 @@ class World:
                 links = topology.of_edges(config, in_force.edges)
                 config, epoch = links.config, links.epoch
             instance = app.make(config, robot, self.seed)
+            if not isinstance(instance, SyncApp):
+                raise AppError(f"app {app.name}: in virtual time only synchronous apps run")
             bus = VirtualBus(self.robots[robot].router)
             self._equip(instance.robot, bus, f"{run & 0xFFFFFFFFFFFF:012x}")
             runner = Runner(instance, app.source)

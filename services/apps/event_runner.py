@@ -1,0 +1,110 @@
+"""One event-driven or periodic app between packed bytes: a `Call` of the core becomes a call of the author's handler.
+
+No IO and no clock. Whatever the author's code raises comes out as one `AppError` that names robot, step, file, line and
+fault.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from services.apps.runner import AppRunner
+from swarm.codec import Value
+from swarm.core.asynchronous import Call, Known
+from swarm.errors import AppError, FrameError
+from swarm.event_app import EventApp, PeriodicApp
+
+HANDLERS = ("on_button", "on_message", "on_answer", "on_announced", "on_neighbour", "on_timer")
+"""Those that are only called where the app has them."""
+
+
+class EventRunner(AppRunner):
+    """Drives one app instance from event to event."""
+
+    app: EventApp
+
+    def __init__(self, app: EventApp, source: str) -> None:
+        """`source`: path of the app's file; a fault is reported with the line in it."""
+        super().__init__(app, source)
+        kind = type(app)
+        self.handled = frozenset(name for name in HANDLERS if getattr(kind, name) is not getattr(EventApp, name))
+        """Handlers that the app has of its own."""
+        self.unreadable = 0
+        """States of neighbours that could not be unpacked."""
+        self._changes: dict[str, Value] = {}
+        self._calls = 0
+
+    @property
+    def period(self) -> float | None:
+        """s between two steps; None where the app has none."""
+        return self.app.period if isinstance(self.app, PeriodicApp) else None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the app has said that its work is done."""
+        return self.app.finished is not None
+
+    def change(self, values: Mapping[str, object]) -> list[str]:
+        """Other values for parameters, for the next handler on; `AppError` where one cannot be changed so, and then
+        none is. Returns their names: `on_parameter` is to be called with each."""
+        found = type(self.app).check_change(values)
+        self._changes = {**self._changes, **found}
+        return list(found)
+
+    def call(self, call: Call, k: int, known: Sequence[Known]) -> bytes:
+        """Let the app handle an event at step `k`; returns its state, packed. Takes as long as the author's code does.
+
+        `known` are the neighbours' newest states.
+        """
+        self._be_at(k)
+        app = self.app
+        where = f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}"
+        self._calls += 1
+        app.robot.prepare(f"{self._calls}", None)
+        changes, self._changes = self._changes, {}
+        if changes:
+            self._call(where, lambda: app.change(changes))
+        views = self._views(known)
+        object.__setattr__(app, "neighbours", tuple(views.values()))
+        arguments: Sequence[object] = call.arguments
+        if call.handler == "step":
+            arguments = (list(views.values()),)
+        elif call.handler == "on_neighbour":
+            arguments = [views[name] for name in call.arguments if name in views]
+            if not arguments:
+                return self._packed(where)
+        answer: object = self._call(where, lambda: getattr(app, call.handler)(*arguments))
+        if answer is not None:
+            raise AppError(f"{self._where(where)}: it returned {answer!r}; a handler assigns to the state instead")
+        return self._packed(where)
+
+    def where(self, call: Call, k: int) -> str:
+        """A call in words: app, robot, handler and step."""
+        return self._where(f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}")
+
+    def _views(self, known: Sequence[Known]) -> dict[Any, Any]:
+        view, unpack = type(self.app).spec.view, self.schema.unpack
+        views = {}
+        for name, data, age in known:
+            try:
+                views[name] = view(name, *unpack(data), age)
+            except FrameError:
+                self.unreadable += 1
+        return views
+
+    def _packed(self, where: str) -> bytes:
+        names = self.schema.names
+        try:
+            own = self.schema.pack({name: getattr(self.app, name) for name in names})
+        except AppError as error:
+            raise AppError(f"{self._where(where)}: {error}") from None
+        # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
+        self._set(own)
+        return own
+
+
+def version(app: EventApp, digest: bytes) -> int:
+    """u32 over what robots must have in common to understand each other: state, source of the app, names of the
+    robots."""
+    text = f"{type(app).spec.schema.hash:08x} {digest.hex()} {' '.join(app.robot.swarm)}"
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")

@@ -1,0 +1,1 @@
+"""What the commands for robots decide, without doing it: no ssh, no files, no clock."""

@@ -1,0 +1,42 @@
+"""Commands and files of a robot, below a root folder that is `/` on a real one."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+NO_SUCH = 127
+
+
+def run(*words: str, seconds: float = 60.0) -> tuple[int, str, str]:
+    """Exit code, output and complaints of a command; 127 where there is no such command, 124 where it did not end."""
+    environment = {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
+    try:
+        done = subprocess.run(
+            words, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds, env=environment, check=False
+        )
+    except FileNotFoundError:
+        return NO_SUCH, "", f"there is no {words[0]}"
+    except subprocess.TimeoutExpired:
+        return 124, "", f"{words[0]} did not end within {seconds:g} s"
+    return done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace")
+
+
+def below(root: str, path: str) -> Path:
+    """`path` of the robot as a path here."""
+    return Path(root) / path.lstrip("/")
+
+
+def text(path: Path, limit: int = 1 << 20) -> str | None:
+    """A file's text; None where there is none, or it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(limit).decode(errors="replace")
+    except OSError:
+        return None
+
+
+def line(path: Path) -> str:
+    """A file's text without what surrounds it (a device tree's end in a zero); empty where there is none."""
+    return (text(path) or "").strip("\0\n ")

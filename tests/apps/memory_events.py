@@ -1,0 +1,162 @@
+"""A swarm of event-driven or periodic apps joined in memory: virtual time, no process, no thread, no loss."""
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from services.apps import loader
+from services.apps.event_runner import EventRunner, version
+from swarm.codec import encode
+from swarm.config import Config
+from swarm.core.asynchronous import Asynchronous, Publish
+from swarm.core.lockstep_frames import Channel
+from swarm.devices import Devices
+from swarm.errors import AppError
+from swarm.event_app import EventApp
+from swarm.messages import Buttons
+from swarm.overlays import Message
+
+LATENCY = 0.03
+HANDLER_TIME = 0.001
+
+
+class FakeBus:
+    """Keeps what is published, and hands on what a test lets come."""
+
+    connected = True
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self.published: list[tuple[float, str, Any]] = []
+        self._callbacks: dict[str, Callable[[str, bytes], None]] = {}
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        self.published.append((self._now(), key, message))
+
+    def subscribe(self, keys: str | Iterable[str], callback: Callable[[str, bytes], None]) -> None:
+        for key in (keys,) if isinstance(keys, str) else keys:
+            self._callbacks[key] = callback
+
+    def come(self, key: str, message: object) -> None:
+        """Somebody else has published this."""
+        self._callbacks[key](key, encode(message))
+
+    def sent(self, kind: type) -> list[tuple[float, Any]]:
+        """Messages of one type with their times."""
+        return [(time, message) for time, _, message in self.published if isinstance(message, kind)]
+
+
+class Unit:
+    """One robot."""
+
+    def __init__(self, world: "MemoryEvents", app: loader.App, config: Config, name: str, last: int | None) -> None:
+        self.world = world
+        self.name = name
+        self.bus = FakeBus(lambda: world.now)
+        instance = app.make(config, name, seed=1)
+        assert isinstance(instance, EventApp)
+        self.app: Any = instance
+        self.runner = EventRunner(instance, app.source)
+        self.devices = Devices(self.bus, name, lambda: world.now)  # type: ignore[arg-type]
+        robot = instance.robot
+        robot.time = lambda: world.now
+        robot.bus, robot.devices, robot.overlays = self.bus, self.devices, self  # type: ignore[assignment]
+        robot.timers = lambda seconds, text: self.core.after(seconds, text, world.now)
+        self.core = Asynchronous(
+            name,
+            config.neighbours(name),
+            Channel(1, 0, 1, version(instance, app.digest)),
+            self.runner.schema.size,
+            config.names,
+            period=self.runner.period,
+            barrier=instance.barrier,
+            handled=self.runner.handled,
+            last=last,
+        )
+        if "on_button" in self.runner.handled:
+            self.devices.on_button(
+                lambda button: self.feed(lambda now: self.core.happened("on_button", button, now=now))
+            )
+        self.bus_presses = [0, 0, 0]
+
+    # In place of `Overlays`
+
+    def flood(self, payload: bytes, **_: object) -> None:
+        for other in self.world.units.values():
+            if other is not self:
+                self.world.at(self.world.now + LATENCY, lambda other=other: other.message(self.name, payload))  # type: ignore[misc]
+
+    def message(self, sender: str, payload: bytes) -> None:
+        message = Message(sender, payload, flooded=True)
+        self.feed(lambda now: self.core.happened("on_message", message, now=now))
+
+    # From outside
+
+    def press(self, button: str) -> None:
+        key = f"swarm/{self.name}/balancer/buttons"
+        self.bus.come(key, Buttons(self.world.now, False, False, False, *self.bus_presses))
+        self.bus_presses["abc".index(button)] += 1
+        self.bus.come(key, Buttons(self.world.now, False, False, False, *self.bus_presses))
+
+    def feed(self, act: Callable[[float], object]) -> None:
+        act(self.world.now)
+        self.carry_out()
+
+    def carry_out(self) -> None:
+        world = self.world
+        for action in self.core.actions():
+            if isinstance(action, Publish):
+                for name in self.core.neighbours:
+                    world.at(world.now + LATENCY, lambda name=name, data=action.data: self._deliver(name, data))  # type: ignore[misc]
+                continue
+            try:
+                own = self.runner.call(action, self.core.k, self.core.known(world.now))
+            except AppError as error:
+                self.core.fail(str(error))
+                return
+            world.at(world.now + HANDLER_TIME, lambda own=own: self._returned(own))  # type: ignore[misc]
+        due = [at for at in (self.core.next_deadline(), self.devices.next_deadline()) if at is not None]
+        if due:
+            world.at(max(world.now, min(due)), self._tick)
+
+    def _deliver(self, name: str, data: bytes) -> None:
+        other = self.world.units[name]
+        other.feed(lambda now: other.core.receive(self.name, self.core.channel, data, now))
+
+    def _returned(self, own: bytes) -> None:
+        if self.runner.period not in (None, self.core.period):
+            self.core.set_period(self.runner.period or 0.0, self.world.now)
+        self.core.returned(own, self.world.now, finished=self.runner.finished)
+        self.carry_out()
+
+    def _tick(self) -> None:
+        self.devices.handle_timer()
+        due = self.core.next_deadline()
+        if due is not None and due <= self.world.now:
+            self.core.handle_timer(self.world.now)
+            self.carry_out()
+
+
+class MemoryEvents:
+    """Runs an app on all robots of a configuration."""
+
+    def __init__(self, app: str, config: Config, last: int | None = None) -> None:
+        found = loader.load(app)
+        found.check(config)
+        self.now = 0.0
+        self._queue: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self.units = {name: Unit(self, found, config, name, last) for name in config.names}
+        for unit in self.units.values():
+            unit.feed(unit.core.begin)
+
+    def at(self, time: float, act: Callable[[], None]) -> None:
+        heapq.heappush(self._queue, (time, next(self._order), act))
+
+    def run(self, until: float) -> None:
+        while self._queue and self._queue[0][0] <= until:
+            time, _, act = heapq.heappop(self._queue)
+            self.now = max(self.now, time)
+            act()
+        self.now = until

@@ -1,0 +1,234 @@
+"""Event-driven and periodic apps as processes on real buses: barrier, restart, faults, parameters, devices."""
+
+import queue
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from apps_rig import NAMES, Rig
+
+from swarm.codec import decode, encode
+from swarm.messages import (
+    AppOutput,
+    AppParameters,
+    AppParametersSet,
+    Buttons,
+    SetAppParameters,
+    SetDisplay,
+    SetLeds,
+    SetVelocity,
+)
+
+MakeRig = Callable[..., Rig]
+
+COUNTER = """
+from swarm import PeriodicApp, parameter
+class Counter(PeriodicApp):
+    count: int
+    heard: int
+    period = 0.05
+    def step(self, neighbours):
+        self.count += 1
+        self.heard = sum(n.count for n in neighbours)
+"""
+
+HANDS = """
+from swarm import EventApp, parameter
+class Hands(EventApp):
+    presses: int
+    gain: float = parameter(0.5, unit="1/s", low=0, high=1)
+    fixed: int = parameter(1, live=False)
+    def on_button(self, button):
+        self.presses += 1
+        self.robot.leds(green=True)
+        self.robot.drive(0.1, 0.0)
+        self.robot.display(f"pressed {button}")
+        self.robot.publish("pressed", button)
+        if button == "b":
+            raise ValueError("not that one")
+        if button == "c":
+            self.presses = "many"
+    def on_parameter(self, name):
+        self.robot.publish("changed", {name: getattr(self, name)})
+"""
+
+
+@pytest.fixture
+def make_rig(runtime: Path) -> Iterator[MakeRig]:
+    rigs: list[Rig] = []
+
+    def make(name: str, text: str, names: tuple[str, ...] = NAMES, more: str = "") -> tuple[Rig, str]:
+        rigs.append(Rig(runtime, names, more))
+        app = runtime / f"{name}.py"
+        app.write_text(text)
+        return rigs[-1], str(app)
+
+    yield make
+    for rig in rigs:
+        rig.__exit__()
+
+
+class Watch:
+    """What comes by on one robot's bus, decoded, in order."""
+
+    def __init__(self, rig: Rig, robot: str, key: str, kind: type) -> None:
+        self.found: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        rig.buses[robot].subscribe(key, lambda name, data: self.found.put(decode(kind, data, name)))
+
+    def next(self) -> Any:
+        return self.found.get(timeout=20)
+
+    def until(self, condition: Callable[[Any], bool]) -> Any:
+        while not condition(message := self.next()):
+            pass
+        return message
+
+
+def test_a_periodic_app_starts_with_all_and_survives_a_kill(make_rig: MakeRig) -> None:
+    rig, app = make_rig("counter", COUNTER, more="[apps.counter.robots.r2]\nperiod = 0.2\n")
+    rig.start("r0", "apps", app)
+    rig.start("r1", "apps", app)
+    rig.until_waits("r0", "r2")
+    rig.until_waits("r1", "r2")
+    assert rig.progress["r0"].k == rig.progress["r1"].k == 0
+    rig.start("r2", "apps", app)
+    rig.until_k(5)
+    assert rig.state["r0"].k > rig.state["r2"].k
+    rig.kill("r1")
+    before = {name: rig.state[name].k for name in ("r0", "r2")}
+    rig.until(lambda: all(rig.state[name].k >= k + 3 for name, k in before.items()), "steps of the others")
+    rig.state.pop("r1")
+    rig.start("r1", "apps", app)
+    rig.until_k(20, "r1")  # it waits for nobody: its neighbours are on their way
+    rig.until(lambda: int(rig.state["r1"].state["heard"]) > rig.state["r2"].k, "news of both neighbours")
+    rows = rig.rows("r0", "counter")
+    assert sorted(rows) == list(range(len(rows)))
+    assert {rig.stop(name) for name in NAMES} == {0}
+
+
+def test_robots_with_another_version_are_named(make_rig: MakeRig) -> None:
+    rig, app = make_rig("counter", COUNTER, ("r0", "r1"))
+    other = rig.directory / "other"
+    other.mkdir()
+    (other / "counter.py").write_text(COUNTER.replace("self.count += 1", "self.count += 2"))
+    rig.start("r0", "apps", app, "--run", "a1")
+    rig.start("r1", "apps", str(other / "counter.py"), "--run", "a1")
+    wanted = "r1 runs another version of this app: its state is not used"
+
+    def named() -> bool:
+        progress = rig.progress.get("r0")
+        return progress is not None and (progress.phase, progress.reason) == ("waiting", wanted)
+
+    rig.until(named, "naming r1")
+
+
+def test_parameters_buttons_devices_and_faults(make_rig: MakeRig) -> None:
+    rig, app = make_rig("hands", HANDS, ("r0",))
+    bus = rig.buses["r0"]
+    leds = Watch(rig, "r0", "swarm/r0/balancer/set/leds", SetLeds)
+    drive = Watch(rig, "r0", "swarm/r0/balancer/set/velocity", SetVelocity)
+    display = Watch(rig, "r0", "swarm/r0/balancer/set/display", SetDisplay)
+    out = Watch(rig, "r0", "swarm/r0/app/hands/out/*", AppOutput)
+    answers = Watch(rig, "r0", "swarm/r0/app/hands/parameters_set", AppParametersSet)
+    told = Watch(rig, "r0", "swarm/r0/app/hands/parameters", AppParameters)
+    rig.start("r0", "apps", app)
+    rig.until_phase("running", "r0")
+
+    bus.publish("swarm/r0/app/hands/set/parameters", SetAppParameters("t1", {"gain": 0.75}))
+    assert (answers.next().problem, told.next().parameters["gain"].value) == ("", 0.75)
+    assert out.next().values == {"gain": 0.75}
+    bus.publish("swarm/r0/app/hands/set/parameters", SetAppParameters("t2", {"gain": 1.5}))
+    wrong = "app hands on r0: gain: expected a finite number from 0 to 1 in 1/s, got 1.5"
+    assert answers.next().problem == wrong
+    bus.publish("swarm/r0/app/hands/set/parameters", SetAppParameters("t3", {"fixed": 2}))
+    assert "fixed: cannot be changed while the app runs" in answers.next().problem
+    found: queue.SimpleQueue[AppParameters] = queue.SimpleQueue()
+    key = "swarm/r0/app/hands/parameters"
+    bus.ask(key, lambda name, data: found.put(decode(AppParameters, data, name)), timeout_s=10.0)
+    assert {name: p.value for name, p in found.get(timeout=20).parameters.items()} == {
+        "weights": "metropolis", "gain": 0.75, "fixed": 1,
+    }  # fmt: skip
+
+    def press(**counts: int) -> None:
+        bus.publish("swarm/r0/balancer/buttons", Buttons(0.0, False, False, False, *counts.values()))
+
+    press(a=4, b=0, c=0)  # pressed before the app came
+    press(a=5, b=0, c=0)
+    assert out.next().values == {"value": "a"}
+    assert leds.next() == SetLeds(False, False, True)
+    assert drive.next() == SetVelocity(0.1, 0.0, 0.5)
+    assert drive.next() == SetVelocity(0.1, 0.0, 0.5)  # claimed again
+    assert display.next() == SetDisplay("pressed a", 3.0)
+    press(a=5, b=1, c=0)
+    rig.until_phase("fault", "r0")
+    assert rig.progress["r0"].reason == f"Hands on r0, on_button() at k = 2: {app}, line 14: ValueError: not that one"
+    drive.until(lambda message: message == SetVelocity(0.0, 0.0, 0.5))
+    leds.until(lambda message: message.seconds < 0.1)
+    display.until(lambda message: message.text == "")
+    assert rig.stop("r0") == 3
+    assert "Traceback" not in rig.log("r0")
+
+
+def test_a_wrong_state_is_named_and_sigterm_gives_back_what_was_taken(make_rig: MakeRig) -> None:
+    rig, app = make_rig("hands", HANDS, ("r0",))
+    bus = rig.buses["r0"]
+    drive = Watch(rig, "r0", "swarm/r0/balancer/set/velocity", SetVelocity)
+    rig.start("r0", "apps", app)
+    rig.until_phase("running", "r0")
+    for presses in ((0, 0, 0), (1, 0, 0)):
+        bus.publish("swarm/r0/balancer/buttons", encode(Buttons(0.0, False, False, False, *presses)))
+    drive.until(lambda message: message.speed == 0.1)
+    assert rig.stop("r0") == 0
+    drive.until(lambda message: message == SetVelocity(0.0, 0.0, 0.5))
+    rig.progress.clear()
+    rig.start("r0", "apps", app)
+    rig.until_phase("running", "r0")
+    for presses in ((1, 0, 0), (1, 0, 1)):
+        bus.publish("swarm/r0/balancer/buttons", encode(Buttons(0.0, False, False, False, *presses)))
+    rig.until_phase("fault", "r0")
+    wrong = "Hands on r0, on_button() at k = 0: presses: expected an integer of 64 bits, got 'many'"
+    assert rig.progress["r0"].reason == wrong
+
+
+CHANNELS = """
+from swarm import PeriodicApp, SyncApp, channel
+class Mean(SyncApp):
+    value: float
+    def step(self, neighbours):
+        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+class Largest(SyncApp):
+    value: float
+    def step(self, neighbours):
+        self.value = max([self.value, *(n.value for n in neighbours)])
+class Two(PeriodicApp):
+    period = 0.05
+    mean = channel(Mean)
+    largest = channel(Largest, value=1.0)
+    def start(self):
+        self.mean.value = float(self.robot.name[1:])
+    def step(self, neighbours):
+        pass
+    def result(self):
+        return {"mean": self.mean.value, "largest": self.largest.value, "k": self.mean.k}
+"""
+
+
+def test_two_locksteps_run_inside_a_periodic_app(make_rig: MakeRig) -> None:
+    rig, app = make_rig("two", CHANNELS, more="[apps.two.robots.r2]\nlargest_value = 7.5\n")
+    rig.start_all(app)
+
+    def agreed() -> bool:
+        results = [state.result for state in rig.state.values()]
+        return len(results) == 3 and all(
+            result["largest"] == 7.5 and abs(float(result["mean"]) - 1.0) < 1e-6 for result in results
+        )
+
+    rig.until(agreed, "agreement on both")
+    rig.kill("r1")
+    at = rig.state["r0"].result["k"]
+    rig.state.clear()
+    rig.start("r1", "apps", app)
+    rig.until(agreed, "agreement on both")
+    rig.until(lambda: all(state.result["k"] > at for state in rig.state.values()), "the lockstep goes on")
+    assert {rig.stop(name) for name in NAMES} == {0}

@@ -1,0 +1,407 @@
+"""The asynchronous overlay and the order of an app's handlers, with any loss, delay, order, hang and restart."""
+
+from typing import Any
+
+import pytest
+from asynchronous_world import SIZE, Process, World
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm.core.asynchronous import (
+    HANG,
+    MAX_QUEUE,
+    MIN_GAP,
+    REPEAT,
+    REPEAT_WAITING,
+    Asynchronous,
+    Call,
+    Known,
+    Publish,
+)
+from swarm.core.lockstep_frames import Channel
+
+NAMES = ("r0", "r1", "r2")
+
+
+def core(me: str = "r1", **options: Any) -> Asynchronous:
+    neighbours = {"r0": ("r1",), "r1": ("r0", "r2"), "r2": ("r1",)}[me]
+    return Asynchronous(me, neighbours, Channel(7, 0, 1, 1), SIZE, NAMES, **options)
+
+
+def started(now: float = 0.0, **options: Any) -> Asynchronous:
+    """One whose start() has returned."""
+    each = core(**options)
+    each.begin(now)
+    assert each.actions() == [Call("start")]
+    each.returned(b"\0\0", now)
+    return each
+
+
+def frame(state: bytes, sequence: int = 1, *, all_here: bool = True, roll: int = 0) -> bytes:
+    return bytes((all_here,)) + sequence.to_bytes(4, "little") + state + (b"" if all_here else bytes((roll,)))
+
+
+def calls(each: Asynchronous) -> list[Call]:
+    return [action for action in each.actions() if isinstance(action, Call)]
+
+
+def frames(each: Asynchronous) -> list[bytes]:
+    return [action.data for action in each.actions() if isinstance(action, Publish)]
+
+
+# Frames
+
+
+def test_a_frame_byte_for_byte() -> None:
+    each = started()
+    assert frames(each) == [bytes.fromhex("00 01000000 0000 02")]  # r1 alone has been there: bit 1
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab", all_here=False, roll=0b101), 0.5)
+    each.handle_timer(0.5)
+    assert frames(each) == [bytes.fromhex("01 02000000 0000")]  # and now all have
+
+
+@pytest.mark.parametrize(
+    ("channel", "data", "counter"),
+    [
+        (Channel(8, 0, 1, 1), frame(b"ab"), "other_run"),
+        (Channel(7, 0, 1, 2), frame(b"ab"), "other_version"),
+        (Channel(7, 0, 1, 1), b"", "bad_frame"),
+        (Channel(7, 0, 1, 1), frame(b"abc"), "bad_frame"),
+        (Channel(7, 0, 1, 1), b"\x02" + frame(b"ab")[1:], "bad_frame"),
+        (Channel(7, 0, 1, 1), frame(b"ab", all_here=False, roll=0b1001), "bad_frame"),
+        (Channel(7, 0, 1, 1), frame(b"ab", 0), "duplicate"),
+    ],
+)
+def test_frames_that_are_none_or_not_for_us_are_counted(channel: Channel, data: bytes, counter: str) -> None:
+    each = started()
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"xy", 3), 0.0)
+    each.receive("r0", channel, data, 1.0)
+    assert each.counters == {counter: 1}
+    assert each.known(1.0) == [Known("r0", b"xy", 1.0)]
+
+
+def test_who_is_no_neighbour_is_not_heard() -> None:
+    each = started(me="r0")
+    each.receive("r2", Channel(7, 0, 1, 1), frame(b"ab"), 0.0)
+    assert each.counters == {"not_a_neighbour": 1}
+
+
+@given(st.binary(max_size=12))
+def test_any_bytes_are_taken_or_counted(data: bytes) -> None:
+    each = started()
+    each.receive("r0", Channel(7, 0, 1, 1), data, 0.0)
+    assert bool(each.known(0.0)) != bool(each.counters)
+
+
+def test_a_dead_process_is_not_heard_after_its_successor() -> None:
+    each = started()
+    each.receive("r0", Channel(7, 0, 2, 1), frame(b"ne"), 0.0)
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ol", 99), 0.0)
+    assert each.known(0.0) == [Known("r0", b"ne", 0.0)]
+    assert each.counters == {"dead_process": 1}
+
+
+def test_robots_with_another_version_are_named_until_they_have_ours() -> None:
+    each = started()
+    each.receive("r0", Channel(7, 0, 1, 99), frame(b"abcd"), 0.0)
+    assert each.strangers == ("r0",)
+    assert each.known(0.0) == []
+    each.receive("r0", Channel(7, 0, 2, 1), frame(b"ab"), 0.0)
+    assert each.strangers == ()
+    assert each.known(0.0) == [Known("r0", b"ab", 0.0)]
+
+
+# When the state is told
+
+
+def test_the_state_goes_out_when_it_changed_and_each_second() -> None:
+    each = started()
+    assert len(frames(each)) == 1
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab"), 1.0)
+    each.handle_timer(1.0)
+    each.actions()
+    each.happened("on_button", "a", now=1.2)
+    each.returned(b"\0\1", 1.2)
+    assert [data[5:7] for data in frames(each)] == [b"\0\1"]
+    each.happened("on_button", "a", now=1.3)
+    each.returned(b"\0\1", 1.3)
+    assert frames(each) == []  # the same
+    assert each.next_deadline() == pytest.approx(1.2 + REPEAT)
+    each.handle_timer(1.2 + REPEAT)
+    assert len(frames(each)) == 1
+
+
+def test_a_state_that_changes_too_often_is_told_now_and_then_and_at_last() -> None:
+    each = started()
+    told = frames(each)
+    for number in range(1, 36):
+        now = number * MIN_GAP / 10
+        each.happened("on_button", "a", now=now)
+        each.returned(bytes((0, number)), now)
+        told += [action.data for action in each.actions() if isinstance(action, Publish)]
+    assert len(told) == 4
+    each.handle_timer(1.0)
+    assert frames(each)[0][5:7] == bytes((0, 35))
+
+
+# The order of handlers
+
+
+def test_handlers_run_one_at_a_time_in_order_and_start_comes_first() -> None:
+    each = core()
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab"), 0.0)
+    each.happened("on_button", "a", now=0.0)
+    assert calls(each) == []
+    each.begin(0.0)
+    assert calls(each) == [Call("start")]
+    each.returned(b"\0\0", 0.0)
+    assert calls(each) == [Call("on_neighbour", ("r0",))]
+    each.happened("on_button", "b", now=0.0)
+    assert calls(each) == []
+    each.returned(b"\0\0", 0.0)
+    assert calls(each) == [Call("on_button", ("a",))]
+    each.returned(b"\0\0", 0.0)
+    assert calls(each) == [Call("on_button", ("b",))]
+    assert each.k == 2
+
+
+def test_of_a_neighbours_states_only_the_newest_counts() -> None:
+    each = started()
+    each.happened("on_button", "a", now=0.0)
+    for number in range(1, 4):
+        each.receive("r0", Channel(7, 0, 1, 1), frame(bytes((0, number)), number), 0.0)
+    each.actions()
+    each.returned(b"\0\0", 0.0)
+    assert calls(each) == [Call("on_neighbour", ("r0",))]
+    each.returned(b"\0\0", 0.0)
+    each.receive("r0", Channel(7, 0, 1, 1), frame(bytes((0, 3)), 4), 0.0)
+    assert calls(each) == []  # told again, but the same
+
+
+def test_handlers_that_the_app_has_not_are_not_called() -> None:
+    each = started(handled=("on_button",))
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab"), 0.0)
+    each.happened("on_message", "x", now=0.0)
+    each.happened("on_button", "a", now=0.0)
+    assert calls(each) == [Call("on_button", ("a",))]
+
+
+def test_too_many_events_lose_the_oldest() -> None:
+    each = started()
+    for number in range(MAX_QUEUE + 3):
+        each.happened("on_button", number, now=0.0)
+    assert each.counters["lost_events"] == 2  # one is running
+    each.actions()
+    each.returned(b"\0\0", 0.0)
+    assert calls(each) == [Call("on_button", (3,))]
+
+
+def test_timers() -> None:
+    each = started()
+    each.actions()
+    each.after(0.5, "blink", 0.0)
+    each.after(0.7, "other", 0.0)
+    each.after(0.6, "blink", 0.0)  # moved
+    assert each.next_deadline() == pytest.approx(REPEAT_WAITING) or each.next_deadline() == pytest.approx(0.6)
+    each.handle_timer(0.55)
+    assert calls(each) == []
+    each.handle_timer(0.6)
+    assert calls(each) == [Call("on_timer", ("blink",))]
+    each.handle_timer(0.8)
+    each.returned(b"\0\0", 0.8)
+    assert calls(each) == [Call("on_timer", ("other",))]
+
+
+# Steps
+
+
+def alone(**options: Any) -> Asynchronous:
+    each = Asynchronous("r0", (), Channel(7, 0, 1, 1), SIZE, ("r0",), period=0.1, barrier=True, **options)
+    each.begin(0.0)
+    each.actions()
+    each.returned(b"\0\0", 0.0)
+    return each
+
+
+def test_steps_come_at_the_period_and_missed_ones_are_not_made_up_for() -> None:
+    each = alone()
+    assert calls(each) == [Call("step")]
+    each.returned(b"\0\1", 0.01)
+    each.handle_timer(0.1)
+    assert calls(each) == [Call("step")]
+    each.returned(b"\0\2", 0.35)  # it took two periods and a half
+    assert calls(each) == [Call("step")]
+    assert each.counters["late_steps"] == 1
+    each.returned(b"\0\3", 0.36)
+    assert calls(each) == []
+    each.handle_timer(0.4)
+    assert calls(each) == [Call("step")]
+
+
+def test_the_period_can_be_changed() -> None:
+    each = alone()
+    each.returned(b"\0\1", 0.0)
+    each.set_period(0.5, 0.05)
+    each.actions()
+    each.handle_timer(0.5)
+    assert calls(each) == []
+    each.handle_timer(0.55)
+    assert calls(each) == [Call("step")]
+
+
+def test_after_the_last_step_it_is_done_and_its_state_is_told_on() -> None:
+    each = alone(last=2)
+    each.actions()
+    each.returned(b"\0\1", 0.0)
+    each.handle_timer(0.1)
+    each.actions()
+    each.returned(b"\0\2", 0.1)
+    assert (each.phase, each.k) == ("done", 2)
+    each.happened("on_button", "a", now=0.2)
+    each.handle_timer(5.0)
+    assert calls(each) == []
+    each.handle_timer(7.0)
+    assert frames(each)[0][5:7] == b"\0\2"
+
+
+def test_an_app_may_say_that_it_is_done() -> None:
+    each = started()
+    each.happened("on_button", "a", now=0.0)
+    each.returned(b"\0\1", 0.0, finished=True)
+    assert each.phase == "done"
+
+
+def test_a_failed_app_is_silent() -> None:
+    each = alone()
+    each.fail("it raised")
+    each.returned(b"\0\1", 0.0)
+    each.happened("on_button", "a", now=0.0)
+    each.handle_timer(10.0)
+    assert (each.phase, each.actions(), each.next_deadline()) == ("fault", [], None)
+
+
+def test_a_handler_that_hangs_is_seen_and_its_robot_falls_silent() -> None:
+    each = alone()
+    assert calls(each) == [Call("step")]
+    each.handle_timer(HANG - 0.1)
+    assert not each.hangs(HANG - 0.1)
+    each.actions()
+    assert each.hangs(HANG)
+    each.handle_timer(HANG + 10.0)
+    assert each.actions() == []
+    each.returned(b"\0\1", HANG + 10.0)
+    assert not each.hangs(HANG + 10.0)
+    assert Call("step") in each.actions()
+
+
+# Several robots
+
+
+def test_no_robot_steps_before_all_are_there() -> None:
+    world = World(4, lambda *_: 0.03)
+    options = {"period": 0.2, "barrier": True}
+    processes = [world.start(name, **options) for name in ("r0", "r1", "r3")]
+    world.run(10.0)
+    assert [process.core.missing for process in processes] == [("r2", "r3"), ("r2", "r3"), ("r0", "r1", "r2")]
+    assert {process.core.phase for process in processes} == {"waiting"}
+    processes.append(world.start("r2", **options))
+    world.run(12.0)
+    first = [process.steps[0] for process in processes]
+    assert min(first) >= 10.0
+    assert max(first) <= 10.0 + 3 * 0.03 + 2 * REPEAT_WAITING
+    assert {process.core.phase for process in processes} == {"running"}
+
+
+def test_apps_without_a_barrier_wait_for_nobody() -> None:
+    world = World(2)
+    process = world.start("r0", period=0.2)
+    world.run(1.0)
+    assert len(process.steps) == 6
+    assert process.core.phase == "running"
+
+
+def test_each_robot_has_its_own_period() -> None:
+    world = World(2, lambda *_: 0.03)
+    slow, fast = (world.start(name, period=p, barrier=True) for name, p in (("r0", 0.5), ("r1", 0.05)))
+    world.run(20.0)
+    assert len(slow.steps) == pytest.approx(40, abs=2)
+    assert len(fast.steps) == pytest.approx(400, abs=3)
+
+
+fates = st.one_of(st.none(), st.floats(0.0, 2.0))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_any_loss_delay_order_and_restart(data: st.DataObject) -> None:
+    """For 10 s the air does what it likes; then it is well, and all is as it should be within seconds."""
+    count = data.draw(st.integers(2, 5), label="robots")
+    random = data.draw(st.randoms(use_true_random=False), label="air")
+
+    def fate(sender: str, receiver: str) -> float | None:
+        if world.now >= 10.0:
+            return 0.01
+        return None if random.random() < 0.4 else random.random() * 2.0
+
+    def handler_time(name: str, call: Call) -> float:
+        return random.random() * 0.3 if world.now < 10.0 else 0.0
+
+    world = World(count, fate, handler_time)
+    options = {"period": 0.1, "barrier": True}
+    world.run(0.0)
+    for name in world.names:
+        world.at(random.random() * 5.0, lambda name=name: world.start(name, **options) and None)  # type: ignore[misc]
+    kills = data.draw(
+        st.lists(st.tuples(st.sampled_from(world.names), st.floats(5.0, 10.0)), max_size=4), label="kills"
+    )
+    for name, time in kills:
+        world.at(time, lambda name=name: world.start(name, **options) and None)  # type: ignore[misc]
+    world.run(10.0)
+    assert all(process.core.counters["bad_frame"] == 0 for process in world.processes.values())
+    world.run(16.0)
+    settled = world.processes.values()
+    assert {process.core.phase for process in settled} == {"running"}
+    for process in settled:
+        assert [known.name for known in process.core.known(16.0)] == list(process.core.neighbours)
+        assert all(known.age <= REPEAT + 0.1 for known in process.core.known(16.0))
+        check_order(process)
+    # In good air each sees every state of its neighbours, and none is seen older than its link is.
+    world.run(16.011)
+    for process in settled:
+        for known in process.core.known(world.now):
+            there = world.processes[known.name]
+            assert int.from_bytes(there.state, "little") - int.from_bytes(known.data, "little") in (0, 1)
+
+
+def check_order(process: Process) -> None:
+    """start first and once; a neighbour's states never go back within one incarnation of it."""
+    assert [call.handler for _, call in process.calls].count("start") == 1
+    assert process.calls[0][1].handler == "start"
+    times = [time for time, _ in process.calls]
+    assert times == sorted(times)
+
+
+def test_states_of_one_process_never_go_back() -> None:
+    delays = iter([0.5, 0.0, 0.3, 0.1, 0.7, 0.0] * 100)
+    world = World(2, lambda *_: next(delays))
+    world.start("r0", period=0.1)
+    other = world.start("r1", handled=("on_neighbour",))
+    world.run(10.0)
+    values = [int.from_bytes(state, "little") for _, state in other.seen]
+    assert values == sorted(values)
+    assert other.core.counters["duplicate"] > 0
+
+
+def test_a_restart_disturbs_nobody() -> None:
+    world = World(3, lambda *_: 0.02)
+    options = {"period": 0.1, "barrier": True}
+    for name in world.names:
+        world.start(name, **options)
+    world.run(5.0)
+    before = {name: len(process.steps) for name, process in world.processes.items()}
+    killed = world.start("r1", **options)
+    world.run(10.0)
+    for name in ("r0", "r2"):
+        assert len(world.processes[name].steps) - before[name] == 50
+        assert world.processes[name].core.phase == "running"
+    assert killed.steps[0] - 5.0 <= REPEAT + 0.1  # it need not wait for the far ones again
