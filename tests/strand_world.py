@@ -105,6 +105,7 @@ class Process:
                 k = max(pages, default=-1) + 1
                 pages[k] = data
                 pages.pop(k - len(world.names) - 1, None)
+                world.enters(robot, strand.channel.epoch, strand._history[-1])
             case Keep(kept):
                 world.kept[robot] = kept
             case Tell(data):
@@ -239,7 +240,9 @@ class World:
             if robot in edge and edge not in self.cut:
                 other = edge[1] if edge[0] == robot else edge[0]
                 if to in (None, other):
-                    arrival = max(self.now + self.latency * (1 + 0.3 * self.random.random()), self._arrival.get((robot, other), 0))
+                    arrival = max(
+                        self.now + self.latency * (1 + 0.3 * self.random.random()), self._arrival.get((robot, other), 0)
+                    )
                     self._arrival[robot, other] = arrival
                     self.at(arrival, lambda other=other, edge=edge: self._arrive(other, edge, deliver))
 
@@ -267,12 +270,16 @@ class World:
             known = self.successors.setdefault(epoch.before, epoch)
             assert known == epoch, f"two epochs after {epoch.before}: {known} and {epoch}"
 
+    def enters(self, robot, number, state):
+        """What is written is what counts: it may be sent before the process dies, and told by nobody else."""
+        if state.k == self.epochs[number].k:
+            self.entered.setdefault((number, robot), (state.own[: STATE.size], state.private))
+
     def reached(self, robot, number, k, state):
         epoch = self.epochs[number]
         assert robot in epoch.members
         if k == epoch.k:
-            known = self.entered.setdefault((number, robot), state)
-            assert known == state
+            assert self.entered[number, robot] == state
             if state == first_state(robot) and robot in self.rebooted:
                 pass  # whatever it had promised to go on from is gone
             elif robot in epoch.carried:

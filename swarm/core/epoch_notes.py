@@ -147,6 +147,7 @@ class Kept:
     """What must outlive the process and, for robots that reboot, the runtime directory: no robot votes twice."""
 
     run: int
+    schema: int
     note: Note
 
 

@@ -84,30 +84,31 @@ class Epochs:
         self,
         me: str,
         names: Iterable[str],
-        run: int,
+        of: tuple[int, int],
         birth: int,
         begin: Epoch,
         kept: Kept | None,
         *,
         auto: bool,
     ) -> None:
-        """`names`: all robots there may be. `begin`: the epoch of a run of which nothing was `kept`. `auto`: make
-        ballots when robots are lost, come (back) or links change; otherwise only when ordered."""
+        """`names`: all robots there may be. `of`: run and schema. `begin`: the epoch of a run of which nothing was
+        `kept`. `auto`: make ballots when robots are lost, come (back) or links change; otherwise only when ordered."""
         self.me = me
         self.auto = auto
         self.counters: Counter[str] = Counter()
         self.well = True
         self.stalled = False
         self._names = frozenset(names)
-        self._run = run
+        self._of = of
         self._notes: dict[str, Note] = {}
         self._heard: dict[str, float] = {}
-        if kept is not None and kept.run == run:
+        if kept is not None and (kept.run, kept.schema) == of:
             self._mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
         else:
             self._mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None)
         self.k = self._mine.epoch.k
         self._edges = begin.edges
+        self._bound: tuple[object, ...] = ()
         self._relink = False
         self._settled = True
         self._deaf: tuple[str, ...] = ()
@@ -134,7 +135,7 @@ class Epochs:
     @property
     def kept(self) -> Kept:
         """What is to outlive the process."""
-        return Kept(self._run, self._mine)
+        return Kept(*self._of, self._mine)
 
     @property
     def deaf(self) -> tuple[str, ...]:
@@ -287,7 +288,8 @@ class Epochs:
         if note.epoch.supersedes(self.epoch):
             self._adopt(note.epoch, now)
         elif note.epoch.number != self.epoch.number:
-            self.stranger(now)
+            if self.epoch.supersedes(note.epoch):
+                self.stranger(now)
             return
         elif note.offer is not None and self.member and self._settled:
             self._answer(note.offer, now)
@@ -467,4 +469,9 @@ class Epochs:
         k = mine.k if mine.promised != NONE else self.k
         self._mine = replace(mine, version=mine.version + 1, well=self.well, deaf=self._deaf, k=k)
         self._told_at, self._tell_at = now, now + TELL_EVERY
-        self._actions += [Keep(self.kept), Tell(self._mine.encode())]
+        new = self._mine
+        bound = (new.birth, new.epoch, new.promised, new.accepted, new.k if new.promised != NONE else None)
+        if bound != self._bound:  # a repetition binds to nothing new: it need not wait for a disk
+            self._bound = bound
+            self._actions.append(Keep(self.kept))
+        self._actions.append(Tell(new.encode()))

@@ -19,7 +19,6 @@ from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
 from swarm.core.lockstep_frames import Snapshot
 from swarm.core.stopping import Rule, Stopping
-from swarm.errors import LocalError
 from swarm.messages import Measurement
 
 ALONE = 0.03
@@ -117,12 +116,13 @@ class Strand:
         """When the newest state was computed."""
         self.lost = False
         """Whether this robot has been in the run and its state is gone, as after a reboot."""
-        self.epochs = Epochs(me, names, terms.run, incarnation, begin, kept, auto=terms.drop)
+        of = terms.run, terms.schema
+        self.epochs = Epochs(me, names, of, incarnation, begin, kept, auto=terms.drop)
         self.rtt = lockstep.RTT
         self._me = me
         self._terms = terms
         self._program = program
-        self._new = kept is None or kept.run != terms.run
+        self._new = kept is None or (kept.run, kept.schema) != (terms.run, terms.schema)
         self._stopping: Stopping | None = None
         self._lockstep: Lockstep | None = None
         self._channel = self._channel_of(self.epochs.epoch)
@@ -162,20 +162,15 @@ class Strand:
     # The app's side
 
     def saved(self, pages: Sequence[bytes]) -> list[Snapshot]:
-        """What an earlier process of this run has left behind, the newest last. `pages`: the newest last."""
+        """What an earlier process of this run and version has left behind. Both go from the oldest to the newest."""
         found = [Snapshot.decode(page) for page in pages]
-        return [snapshot for snapshot in found if snapshot.run == self._terms.run]
+        return [one for one in found if (one.run, one.schema) == (self._terms.run, self._terms.schema)]
 
     def begin(self, saved: Sequence[Snapshot], measurement: Measurement | None, now: float) -> None:
         """Go on from snapshots, the newest last, or let the app set its first state. What it raises is `AppError`."""
         self.phase = "running"
         self._progress_at = self._began_at = now
         epoch = self.epochs.epoch
-        if saved and saved[-1].schema != self._terms.schema:
-            raise LocalError(
-                f"snapshot: schema {saved[-1].schema:08x}, this is schema {self._terms.schema:08x}: "
-                "another version of the app began this run; start a new one"
-            )
         if saved:
             for snapshot in saved:
                 if snapshot.epoch == saved[-1].epoch:
