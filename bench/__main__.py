@@ -17,6 +17,7 @@ AREAS = {
     "footprint": "proportional memory of one robot's processes",
     "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates",
     "dwm": "the UWB service: memory, and CPU time and allocations of an update",
+    "teamwork": "apps that blink, stand and drive together: LED phases, stand-up, formation, crossings",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
 }
 

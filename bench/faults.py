@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from bench.rows import Row
 from bench.simulation import Simulation
-from services.sim.trajectory import Trajectory
+from swarm.recording.trajectory import Trajectory
 
 NAMES = ("r0", "r1", "r2")
 VICTIM = "r1"

@@ -10,10 +10,10 @@ from bench import lockstep_model
 from bench.rows import Row, number
 from bench.simulation import Simulation, simulate
 from services.mesh.core.delay import AirModel
-from services.sim import trajectory
-from services.sim.trajectory import Trajectory
 from swarm.bus import Bus
 from swarm.core.graph import Graph
+from swarm.recording import trajectory
+from swarm.recording.trajectory import Trajectory
 
 LATENCY_S = 0.03
 """One way, as the thesis' radio at small payloads (round trip 59 ms for 50 bytes, figure 3.19)."""

@@ -11,8 +11,8 @@ from bench.lockstep_model import Outage
 from bench.rows import Row
 from bench.simulation import Simulation
 from services.mesh.core.delay import AirModel
-from services.sim.trajectory import Trajectory
 from swarm.core.graph import Graph
+from swarm.recording.trajectory import Trajectory
 
 APP = Path(__file__).with_name("lattice.py")
 CUT_S = 1.0

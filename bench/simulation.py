@@ -8,8 +8,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from services.sim import trajectory
-from services.sim.trajectory import Trajectory
+from swarm.recording.reader import SUFFIX
+from swarm.recording.trajectory import Trajectory, TrajectoryReader
 
 POLL_S = 0.02
 
@@ -26,6 +26,7 @@ class Simulation:
         self._home = Path(tempfile.mkdtemp(prefix="swarm-"))
         self.run_dir = self._home / "run"
         self.records = self._home / "records"
+        self._readers: dict[Path, TrajectoryReader] = {}
         self._error = (self._home / "stderr").open("w+")
         command = ["sim", *arguments, "--json", "--run-dir", str(self.run_dir), "--record", str(self.records)]
         self.process = subprocess.Popen(
@@ -44,7 +45,8 @@ class Simulation:
 
     def trajectory(self, robot: str, app: str = "consensus") -> Trajectory:
         """What a robot has recorded so far."""
-        return trajectory.read(self.records / f"{robot}.{app}.csv")
+        path = self.records / f"{robot}.{app}{SUFFIX}"
+        return self._readers.setdefault(path, TrajectoryReader(path)).read()
 
     def wait_for(self, robot: str, k: int, app: str = "consensus", timeout_s: float = 60.0) -> None:
         """Wait until a robot has reached iteration k."""

@@ -84,6 +84,7 @@ class Devices:
         self._presses: tuple[int, ...] | None = None
         self._on_button: Callable[[str], None] | None = None
         self._leds: tuple[bool, bool, bool] | None = None
+        self._leds_from = -math.inf
         self._text: str | None = None
         self._velocity: tuple[float, float] | None = None
         self._leds_at = self._display_at = self._drive_at = math.inf
@@ -139,26 +140,32 @@ class Devices:
         with self._lock:
             had = self._leds or (False, False, False)
             wanted = [old if new is None else bool(new) for old, new in zip(had, (red, yellow, green), strict=True)]
-            self._leds = (wanted[0], wanted[1], wanted[2])
-            self._command("leds", SetLeds(*self._leds, LED_CLAIM, at))
+            leds, now = (wanted[0], wanted[1], wanted[2]), self._now()
+            if at is None and leds == self._leds and self._leds_from <= now < self._leds_at:
+                return  # they are so, and claimed
+            self._leds, self._leds_from = leds, now if at is None else max(now, at)
+            self._command("leds", SetLeds(*leds, LED_CLAIM, at))
             # Claimed again when the last order's time has come: that would void the orders for later times.
-            now = self._now()
-            self._leds_at = max(now, now if at is None else at) + LED_REPEAT
+            self._leds_at = self._leds_from + LED_REPEAT
 
     def display(self, lines: Iterable[object]) -> None:
         """Show text; none shows the app's values again."""
+        text = "\n".join(map(str, lines))[:MAX_TEXT]
         with self._lock:
-            self._text = "\n".join(map(str, lines))[:MAX_TEXT]
-            self._display_at = self._now()
+            if text == self._text:
+                return
+            self._text, self._display_at = text, self._now()
         self.handle_timer()
 
     def drive(self, speed: float, turn: float) -> None:
         """Go on with this speed (m/s, forward) and turn rate (rad/s, left) until told otherwise."""
         if not (math.isfinite(speed) and math.isfinite(turn)):
             raise AppError(f"robot.drive({speed!r}, {turn!r}): expected finite numbers, in m/s and rad/s")
+        velocity = (float(speed), float(turn))
         with self._lock:
-            self._velocity = (float(speed), float(turn))
-            self._drive_at = self._now()
+            if velocity == self._velocity:
+                return  # it is claimed again and again
+            self._velocity, self._drive_at = velocity, self._now()
         self.handle_timer()
 
     def mode(self, mode: str) -> None:
@@ -240,6 +247,8 @@ class Devices:
         before, self._presses = self._presses, presses
         if before is None or self._on_button is None:
             return
+        if any(new < old for old, new in zip(before, presses, strict=True)):
+            before = (0, 0, 0)
         for name, old, new in zip(BUTTONS, before, presses, strict=True):
-            for _ in range(new - old if new >= old else new):
+            for _ in range(new - old):
                 self._on_button(name)

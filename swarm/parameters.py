@@ -69,6 +69,23 @@ class Parameter:
             raise AppError(f"{name}: default: {error}") from None
 
 
+def value_of(text: str) -> Value:
+    """A value as people write it on a command line: 1, 0.5, true, [1,2] or a text. `AppError` for half a list."""
+    if text in ("true", "false"):
+        return text == "true"
+    if text.startswith("[") and text.endswith("]"):
+        try:
+            return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
+        except ValueError:
+            raise AppError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
+    for convert in (int, float):
+        try:
+            return convert(text)
+        except ValueError:
+            continue
+    return text
+
+
 def parameter(
     default: Value,
     *,

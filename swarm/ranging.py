@@ -20,25 +20,34 @@ _log = logging.getLogger("ranging")
 
 
 class Ranging:
-    """Reads `dwm/ranges` of all robots from one robot's bus."""
+    """Reads `dwm/ranges` of all robots from one robot's bus, from when somebody first asks: most apps never do, and ten
+    messages a second cost each of them more than its own work."""
 
     def __init__(self, bus: BusLike, robot: str, now: Clock = clock.now) -> None:
         """`now` is the robot's monotonic clock."""
         self._now = now
         self._table = RangeTable(robot)
         self._lock = threading.Lock()
-        bus.subscribe(key("*", "dwm", "ranges"), self._receive)
+        self._bus = bus
+        self._listening = False
 
     @property
     def ranges(self) -> tuple[Range, ...]:
         """This robot's newest ranges, to anchors and robots; none older than a second."""
+        self._listen()
         with self._lock:
             return self._table.ranges(self._now())
 
     def distance(self, robot: str) -> float | None:
         """The distance to another robot, m; None where neither has measured it within the last second."""
+        self._listen()
         with self._lock:
             return self._table.distance(robot, self._now())
+
+    def _listen(self) -> None:
+        if not self._listening:
+            self._listening = True
+            self._bus.subscribe(key("*", "dwm", "ranges"), self._receive)
 
     def _receive(self, name: str, payload: bytes) -> None:
         """Runs on Zenoh's thread."""

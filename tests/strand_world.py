@@ -72,9 +72,9 @@ class Process:
         begin = first(tuple(world.names), world.edges, 0)
         self.program = Model(robot, begin.graph, world.content)
         self.program.own, self.program.private = first_state(robot)
-        self.strand = Strand(
-            robot, world.names, world.terms, begin, world.births[robot], self.program, world.kept.get(robot)
-        )
+        names, kept = frozenset(world.names), world.kept.get(robot)
+        births = world.births[robot]
+        self.strand = Strand(robot, names, world.terms, begin, begin.graph, births, self.program, kept)
         self.strand.epochs.take_links(world.in_force)
         self.alive = True
         self.deadline = None

@@ -9,7 +9,6 @@ import argparse
 import hashlib
 import math
 import os
-from pathlib import Path
 
 from services.apps import loader, topology
 from services.apps.core.strand import AFTER
@@ -17,6 +16,7 @@ from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
 from services.apps.host import Conduct, Host, Part
 from services.apps.measurements import source_of
+from services.apps.recording import Recording, place_of
 from services.apps.runner import TOLERANCE
 from swarm.app import SyncApp
 from swarm.config import Config
@@ -63,22 +63,28 @@ def main() -> int:
         instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
         instance.robot.ranging = Ranging(service.bus, service.robot)
         instance.robot.devices = devices = Devices(service.bus, service.robot)
-        record = os.environ.get("SWARM_RECORD")
-        folder = Path(record) if record else None
+        place = place_of(app.name, number, wanted=options.record)
+        recording = Recording(service, app, number, seed, place) if place is not None else None
+        recorder = recording.recorder if recording is not None else None
+        if recording is not None:
+            instance.robot.recording = recording.recorder.value
+            overlays.asked = recording.watch.asked
         code = (app.source, app.digest)
         conduct = _conduct(options)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
-            host = EventHost(service, app.name, events, code, number, links, conduct, overlays, devices, folder)
+            host = EventHost(service, app.name, events, code, number, links, conduct, overlays, devices, recorder)
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
             parts = [Part("", instance, measurements)]
-            host = Host(service, app.name, parts, code, number, links, conduct, folder)
+            host = Host(service, app.name, parts, code, number, links, conduct, recorder)
         service.stopping.wait()
         if measurements is not None:
             measurements.close()
         host.close()
+        if recording is not None:
+            recording.close()
         return FAULT if host.failed else 0
 
 
@@ -101,6 +107,9 @@ def _options() -> argparse.Namespace:
         "--run",
         metavar="HEX",
         help="number of the run, the same on all robots (SWARM_RUN; default: by app and config)",
+    )
+    parser.add_argument(
+        "--record", action="store_true", help="keep what it does (without: only where SWARM_RECORD names a folder)"
     )
     options = parser.parse_args()
     text = options.run or os.environ.get("SWARM_RUN")

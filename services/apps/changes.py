@@ -1,9 +1,12 @@
 """An app's parameters on the bus: told, and changed by request while the app runs.
 
-A changed value holds for the process. One that is started again begins with the values of swarm.toml and its command.
+A changed value holds for the run: a process that is started again in mid-run takes up what was changed.
 """
 
+import logging
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from swarm import clock
@@ -22,6 +25,15 @@ class Refuse(Protocol):
         """`error` names key and field."""
 
 
+@dataclass(frozen=True)
+class _Kept:
+    run: int
+    parameters: dict[str, Value]
+
+
+_log = logging.getLogger("changes")
+
+
 class Changes:
     """Answers for one app on one robot."""
 
@@ -34,8 +46,13 @@ class Changes:
         change: Callable[[Mapping[str, Value]], None],
         refuse: Refuse,
         now: Clock = clock.now,
+        *,
+        kept: tuple[Path, int] | None = None,
     ) -> None:
-        """`change(values)` takes new values or raises `AppError`; it runs on the bus's thread."""
+        """`change(values)` takes new values or raises `AppError`; it runs on the bus's thread. `kept`: the file that
+        keeps them, and the run they hold for."""
+        self._file = kept
+        self._kept = self._read()
         self._bus = bus
         self._robot = robot
         self._name = name
@@ -43,10 +60,19 @@ class Changes:
         self._change = change
         self._refuse = refuse
         self._now = now
-        self._answers: dict[str, AppParametersSet] = {}
         self._key = key(robot, f"app/{name}", "parameters")
         bus.serve(self._key, lambda *_: encode(self._message()))
         bus.subscribe(key(robot, f"app/{name}", "set", "parameters"), self._on_set)
+
+    def kept(self) -> dict[str, Value]:
+        """What an earlier process of this run was told; without what the app's file no longer takes."""
+        found: dict[str, Value] = {}
+        for name, value in self._kept.items():
+            try:
+                found |= type(self._app).check_change({name: value})
+            except AppError as error:
+                _log.warning("app %s: what was changed before is not taken up: %s", self._name, error)
+        return found
 
     def tell(self) -> None:
         """Publish the parameters as they are now: after a change."""
@@ -71,7 +97,30 @@ class Changes:
         problem = ""
         try:
             self._change(request.parameters)
+            self._keep(request.parameters)
         except AppError as error:
             problem = f"app {self._name} on {self._robot}: {error}"
         answer = AppParametersSet(self._now(), request.ticket, problem)
         self._bus.publish(key(self._robot, f"app/{self._name}", "parameters_set"), answer)
+
+    def _keep(self, values: Mapping[str, Value]) -> None:
+        self._kept = {**self._kept, **values}
+        if self._file is None:
+            return
+        path, run = self._file
+        new = path.with_suffix(".new")
+        try:
+            new.write_bytes(encode(_Kept(run, self._kept)))
+            new.replace(path)
+        except OSError as error:
+            _log.warning("%s: %s; a restart will not know what was changed", path, error.strerror)
+
+    def _read(self) -> dict[str, Value]:
+        if self._file is None:
+            return {}
+        path, run = self._file
+        try:
+            kept = decode(_Kept, path.read_bytes(), str(path))
+        except (OSError, PayloadError):
+            return {}
+        return kept.parameters if kept.run == run else {}

@@ -12,12 +12,12 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.event_runner import EventRunner, version
+from services.apps.hold import Hold
 from services.apps.host import Conduct, Host, Part
 from services.apps.recorder import Recorder
 from swarm import clock
@@ -56,7 +56,7 @@ class EventHost:
         conduct: Conduct,
         overlays: Overlays,
         devices: Devices,
-        record: Path | None = None,
+        recorder: Recorder | None = None,
     ) -> None:
         """`code`: path and digest of the app's source. Raises `LocalError` where another process runs this app."""
         self._service = service
@@ -87,18 +87,17 @@ class EventHost:
         self._closing = False
         self._changed_at = clock.now()
         self._state: AppState | None = None
-        self._recorder: Recorder | None = None
+        self._recorder = recorder
         self._recorded = -1
-        if record is not None:
-            path = record / f"{service.robot}.{name}.csv"
-            self._recorder = Recorder(path, runner.schema, service.counters, append=False)
-        self._released = False
+        self._hold = Hold(devices)
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
-        self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse)
+        kept = (service.runtime / f"app.{name}.parameters", run)
+        self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse, kept=kept)
+        runner.change(self._changes.kept())
         app.robot.timers = self._after
         self._views = {name: getattr(app, name) for name in channels_of(type(app))}
         self._channels: Host | None = None
-        self._open_channels = partial(self._host_channels, code, run, links, conduct, record)
+        self._open_channels = partial(self._host_channels, code, run, links, conduct)
         self._subscribe()
         # Daemons: a handler that never returns must not keep the process from ending.
         self._threads = [
@@ -130,11 +129,9 @@ class EventHost:
             thread.join(CLOSE_WITHIN)
             if thread.is_alive():
                 self._service.log.warning("the app does not end: %s", self._hanging())
-        self._devices.release()
+        self._hold.close()
         if self._channels is not None:
             self._channels.close()
-        if self._recorder is not None:
-            self._recorder.close()
         self._claim.close()
 
     def _subscribe(self) -> None:
@@ -221,9 +218,7 @@ class EventHost:
             self._feed(partial(self._returned, own))
             self._keep()
 
-    def _host_channels(
-        self, code: tuple[str, bytes], run: int, links: topology.Links, conduct: Conduct, record: Path | None
-    ) -> None:
+    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links, conduct: Conduct) -> None:
         """Start the app's locksteps, with the first values that its `start` gave them."""
         mine = self._runner.app.robot
         for view in self._views.values():
@@ -234,7 +229,7 @@ class EventHost:
         parts = [Part(name, view.app) for name, view in self._views.items()]
         links = links._replace(kept=True)  # saved already
         endless = replace(conduct, last=None, rule=None)
-        self._channels = Host(self._service, self._name, parts, code, run, links, endless, record, self._claim)
+        self._channels = Host(self._service, self._name, parts, code, run, links, endless, self._recorder, self._claim)
 
     def _take_channels(self) -> None:
         """Let the app see its channels' newest states: the same ones throughout a handler."""
@@ -257,7 +252,7 @@ class EventHost:
         k = self._core.k
         if self._recorder is not None and k != self._recorded:
             self._recorded = k
-            self._recorder.write(k, self._changed_at, self._runner.state(), self._runner.result())
+            self._recorder.state(k, self._changed_at, self._runner.state(), self._runner.result())
 
     # On the ticker's thread
 
@@ -271,7 +266,7 @@ class EventHost:
                 self._core.handle_timer(now)
                 self._perform()
                 news = self._report(now)
-            self._hold_devices(now)
+            self._hold.look(well=self._core.phase not in ("fault", "done") and not self._core.hangs(now))
             if now - reminded_at >= REMIND:
                 reminded_at = now
                 self._overlays.remind()
@@ -280,29 +275,23 @@ class EventHost:
             looked_at = now
             repeat = now - told_at >= EVERY
             self._show(repeat)
-            if repeat or news != told:
+            changed = news != told
+            if repeat or changed:
                 told, told_at = news, now
                 self._count()
                 # A handler that does not end is a fault; waiting for others is none.
                 if not self._core.hangs(now):
                     self._service.watchdog()
-                self._publish("progress", self._progress())
+                progress = self._progress()
+                if self._recorder is not None and changed:
+                    self._recorder.progress(progress)
+                self._publish("progress", progress)
 
     def _pause(self, looked_at: float) -> float:
         now = clock.now()
         due = [looked_at + TICK]
         due += [at for at in (self._core.next_deadline(), self._devices.next_deadline()) if at is not None]
         return max(0.0, min(due) - now)
-
-    def _hold_devices(self, now: float) -> None:
-        """Claim again what the app has taken, as long as it is well; else give it back."""
-        if self._core.phase in ("fault", "done") or self._core.hangs(now):
-            if not self._released:
-                self._devices.release()
-            self._released = True
-            return
-        self._released = False
-        self._devices.handle_timer()
 
     def _show(self, repeat: bool) -> None:
         """Publish the state where it may be new and no handler is running (else the next look will find it)."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from services.apps.core.avoidance import Point
 from services.apps.driving import DrivingApp
 from swarm import parameter
 from swarm.codec import Value
@@ -13,6 +14,10 @@ SLOWING = 1.0
 """1/s: within speed / SLOWING of a waypoint the robot slows down in proportion."""
 
 
+MOST = 63
+"""Robots: a bit for each."""
+
+
 class Goto(DrivingApp):
     """Towards the waypoint at `speed`, with the velocity nearest to that which keeps `apart` from all."""
 
@@ -20,35 +25,43 @@ class Goto(DrivingApp):
     """x,y x,y ... in m, in the frame of the anchors; empty: the place opposite, by the middle between the anchors."""
     reach: float = parameter(0.06, unit="m", low=0.02, high=1.0)
     """How near it has to come."""
-    reached: int = 0
-    """Waypoints so far."""
-    _goals: tuple[tuple[float, float], ...] = ()
+    arrived: int = 0
+    """A bit for each robot, in the order of swarm.toml, of which is known that it has reached its last waypoint."""
+    _goals: tuple[Point, ...] = ()
+    _reached: int = 0
 
     def start(self) -> None:
         """Read the waypoints."""
         super().start()
         self._goals = read_waypoints(self.waypoints)
+        if len(self.robot.swarm) > MOST:
+            raise AppError(f"goto: {len(self.robot.swarm)} robots, at most {MOST}")
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """One look, one command."""
+        """One look, one command; the end when all have arrived. Until then those who have give way to others."""
         here = self.look(neighbours)
-        if here is not None and not self._goals:
-            self._goals = (self._opposite(here),)
-        if here is None or self.reached >= len(self._goals):
-            self.go((0.0, 0.0))
-            return
-        x, y = self._goals[self.reached]
-        left = math.dist(here, (x, y))
-        if left < self.reach:
-            self.reached += 1
-            self.robot.record("reached", self.reached)
-            self.robot.log.info("waypoint %d reached", self.reached)
-            self.go((0.0, 0.0))
-            return
-        pace = min(self.speed, SLOWING * left) / left
-        self.go((pace * (x - here[0]), pace * (y - here[1])))
+        self.go((0.0, 0.0) if here is None else self._wish(here))
+        for neighbour in neighbours:
+            self.arrived |= neighbour.arrived
+        if self._goals and self._reached == len(self._goals):
+            self.arrived |= 1 << self.robot.swarm.index(self.robot.name)
+        if self.arrived == (1 << len(self.robot.swarm)) - 1:
+            self.finish("all have arrived")
 
-    def _opposite(self, here: tuple[float, float]) -> tuple[float, float]:
+    def _wish(self, here: Point) -> Point:
+        if not self._goals:
+            self._goals = (self._opposite(here),)
+        if self._reached < len(self._goals) and math.dist(here, self._goals[self._reached]) < self.reach:
+            self._reached += 1
+            self.robot.record("reached", self._reached)
+        if self._reached == len(self._goals):
+            return 0.0, 0.0
+        x, y = self._goals[self._reached]
+        left = math.dist(here, (x, y))
+        pace = min(self.speed, SLOWING * left) / left
+        return pace * (x - here[0]), pace * (y - here[1])
+
+    def _opposite(self, here: Point) -> Point:
         anchors = self.robot.anchors
         if not anchors:
             raise AppError("waypoints: there are none, and no anchors between which a place could be opposite")
@@ -57,10 +70,10 @@ class Goto(DrivingApp):
 
     def result(self) -> Mapping[str, Value]:
         """Its place (m), how many others it knows, and waypoints reached."""
-        return {**self.told(), "reached": self.reached, "of": len(self._goals)}
+        return {**self.told(), "reached": self._reached, "of": len(self._goals)}
 
 
-def read_waypoints(text: str) -> tuple[tuple[float, float], ...]:
+def read_waypoints(text: str) -> tuple[Point, ...]:
     """ "0.5,1.5 1,1" as points, m; raises `AppError`."""
     points = []
     for word in text.split():

@@ -10,14 +10,16 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from services.apps import topology
+from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.core.strand import AFTER, Terms
+from services.apps.hold import Hold
 from services.apps.measurements import Measurements
+from services.apps.recorder import Recorder
 from services.apps.runner import TOLERANCE, Runner
-from services.apps.worker import CLOSE_WITHIN, Latest, Worker, notes_chunk
+from services.apps.worker import CLOSE_WITHIN, Latest, Worker
 from swarm import clock
 from swarm.app import SyncApp
 from swarm.codec import decode
@@ -74,7 +76,7 @@ class Host:
         run: int,
         links: topology.Links,
         conduct: Conduct,
-        record: Path | None,
+        recorder: Recorder | None,
         claim: Claim | None = None,
     ) -> None:
         """`code`: path and digest of the app's source. `conduct`: how long it runs, and what becomes of robots that are
@@ -98,14 +100,17 @@ class Host:
             schema = schema_of(runner, part.channel, digest)
             terms = Terms(run, schema, conduct.last, conduct.rule, conduct.drop, conduct.after)
             worker = Worker(
-                service, name, part.channel, runner, terms, held.incarnation, links, part.measurements, record
+                service, name, part.channel, runner, terms, held.incarnation, links, part.measurements, recorder
             )
-            self._notes[notes_chunk(terms)] = worker
+            self._notes[terms.notes] = worker
+            if not part.channel:
+                self._let_change(name, runner, run)
             self._workers[part.channel] = self._by_schema[schema] = worker
         service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
         service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
+        self._hold = Hold(parts[0].app.robot.devices if claim is None else None)
         self._ticks = threading.Thread(target=self._ticker, name="ticker", daemon=True)
         for worker in self._workers.values():
             worker.start()
@@ -136,6 +141,7 @@ class Host:
             worker.stop()
         self._ticks.join(CLOSE_WITHIN)
         closed = [worker.close() for worker in self._workers.values()]
+        self._hold.close()
         if all(closed) and self._own_claim is not None:
             self._own_claim.close()
 
@@ -201,6 +207,14 @@ class Host:
         for worker in self._workers.values():
             worker.take(in_force)
 
+    def _let_change(self, name: str, runner: Runner, run: int) -> None:
+        """Take other parameters while it runs, as far as the app has declared some that are live."""
+        service = self._service
+        kept = (service.runtime / f"app.{name}.parameters", run)
+        changes = Changes(service.bus, service.robot, name, runner.app, runner.change, self._refuse, kept=kept)
+        runner.change(changes.kept())
+        runner.changed = changes.tell
+
     def _refuse(self, error: PayloadError) -> None:
         self._service.counters["refused_payloads"] += 1
         self._service.log.debug("%s", error)
@@ -212,6 +226,7 @@ class Host:
         workers = tuple(self._workers.values())
         while not self._service.stopping.wait(self._pause()):
             news = [worker.tick() for worker in workers]
+            self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
             if not told_ready and all(worker.begun for worker in workers) and not self.failed:
                 told_ready = True
                 self._service.ready()

@@ -1,98 +1,56 @@
-"""The trajectory as CSV, a line an iteration, written as it happens: a kill loses one line at most.
+"""What an app host records of its run: one MCAP file for each robot and app (docs/recordings.md)."""
 
-Columns: k, t (monotonic s at which state k was computed), the shared fields, the results as `result.NAME`.
-Floats are written by repr, so equal text means equal bits. A restarted process writes its line once more; it
-is the same.
-"""
-
-import logging
-import os
-from collections import Counter
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
+from typing import Protocol
 
 from swarm.codec import Value
-from swarm.core.state import Schema
+from swarm.keys import key
+from swarm.messages import AppProgress, AppState, Measurement
 
-_log = logging.getLogger("record")
+
+class Sink(Protocol):
+    """Where messages go: a `RecordingFile`, or in virtual time a `PlainRecording`."""
+
+    def write(self, topic: str, t: float, message: object, name: str = "") -> None:
+        """Take a message recorded at `t`; `name` is what its schema is called."""
+
+    def flush(self) -> None:
+        """Put into the file what was written so far."""
 
 
 class Recorder:
-    """Appends to one file. Losing the recording does not stop a run: it is logged once and counted."""
+    """The recording of one app on one robot, under the keys that its messages have on the bus."""
 
-    def __init__(self, path: Path, schema: Schema, counters: Counter[str], *, append: bool) -> None:
-        """`append`: go on with the file of an earlier process of this run; otherwise begin it anew."""
-        self._path = path
-        self._schema = schema
-        self._counters = counters
-        self._headed = False
-        self._file: int | None = None
-        try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
-            self._end = self._whole_lines(self._file) if append else 0
-            self._headed = self._end > 0
-            os.ftruncate(self._file, self._end)
-        except OSError as error:
-            self._lose(error)
+    def __init__(self, sink: Sink, robot: str, app: str) -> None:
+        self._sink = sink
+        self._prefix = key(robot, f"app/{app}")
+        self._app = app
 
-    def write(self, k: int, t: float, state: Mapping[str, Value], result: Mapping[str, Value]) -> None:
-        """Append the line of iteration k."""
-        text = "" if self._headed else self._header(result)
-        text += _line((k, t, *_flat(state.values()), *_flat(result.values())))
-        data = text.encode()
-        if self._file is None:
-            self._counters["records_lost"] += 1
-            return
-        try:
-            written = os.pwrite(self._file, data, self._end)
-            if written < len(data):
-                os.ftruncate(self._file, self._end)  # no half lines: the next one may fit
-                raise OSError(None, "the disk is full")  # noqa: TRY301
-        except OSError as error:
-            self._lose(error)
-            return
-        self._headed = True
-        self._end += written
+    def state(
+        self, k: int, t: float, state: Mapping[str, Value], result: Mapping[str, Value], channel: str = ""
+    ) -> None:
+        """Record iteration k, reached at t; of one of the app's channels where it is named."""
+        topic, name = self._topic(channel, "state")
+        self._sink.write(topic, t, AppState(t, k, dict(state), dict(result)), name)
 
-    def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            os.close(self._file)
+    def progress(self, progress: AppProgress, channel: str = "") -> None:
+        """Record that the app waits, goes on, is done or in fault. At the end what was recorded is in the file when
+        this returns: whoever hears of the end finds it there."""
+        topic, _ = self._topic(channel, "progress")
+        self._sink.write(topic, progress.t, progress)
+        if progress.phase in ("done", "fault"):
+            self._sink.flush()
 
-    def _header(self, result: Mapping[str, Value]) -> str:
-        shared = [column for field in self._schema.fields for column in field.columns]
-        results = []
-        for name, value in result.items():
-            width = len(value) if isinstance(value, tuple) else None
-            results += [f"result.{name}"] if width is None else [f"result.{name}[{i}]" for i in range(width)]
-        return _line(("k", "t", *shared, *results))
+    def measurement(self, k: int, t: float, it: Measurement) -> None:
+        """Record what step k computed with, which gives state k + 1."""
+        fields = {"t": t, "k": k, "distance": it.distance, "x": it.x, "y": it.y}
+        self._sink.write(f"{self._prefix}/measurement", t, fields, "swarm.Measurement")
 
-    def _whole_lines(self, file: int) -> int:
-        """Where the last whole line ends."""
-        size = os.fstat(file).st_size
-        tail = os.pread(file, 65536, max(0, size - 65536))
-        return size - len(tail) + tail.rfind(b"\n") + 1
+    def value(self, name: str, t: float, value: object) -> None:
+        """Record what the app's author wants kept (`robot.record`)."""
+        self._sink.write(f"{self._prefix}/record/{name}", t, {"t": t, "value": value}, f"{self._app}.{name}")
 
-    def _lose(self, error: OSError) -> None:
-        if not self._counters["records_lost"]:
-            _log.warning("%s cannot be recorded, the run goes on: %s", self._path, error.strerror)
-        self._counters["records_lost"] += 1
-
-
-def _flat(values: Iterable[Value]) -> Iterable[Value]:
-    for value in values:
-        if isinstance(value, tuple):
-            yield from value
-        else:
-            yield value
-
-
-def _line(cells: Iterable[Value]) -> str:
-    return ",".join(_cell(cell) for cell in cells) + "\n"
-
-
-def _cell(value: Value) -> str:
-    if not isinstance(value, str):
-        return repr(value)
-    quoted = value.replace('"', '""').replace("\n", " ").replace("\r", " ")
-    return f'"{quoted}"' if quoted != value or "," in value else value
+    def _topic(self, channel: str, what: str) -> tuple[str, str]:
+        """Topic and schema name."""
+        parts = [channel, what] if channel else [what]
+        return "/".join((self._prefix, *parts)), ".".join((self._app, *parts))

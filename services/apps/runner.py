@@ -94,6 +94,15 @@ class Runner(AppRunner):
         super().__init__(app, source)
         self._tolerance = tolerance
         self._step = b"", b""
+        self._changes: dict[str, Value] = {}
+        self.changed: Callable[[], None] | None = None
+        """Called when other parameters are in force."""
+
+    def change(self, values: Mapping[str, object]) -> None:
+        """Other values for live parameters, from the next step on; `AppError` where one cannot be changed so, and then
+        none is."""
+        found = type(self.app).check_change(values)
+        self._changes = {**self._changes, **found}
 
     @property
     def size(self) -> int:
@@ -117,6 +126,11 @@ class Runner(AppRunner):
         self._be_at(k)
         self._set(own)
         app = self.app
+        if self._changes:
+            changes, self._changes = self._changes, {}
+            self._call(f"iteration {k}", lambda: app.change(changes))
+            if self.changed is not None:
+                self.changed()
         view, unpack = type(app).spec.view, self.schema.unpack
         app.robot.prepare(str(k), measurement)
         neighbours = [view(name, *unpack(values[name])) for name in sorted(values)]

@@ -4,7 +4,6 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from services.apps import topology
 from services.apps.ballots import BallotFile
@@ -55,14 +54,15 @@ class Worker:
         incarnation: int,
         links: topology.Links,
         measurements: Measurements | None,
-        record: Path | None,
+        recorder: Recorder | None,
     ) -> None:
         """`part`: name of the channel within the app, empty for an app that is one lockstep. Raises `LocalError` where
         its files cannot be had."""
         self.latest: Latest | None = None
         self._service = service
         self._runner = runner
-        self._record = record
+        self._part = part
+        self._recorder = recorder
         self._file = f"{app}.{part}" if part else app
         self._keys = f"app/{app}/{part}" if part else f"app/{app}"
         self._counted = f"{part}_sync" if part else "sync"
@@ -70,13 +70,13 @@ class Worker:
         self._snapshots = SnapshotFile(service.runtime / f"app.{self._file}.snapshot", len(names) + 1)
         self._ballots = BallotFile(self._file)
         begin = first(names, links.config.edges, links.epoch)
-        self._strand = Strand(service.robot, names, terms, begin, incarnation, runner, self._ballots.read())
+        kept, graph = self._ballots.read(), links.config.graph
+        self._strand = Strand(service.robot, frozenset(names), terms, begin, graph, incarnation, runner, kept)
         self._prefix = key(service.robot, f"app/{app}", "sync")
-        self._notes = f"{self._prefix}/{notes_chunk(terms)}"
+        self._notes = f"{self._prefix}/{terms.notes}"
         self._channel = self._strand.channel
         self._sync = f"{self._prefix}/{self._channel.text}"
         self._measurements = measurements
-        self._recorder: Recorder | None = None
         self._lock = threading.Lock()  # around the strand
         self._app_lock = threading.Lock()  # around the app, taken first: results are looked at between steps only
         self._todo: queue.SimpleQueue[Compute | Renew | None] = queue.SimpleQueue()
@@ -130,8 +130,6 @@ class Worker:
         if self._thread.is_alive():
             self._service.log.warning("the step of iteration %d does not end", self._strand.k)
             return False
-        if self._recorder is not None:
-            self._recorder.close()
         self._snapshots.close()
         return True
 
@@ -186,9 +184,12 @@ class Worker:
         while (todo := self._todo.get()) is not None:
             if isinstance(todo, Compute) and not todo.values:
                 self._service.stopping.wait(ALONE)
-            measurement = self._measure(todo.k if isinstance(todo, Compute) else todo.epoch.k)
+            k = todo.k if isinstance(todo, Compute) else todo.epoch.k
+            measurement = self._measure(k)
             if self._closing or self.failed:
                 return
+            if measurement is not None and self._recorder is not None:
+                self._recorder.measurement(k, clock.now(), measurement)
             with self._app_lock:
                 self._step_began = clock.now()
                 if isinstance(todo, Compute):
@@ -211,9 +212,6 @@ class Worker:
         saved = self._strand.saved(pages)
         if pages and not saved:
             self._service.log.info("the snapshot is of another run, this one begins anew")
-        if self._record is not None:
-            path = self._record / f"{self._service.robot}.{self._file}.csv"
-            self._recorder = Recorder(path, self._runner.schema, self._service.counters, append=bool(saved))
         measurement = None if saved else self._measure(0)
         if self._closing:
             return False
@@ -270,8 +268,11 @@ class Worker:
         self._show(repeat)
         if not repeat and news == self._told:
             return False
+        progress = self._progress()
+        if self._recorder is not None and news != self._told:
+            self._recorder.progress(progress, self._part)
         self._told, self._told_at = news, now
-        self._publish("progress", self._progress())
+        self._publish("progress", progress)
         return True
 
     def _show(self, repeat: bool) -> None:
@@ -347,7 +348,7 @@ class Worker:
             case Advanced(k, _):
                 self.latest = Latest(k, self._strand.computed_at, self._runner.state())
                 if self._recorder is not None:
-                    self._recorder.write(k, self.latest.t, self.latest.state, self._runner.result())
+                    self._recorder.state(k, self.latest.t, self.latest.state, self._runner.result(), self._part)
             case Compute() | Renew():
                 self._todo.put(action)
             case Fault(reason):
@@ -376,8 +377,3 @@ class Worker:
 
     def _publish(self, topic: str, message: object) -> None:
         self._service.bus.publish(key(self._service.robot, self._keys, topic), message)
-
-
-def notes_chunk(terms: Terms) -> str:
-    """Where the notes about a run's members travel, beside the frames."""
-    return f"{terms.run:016x}-{terms.schema:08x}-epochs"

@@ -46,8 +46,10 @@ class Balancer:
         *,
         start_mode: str = "rest",
         settings: Balancing | None = None,
+        kept_zero: Zero | None = None,
     ) -> None:
-        """`start_mode` is obeyed once the gyro's zero is known; `sleep` waits for the ATmega, 150 us at most."""
+        """`start_mode` is obeyed once the gyro's zero is known, which may be that of the process before (`kept_zero`);
+        `sleep` waits for the ATmega, 150 us at most."""
         self.bus = bus
         self.imu = Imu(bus)
         self.balboa = Balboa(bus, clock, sleep)
@@ -55,7 +57,7 @@ class Balancer:
         settings = Balancing() if settings is None else settings
         self._controller = make_controller(body, trim, settings)
         self._guard = BatteryGuard(settings.battery_warning, settings.battery_limit)
-        self._zero: GyroZero | None = GyroZero()
+        self._zero: GyroZero | None = GyroZero(kept=kept_zero)
         self._estimator: Estimator | None = None
         self._wish = start_mode
         self._connected = False
@@ -79,6 +81,11 @@ class Balancer:
     def ready(self) -> bool:
         """Whether devices were found and the gyro's zero is known."""
         return self._estimator is not None
+
+    @property
+    def gyro_zero(self) -> Zero | None:
+        """In use; None before it was found."""
+        return None if self._estimator is None else self._estimator.gyro_zero
 
     @property
     def connected(self) -> bool:

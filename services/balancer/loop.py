@@ -17,14 +17,17 @@ from services.balancer.child import Bridge
 from services.balancer.chores import Chores
 from services.balancer.core import leds
 from services.balancer.core.body import body_model
+from services.balancer.core.gyro import Zero
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import I2CBus, KernelBus
 from services.balancer.orders import obey
 from services.balancer.telemetry import Telemetry
+from services.balancer.zero_file import ZeroFile
 from swarm import clock, log
 from swarm.config import Config, load, who_am_i
 from swarm.messages import BalancerState, Leds
+from swarm.paths import runtime_dir
 from swarm.process import die_with_parent, notify
 
 TELEMETRY_TICKS = 4
@@ -39,8 +42,17 @@ _log = logging.getLogger("balancer")
 class Loop:
     """Ticks until told to stop."""
 
-    def __init__(self, balancer: Balancer, telemetry: Telemetry, chores: Chores, bridge: Bridge) -> None:
+    def __init__(
+        self,
+        balancer: Balancer,
+        telemetry: Telemetry,
+        chores: Chores,
+        bridge: Bridge,
+        keep: Callable[[Zero, float], None] = lambda *_: None,
+    ) -> None:
+        """`keep` is given the gyro's zero once a second, for the process after this one."""
         self._balancer = balancer
+        self._keep = keep
         self._telemetry = telemetry
         self._chores = chores
         self._bridge = bridge
@@ -123,9 +135,17 @@ class Loop:
         elif tick == 61:
             self._balancer.watch_battery(clock.now())
         elif tick == 73:
-            ready = self._balancer.ready and not self._announced
-            self._announced |= ready
-            notify("READY=1\nWATCHDOG=1" if ready else "WATCHDOG=1", timeout_s=0.0)
+            notify("WATCHDOG=1", timeout_s=0.0)
+        elif tick == 85:
+            self._keep_zero()
+        elif not self._announced and self._balancer.ready:
+            self._announced = True
+            notify("READY=1", timeout_s=0.0)
+            self._keep_zero()
+
+    def _keep_zero(self) -> None:
+        if (zero := self._balancer.gyro_zero) is not None:
+            self._keep(zero, clock.now())
 
     def _state(self) -> BalancerState:
         errors = self._balancer.bus_errors + self._chores.errors
@@ -159,11 +179,22 @@ def main(
     body = body_model(config.robot(robot).board, shape)
     bus = open_bus(config, robot)
     try:
-        balancer = Balancer(bus, body, shape.trim, clock.now, bus.pause, start_mode=start_mode, settings=settings)
+        zeros = ZeroFile(runtime_dir())
+        balancer = Balancer(
+            bus,
+            body,
+            shape.trim,
+            clock.now,
+            bus.pause,
+            start_mode=start_mode,
+            settings=settings,
+            kept_zero=zeros.read(clock.now()),
+        )
         try:
             bridge = Bridge(clock.now())
             try:
-                loop = Loop(balancer, Telemetry(balancer, settings.controller), Chores(balancer, clock.now), bridge)
+                telemetry = Telemetry(balancer, settings.controller)
+                loop = Loop(balancer, telemetry, Chores(balancer, clock.now), bridge, zeros.keep)
                 for number in (signal.SIGTERM, signal.SIGINT):
                     signal.signal(number, lambda *_: loop.stop())
                 realtime.enter(_log)

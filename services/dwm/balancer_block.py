@@ -35,7 +35,7 @@ def serve(service: Service) -> None:
 
     bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
     requests = Requests(service, lambda: arrived.put(None), repeats=True)
-    block, localizer = Block(clock.now()), Localizer(service)
+    block, localizer = Block(clock.now()), Localizer(service, clock.now())
     watchdog_at = clock.now()
     service.ready()
     while not service.stopping.is_set():

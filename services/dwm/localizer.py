@@ -1,8 +1,10 @@
 """What all live sources do with a module's answers: pipeline, odometry from the balancer, messages on the bus."""
 
 import queue
-from logging import INFO, WARNING
+from collections import Counter
+from logging import INFO, WARNING, Logger
 from pathlib import Path
+from typing import Protocol
 
 from services.dwm.core import calibration_file
 from services.dwm.core.calibration import Calibration, RangeModel
@@ -10,13 +12,12 @@ from services.dwm.core.diagnosis import Watch
 from services.dwm.core.motion import Increments
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.tlv import Location
-from swarm import clock
+from swarm.bus_protocol import BusLike
 from swarm.codec import decode
 from swarm.config import Config
 from swarm.errors import ConfigError, PayloadError
 from swarm.keys import key
 from swarm.messages import Odometry
-from swarm.service import Service
 
 _MAX_WAITING = 250
 """Odometry messages that wait for a report of the module: ten seconds of them. Then the oldest go."""
@@ -57,10 +58,23 @@ def known_modules(config: Config) -> dict[str, str]:
     return known
 
 
+class Host(Protocol):
+    """What is used of the service: `swarm.service.Service` in a process."""
+
+    config: Config
+    robot: str
+    counters: Counter[str]
+    log: Logger
+
+    @property
+    def bus(self) -> BusLike:
+        """The robot's bus."""
+
+
 class Localizer:
     """Turns a module's answers into `dwm/ranges` and `dwm/pose`."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: Host, now: float) -> None:
         """Raises `ConfigError` where the robot's calibration does not fit."""
         config, robot = service.config, service.robot
         self._service = service
@@ -74,7 +88,7 @@ class Localizer:
         )
         # An anchor ranges to nobody, so its answers say nothing.
         is_tag = config.robot(robot).uwb_role == "tag"
-        self._watch = Watch(config.anchors, known_modules(config), clock.now()) if is_tag else None
+        self._watch = Watch(config.anchors, known_modules(config), now) if is_tag else None
         self._odometry: queue.SimpleQueue[Odometry] = queue.SimpleQueue()
         self._increments = Increments()
         if kind in ("auto", "ekf"):

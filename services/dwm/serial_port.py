@@ -36,7 +36,7 @@ def serve(service: Service, path: Path) -> None:
         raise LocalError(
             "[dwm] source is a serial port, which needs pyserial: pip install balboa-swarm[robot]"
         ) from None
-    localizer = Localizer(service)
+    localizer = Localizer(service, clock.now())
     wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
     requests = Requests(service, lambda: os.eventfd_write(wake, 1))
     pause = _FIRST_PAUSE

@@ -171,7 +171,8 @@ class Runner:
         deadline = node.next_deadline()
         if deadline < self._deadline:
             self._deadline = deadline
-            self._wake_up()
+            if threading.get_ident() != self._thread.ident:
+                self._wake_up()
         return actions
 
     def _flush(self, session: Session, pipe: Pipe) -> None:

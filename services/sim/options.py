@@ -6,8 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.sim.core.noise import ERRORS
+from services.sim.virtual.body import MODELS
 from swarm.codec import Value
-from swarm.errors import ConfigError
+from swarm.errors import AppError, ConfigError
+from swarm.parameters import value_of
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -23,6 +26,10 @@ class Cut:
     at: float
     """s after the first iteration of all robots (without an app: after all are ready)."""
     seconds: float
+
+
+PRESS_S = 0.3
+"""How long a button is held down."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,8 @@ class Options:
     iterations: int | None
     seed: int
     replay: Path | None
+    noise: str | None
+    """Of `core.noise.ERRORS`: how measurements err; None: as the simulated modules do."""
     json: bool
     plot: Path | None
     run_dir: Path | None
@@ -75,6 +84,8 @@ class Options:
     demo: bool
     virtual: bool
     """In one process under a virtual clock."""
+    body: str
+    """Model of the bodies then."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -126,19 +137,10 @@ def setting(text: str) -> Setting:
 
 
 def _value(text: str) -> Value:
-    if text in ("true", "false"):
-        return text == "true"
-    if text.startswith("[") and text.endswith("]"):
-        try:
-            return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
-    for convert in (int, float):
-        try:
-            return convert(text)
-        except ValueError:
-            continue
-    return text
+    try:
+        return value_of(text)
+    except AppError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _at_least(low: int) -> Callable[[str], int]:
@@ -189,6 +191,12 @@ def parser() -> argparse.ArgumentParser:
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
     )
+    app.add_argument(
+        "--noise",
+        choices=list(ERRORS),
+        metavar="MODEL",
+        help="measurements of a simulation study: none, bias (5 %%), thesis (5 %% and 2 %% every 5 iterations)",
+    )
     radio = p.add_argument_group("the radio")
     radio.add_argument("--latency", type=duration, default=0.03, metavar="30ms", help="one way (30ms)")
     radio.add_argument(
@@ -217,10 +225,12 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
-    run.add_argument("--record", type=Path, metavar="DIR", help="keep every robot's trajectory there, as CSV")
+    run.add_argument("--record", type=Path, metavar="DIR", help="keep the recording of the run in this folder")
     run.add_argument("--run-dir", type=Path, metavar="DIR", help="where sockets and logs live while it runs")
     p.add_argument("--virtual", action="store_true",
                    help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
+    p.add_argument("--body", choices=MODELS, default=MODELS[0],
+                   help="how bodies move under virtual time: with ramps and errors, or as they are told")  # fmt: skip
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 
@@ -230,11 +240,14 @@ def parse(arguments: list[str]) -> Options:
     options = Options(**vars(_tuples(parser().parse_args(arguments))))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
+    if options.noise is not None and options.replay is not None:
+        raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
     if options.app is None:
         for given, name in (
             (options.algorithm, "--algorithm"),
             (options.settings, "--set"),
             (options.replay, "--replay"),
+            (options.noise, "--noise"),
             (options.plot, "--plot"),
         ):
             if given:

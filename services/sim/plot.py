@@ -80,7 +80,7 @@ def _errors(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
         ks = sorted(path.rows)
         errors = [100 * math.dist(report.estimate(path, k), target) for k in ks]
         axes.plot(ks, errors, color=COLOURS[index % len(COLOURS)], linewidth=1, label=name)
-    for index, (name, recording) in enumerate(outcome.scenario.recordings.items()):
+    for index, (name, recording) in enumerate(outcome.scenario.recorded.items()):
         errors = [100 * math.dist(place, target) for place in recording.estimates]
         label = "recorded" if index == 0 else None
         axes.plot(errors, color=COLOURS[index % len(COLOURS)], linewidth=1, linestyle=":", label=label)

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from services.sim import air, footprint, scene, trajectory
+from services.sim import air, footprint, scene
 from services.sim.monitor import Monitor, Seen
-from services.sim.options import Cut, Options, Press
+from services.sim.options import PRESS_S, Cut, Options, Press
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
@@ -21,6 +21,8 @@ from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import LocalError
 from swarm.hands import do
+from swarm.recording import trajectory
+from swarm.recording.reader import SUFFIX
 
 SERVICE_MODULES = {
     "bus": "services.bus",
@@ -33,9 +35,6 @@ APP_SERVICE = "services.apps"
 
 START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
-
-PRESS_S = 0.3
-"""How long a button is held down."""
 
 TICK_S = 0.05
 REFRESH_LIMIT_S = 0.5
@@ -198,14 +197,17 @@ class Run:
         names = self._scenario.config.names
         now = clock.now()
         self._refresh(now)
+        seen = self._monitor.look()
+        memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
+        found = self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded))
+        self._processes.stop()  # only then are the recordings complete
         paths = {}
         if self._scenario.app is not None:
-            paths = {name: trajectory.read(self._records / f"{name}.{self._scenario.app}.csv") for name in names}
+            paths = {name: trajectory.read(self._records / f"{name}.{self._scenario.app}{SUFFIX}") for name in names}
         firsts = [path.first_reached() for path in paths.values()]
         reached = [at for at in firsts if at is not None]
         if len(reached) == len(names):
             started = max(reached)
-        seen = self._monitor.look()
         return Outcome(
             scenario=self._scenario,
             seed=self._options.seed,
@@ -214,10 +216,10 @@ class Run:
             trajectories=paths,
             bodies={name: seen[name].balancer for name in names},
             messages=_messages(seen),
-            rss_mib={name: footprint.resident_mib(self._processes.of(name)) for name in names},
+            rss_mib=memory,
             restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
             problems=tuple(self._problems),
-            scene=self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded)),
+            scene=found,
         )
 
 

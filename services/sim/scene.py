@@ -8,6 +8,9 @@ from services.sim.scenario import Scenario
 
 Json = dict[str, object]
 
+WATCHED = ("led_sync", "stand_up", "formation", "goto")
+"""Apps of which there is something to see."""
+
 FORMED_M = 0.05
 """A formation with a smaller root mean square error is one."""
 

@@ -17,12 +17,17 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh", "press",
-    "provision", "push", "restart", "run", "start", "status", "stop", "topology",
+    "arm", "bundle", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh",
+    "pair", "param", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
 )  # fmt: skip
 """Modules of this package."""
 
 HANDED_ON = {
+    "new": ("write a commented app and its test", ("services.apps.rehearsal.new",)),
+    "check": (
+        "look at an app before any robot moves: size, time, determinism, convergence",
+        ("services.apps.rehearsal.check",),
+    ),
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
     "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),

@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The app, and how far it runs."""
     parser.add_argument("app", help="the name of a built-in app, or a Python file of yours")
     parser.add_argument("--iterations", type=int, metavar="K", help="the last iteration (without: no last one)")
+    parser.add_argument("--no-record", action="store_true", help="record nothing (docs/recordings.md)")
     everyone.add_arguments(parser, timeout_s=60)
 
 
@@ -36,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
     place = name if source is None else f"{APPS}/{name}.py"
     last = "" if args.iterations is None else f" --iterations {args.iterations}"
     # One number for this run on every robot: what an earlier run left behind has another.
-    settings = f"APP={place}\nARGUMENTS=--run {secrets.token_hex(8)}{last}\n".encode()
+    record = "" if args.no_record else " --record"
+    settings = f"APP={place}\nARGUMENTS=--run {secrets.token_hex(8)}{last}{record}\n".encode()
 
     async def job(host: Host, tell: Tell) -> str:
         if source is not None:

@@ -37,8 +37,11 @@ _KEY_CHUNK = re.compile(r"[A-Za-z0-9_.:-]+|\*\*?")
 _LINK = "tcp:HOST:PORT, sim:SOCKET or rfcomm:ADDRESS"
 
 
-def load(path: Path | None = None) -> Config:
-    """Read the swarm's file: `path`, else the one SWARM_CONFIG names, else /etc/swarm/swarm.toml."""
+def load(path: Path | None = None, *, addressed: bool = True) -> Config:
+    """Read the swarm's file: `path`, else the one SWARM_CONFIG names, else /etc/swarm/swarm.toml.
+
+    Without `addressed` Bluetooth addresses may be missing: that is how a file begins, `swarm pair` writes them.
+    """
     if path is None:
         path = Path(os.environ.get("SWARM_CONFIG") or DEFAULT_PATH)
     try:
@@ -52,10 +55,10 @@ def load(path: Path | None = None) -> Config:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8, as TOML demands") from None
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
         raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    return parse(text, path)
+    return parse(text, path, addressed=addressed)
 
 
-def parse(text: str, path: Path) -> Config:
+def parse(text: str, path: Path, *, addressed: bool = True) -> Config:
     """Check the text of a file; `path` is for the messages. Raises `ConfigError`."""
     try:
         data = tomllib.loads(text)
@@ -68,8 +71,8 @@ def parse(text: str, path: Path) -> Config:
     robots = _robots(top)
     names = tuple(robot.name for robot in robots)
     auto = data.get("topology") == AUTO
-    graph = Graph(names, ()) if auto else _topology(top, robots)
-    if auto:
+    graph = Graph(names, ()) if auto else _topology(top, robots, addressed)
+    if auto and addressed:
         _check_addresses(top, robots)
     body, bodies = sections.bodies(top, names)
     balancing, balancings = sections.balancings(top, names)
@@ -148,7 +151,7 @@ def _robot(table: Table) -> Robot:
     return Robot(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role)
 
 
-def _topology(top: Table, robots: Sequence[Robot]) -> Graph:
+def _topology(top: Table, robots: Sequence[Robot], addressed: bool) -> Graph:
     ways = ("shape", "edges", "matrix")
     if isinstance(top.data.get("topology"), str):
         raise top.wrong("topology", f'"{AUTO}" or a table, written [topology]')
@@ -173,11 +176,11 @@ def _topology(top: Table, robots: Sequence[Robot]) -> Graph:
     if not graph.is_connected():
         parts = "; ".join(" ".join(part[:8]) + (" ..." if len(part) > 8 else "") for part in graph.components()[:8])
         raise table.error(way, f"not connected: these parts cannot reach each other: {parts}")
-    _check_radio(table, way, robots, graph)
+    _check_radio(table, way, robots, graph, addressed)
     return graph
 
 
-def _check_radio(table: Table, way: str, robots: Sequence[Robot], graph: Graph) -> None:
+def _check_radio(table: Table, way: str, robots: Sequence[Robot], graph: Graph, addressed: bool) -> None:
     """Robots without a `link` of their own are reached by RFCOMM: they need an address; seven links at most.
 
     A link counts as RFCOMM when either end has no `link`, since which end dials is not the file's affair.
@@ -185,7 +188,7 @@ def _check_radio(table: Table, way: str, robots: Sequence[Robot], graph: Graph) 
     radio = {robot.name for robot in robots if robot.link is None}
     for i, robot in enumerate(robots):
         near = graph.neighbours(robot.name)
-        if robot.name in radio and near and robot.bluetooth is None:
+        if addressed and robot.name in radio and near and robot.bluetooth is None:
             raise Table(table.file, f"robots.{i}", {}, None).error(
                 "bluetooth",
                 f"{robot.name} has neighbours ({', '.join(near[:8])}) and no link, so Bluetooth reaches it: "

@@ -190,7 +190,7 @@ class Asynchronous:
             self.counters["bad_frame"] += 1
             return
         if channel.incarnation > peer.incarnation:
-            peer.incarnation, peer.sequence = channel.incarnation, 0
+            peer.incarnation = channel.incarnation
         elif sequence <= peer.sequence:
             self.counters["duplicate"] += 1
             return
@@ -224,7 +224,7 @@ class Asynchronous:
         if call.handler == "start":
             self._roll |= self._bits[self.me]
             self._hear(all_here=False, roll=0, now=now)
-        if state != self._state or self._tell_at == math.inf:
+        if state != self._state:
             self._state = state
             self._tell_soon(now)
         if finished or (self.last is not None and self.period is not None and self.k >= self.last):

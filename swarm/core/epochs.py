@@ -103,10 +103,12 @@ class Epochs:
         self._notes: dict[str, Note] = {}
         self._heard: dict[str, float] = {}
         if kept is not None and (kept.run, kept.schema) == of:
-            self._mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
+            mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
         else:
-            self._mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None)
-        self.k = self._mine.epoch.k
+            mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None)
+        self._mine = mine
+        self._become()
+        self.k = mine.epoch.k
         self._edges = begin.edges
         self._bound: tuple[object, ...] = ()
         self._relink = False
@@ -141,16 +143,6 @@ class Epochs:
     def deaf(self) -> tuple[str, ...]:
         """The neighbours that it was told cannot be heard."""
         return self._deaf
-
-    @property
-    def member(self) -> bool:
-        """Whether this robot is in the epoch."""
-        return self.me in self.epoch.members
-
-    @property
-    def frozen(self) -> bool:
-        """Whether it may not compute: it has answered a ballot, or has no place in the epoch."""
-        return self._mine.promised != NONE or not self.member
 
     @property
     def frozen_at(self) -> int:
@@ -204,7 +196,7 @@ class Epochs:
     def lose(self) -> None:
         """The state of this epoch is gone, whatever was told of it."""
         self.k = -1
-        self._mine = replace(self._mine, k=-1)
+        self._become(k=-1)
 
     def suspect(self, names: tuple[str, ...], now: float) -> None:
         """These neighbours, sorted, cannot be heard."""
@@ -216,7 +208,7 @@ class Epochs:
     def fail(self, now: float) -> None:
         """This robot's app is in fault: the others need not wait for it."""
         self.well = False
-        self._mine = replace(self._mine, offer=None)
+        self._become(offer=None)
         if self.auto:
             self._tell(now)
 
@@ -239,7 +231,7 @@ class Epochs:
             return
         if note.robot == self.me:
             if note.birth > self._mine.birth:  # of a process whose files are lost: the others listen to it alone
-                self._mine = replace(self._mine, birth=note.birth + 1, version=0)
+                self._become(birth=note.birth + 1, version=0)
                 self._tell(now)
             return
         known = self._notes.get(note.robot)
@@ -272,6 +264,16 @@ class Epochs:
             self._tell(now)
 
     # How it works
+
+    def _become(self, **changes: object) -> None:
+        """Have something else to say. What is asked with each frame is worked out here."""
+        self._mine = mine = replace(self._mine, **changes)  # type: ignore[arg-type]
+        self.number = mine.epoch.number
+        """Of the newest epoch known."""
+        self.member = self.me in mine.epoch.members
+        """Whether this robot is in it."""
+        self.frozen = mine.promised != NONE or not self.member
+        """Whether it may not compute: it has answered a ballot, or has no place in the epoch."""
 
     @property
     def _busy(self) -> bool:
@@ -312,7 +314,7 @@ class Epochs:
         offer = self._mine.offer
         if offer is not None and offer.ballot < promised:
             offer = None
-        self._mine = replace(self._mine, promised=promised, accepted=accepted, offer=offer, k=k)
+        self._become(promised=promised, accepted=accepted, offer=offer, k=k)
         self._tell(now)
 
     def _propose(self, now: float) -> None:
@@ -321,7 +323,7 @@ class Epochs:
         self._round += 1
         ballot = Ballot(self._round, self.me)
         forced = self._order is not None and self._order.force
-        self._mine = replace(self._mine, offer=Offer(ballot, None, forced))
+        self._become(offer=Offer(ballot, None, forced))
         self._offered_at = self._answered_at = now
         self._answers = frozenset()
         self._stop(ballot, self._mine.accepted, now)
@@ -341,7 +343,7 @@ class Epochs:
             return
         epoch = self._choose(offer, notes, now)
         if epoch is not None:
-            self._mine = replace(self._mine, offer=replace(offer, epoch=epoch))
+            self._become(offer=replace(offer, epoch=epoch))
             self._stop(offer.ballot, Vote(offer.ballot, epoch), now)
 
     def _choose(self, offer: Offer, notes: dict[str, Note], now: float) -> Epoch | None:
@@ -388,7 +390,7 @@ class Epochs:
                 return
 
     def _adopt(self, epoch: Epoch, now: float) -> None:
-        self._mine = replace(self._mine, epoch=epoch, promised=NONE, accepted=None, offer=None)
+        self._become(epoch=epoch, promised=NONE, accepted=None, offer=None)
         self.k = epoch.k
         self._settled = False
         if self._order is None or not set(self._order.drop) & set(epoch.members) or not self.member:
@@ -410,13 +412,13 @@ class Epochs:
             return True
         if not self.auto:
             return False
+        if self._deaf or self._relink:
+            return True
+        if not self._notes:
+            return False
         members = self._members_notes()
-        return (
-            bool(self._deaf)
-            or self._relink
-            or any(not note.well or note.k < 0 for name, note in members.items() if name != self.me)
-            or bool(self._newcomers(now))
-        )
+        lost = any(not note.well or note.k < 0 for name, note in members.items() if name != self.me)
+        return lost or bool(self._newcomers(now))
 
     def _orphaned(self, now: float) -> bool:
         """Whether the ballot under way has lost its proposer: another one has to end what it began."""
@@ -467,7 +469,7 @@ class Epochs:
     def _tell(self, now: float) -> None:
         mine = self._mine
         k = mine.k if mine.promised != NONE else self.k
-        self._mine = replace(mine, version=mine.version + 1, well=self.well, deaf=self._deaf, k=k)
+        self._become(version=mine.version + 1, well=self.well, deaf=self._deaf, k=k)
         self._told_at, self._tell_at = now, now + TELL_EVERY
         new = self._mine
         bound = (new.birth, new.epoch, new.promised, new.accepted, new.k if new.promised != NONE else None)

@@ -35,10 +35,10 @@ class Stopping:
     size = _COUNT.size
     """Bytes that travel with each state."""
 
-    def __init__(self, rule: Rule, graph: Graph, me: str) -> None:
+    def __init__(self, rule: Rule, graph: Graph) -> None:
         """Raises `LocalError` where the count would not fit."""
         self.rule = rule
-        self._reach = reach(graph, me)
+        self._reach = graph.span
         self._threshold = self._reach + (1 if rule.rounds is None else rule.rounds)
         if self._threshold + self._reach > MOST:
             raise LocalError(f"stop after {rule.rounds} rounds: at most {MOST - 2 * self._reach} are possible")
@@ -65,10 +65,3 @@ class Stopping:
     def first() -> bytes:
         """The count that goes with the first state."""
         return _COUNT.pack(0)
-
-
-def reach(graph: Graph, me: str) -> int:
-    """The same bound of the diameter on all robots: twice the way from the first robot to the farthest, and never more
-    than a line has. (The diameter itself would cost each robot n searches.)"""
-    farthest = max(graph.distances(min(graph.names)).values())
-    return min(2 * farthest, len(graph.names) - 1) if len(graph.distances(me)) > 1 else 0

@@ -15,6 +15,7 @@ import pytest
 from swarm.bus import Bus
 from swarm.codec import decode, encode
 from swarm.messages import AppProgress, AppState, Topology
+from swarm.recording import trajectory
 
 NAMES = ("r0", "r1", "r2")
 PATIENCE = 40.0
@@ -148,12 +149,9 @@ class Rig:
         self.until(lambda: all(n in self.state and self.state[n].k >= k for n in wanted), f"iteration {k}")
 
     def rows(self, name: str, app: str = "consensus") -> dict[int, str]:
-        """Recorded lines by iteration, without k; a line that stands there twice must be equal."""
-        rows: dict[int, str] = {}
-        for line in (self.records / f"{name}.{app}.csv").read_text().splitlines()[1:]:
-            k, rest = line.split(",", 1)
-            assert rows.setdefault(int(k), rest) == rest
-        return rows
+        """Recorded states and results by iteration, the time before them; one that stands there twice is equal."""
+        found = trajectory.read(self.records / f"{name}.{app}.mcap")
+        return {k: ",".join((repr(found.times[k]), *row)) for k, row in found.rows.items()}
 
     def values(self, name: str, app: str = "consensus") -> list[str]:
         """The recorded states and results in order, without k and t."""

@@ -1,5 +1,6 @@
 """Event-driven and periodic apps as processes on real buses: barrier, restart, faults, parameters, devices."""
 
+import json
 import queue
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any
 import pytest
 from apps_rig import NAMES, Rig
 
+from swarm.cli import main
+from swarm.cli import param as swarm_param
 from swarm.codec import decode, encode
 from swarm.messages import (
     AppOutput,
@@ -164,10 +167,47 @@ def test_parameters_buttons_devices_and_faults(make_rig: MakeRig) -> None:
     rig.until_phase("fault", "r0")
     assert rig.progress["r0"].reason == f"Hands on r0, on_button() at k = 2: {app}, line 14: ValueError: not that one"
     drive.until(lambda message: message == SetVelocity(0.0, 0.0, 0.5))
-    leds.until(lambda message: message.seconds < 0.1)
+    assert leds.until(lambda message: message.seconds < 0.1)
     display.until(lambda message: message.text == "")
     assert rig.stop("r0") == 3
     assert "Traceback" not in rig.log("r0")
+
+
+def test_the_command_shows_and_changes_parameters(
+    make_rig: MakeRig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, app = make_rig("hands", HANDS, ("r0",))
+    rig.start("r0", "apps", app)
+    rig.until_phase("running", "r0")
+    monkeypatch.setenv("SWARM_CONFIG", str(rig.directory / "swarm.toml"))
+    monkeypatch.setenv("SWARM_ROBOT", "r0")
+    monkeypatch.setenv("SWARM_RUNTIME", str(rig.directory / "r0"))
+
+    def param(*arguments: str) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as end:
+            main(["param", *arguments])
+        output = capsys.readouterr()
+        return int(str(end.value.code)), output.out + output.err
+
+    code, text = param("hands", "gain=0.75")
+    assert code == 0
+    assert text.splitlines() == [
+        "parameter      r0          may be",
+        "weights        metropolis  'metropolis' or 'row'",
+        "gain           0.75        a finite number from 0 to 1 in 1/s",
+        "fixed (fixed)  1           an integer",
+    ]
+    code, text = param("hands", "r0.gain=1.5")
+    assert code == 1
+    assert "app hands on r0: gain: expected a finite number from 0 to 1 in 1/s, got 1.5" in text
+    assert json.loads(param("hands", "--json")[1])["parameters"] == {
+        "r0": {"weights": "metropolis", "gain": 0.75, "fixed": 1}
+    }
+    assert param("hands", "gain")[1] == "swarm: 'gain' is no setting such as gain=0.5 or r2.gain=0.5\n"
+    assert param("hands", "r7.gain=1")[1] == "swarm: no robot 'r7' here, there are r0\n"
+    rig.stop("r0")
+    monkeypatch.setattr(swarm_param, "ANSWER", 0.5)
+    assert param("hands") == (2, "swarm: no app hands answers on r0: does it run? (swarm status)\n")
 
 
 def test_a_wrong_state_is_named_and_sigterm_gives_back_what_was_taken(make_rig: MakeRig) -> None:
@@ -232,3 +272,38 @@ def test_two_locksteps_run_inside_a_periodic_app(make_rig: MakeRig) -> None:
     rig.until(agreed, "agreement on both")
     rig.until(lambda: all(state.result["k"] > at for state in rig.state.values()), "the lockstep goes on")
     assert {rig.stop(name) for name in NAMES} == {0}
+
+
+LIVE = """
+from swarm import SyncApp, parameter
+class Live(SyncApp):
+    value: float
+    gain: float = parameter(0.5, low=0, high=1, live=True)
+    fixed: float = parameter(0.5)
+    def step(self, neighbours):
+        self.value = self.gain
+        self.robot.leds(red=True)
+"""
+
+
+def test_live_parameters_of_a_synchronous_app_hold_through_a_kill(make_rig: MakeRig) -> None:
+    rig, app = make_rig("live", LIVE, ("r0", "r1"))
+    answers = Watch(rig, "r0", "swarm/r0/app/live/parameters_set", AppParametersSet)
+    leds = Watch(rig, "r0", "swarm/r0/balancer/set/leds", SetLeds)
+    rig.start_all(app)
+    rig.until_k(3)
+    bus = rig.buses["r0"]
+    bus.publish("swarm/r0/app/live/set/parameters", SetAppParameters("t1", {"fixed": 0.25}))
+    assert answers.next().problem.startswith("app live on r0: fixed: cannot be changed while the app runs")
+    bus.publish("swarm/r0/app/live/set/parameters", SetAppParameters("t2", {"gain": 0.25}))
+    assert answers.next().problem == ""
+    rig.until(lambda: rig.state["r0"].state["value"] == 0.25, "the new gain")
+    rig.kill("r0")
+    at = max(state.k for state in rig.state.values()) + 3
+    rig.state.clear()
+    rig.start("r0", "apps", app)
+    rig.until_k(at)
+    rig.until(lambda: rig.state.get("r0") is not None and rig.state["r0"].state["value"] == 0.25, "the gain as changed")
+    rig.until(lambda: rig.state.get("r1") is not None and rig.state["r1"].state["value"] == 0.5, "the other's own")
+    assert rig.stop("r0") == 0
+    assert leds.until(lambda message: message.seconds < 0.1)

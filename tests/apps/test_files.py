@@ -1,7 +1,6 @@
-"""What the app host keeps in files: lock and incarnation, snapshot, recording."""
+"""What the app host keeps in files: lock and incarnation, snapshot."""
 
 import os
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -9,14 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.apps.claim import Claim
-from services.apps.recorder import Recorder
 from services.apps.snapshot import MAX_SNAPSHOT, SnapshotFile
-from services.sim.trajectory import read
-from swarm.core.state import Schema, field_of
 from swarm.errors import AppError, LocalError
-
-SCHEMA = Schema("App", [field_of("value", float)])
-
 
 # Lock and incarnation
 
@@ -98,72 +91,3 @@ def test_a_disk_without_space_is_found_at_the_start(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(LocalError, match=r"app\.x\.snapshot: no space for snapshots of 131072 bytes: No space left"):
         SnapshotFile(tmp_path / "app.x.snapshot")
-
-
-# Recording
-
-
-def record(path: Path, counters: Counter[str] | None = None, *, append: bool = False) -> Recorder:
-    return Recorder(path, SCHEMA, Counter() if counters is None else counters, append=append)
-
-
-def test_a_recording_reads_as_the_simulation_reads_it(tmp_path: Path) -> None:
-    path = tmp_path / "r0.x.csv"
-    recorder = record(path)
-    recorder.write(0, 1.5, {"value": 0.1 + 0.2}, {"near": True, "who": 'say "a, b"', "at": (1.0, -2.0), "n": 3})
-    recorder.write(1, 2.5, {"value": 1e300}, {"near": False, "who": "r1", "at": (0.0, 0.5), "n": 4})
-    recorder.close()
-    first = path.read_text().splitlines()[0]
-    assert first == "k,t,value,result.near,result.who,result.at[0],result.at[1],result.n"
-    found = read(path)
-    assert found.rows[0] == ("0.30000000000000004", "True", 'say "a, b"', "1.0", "-2.0", "3")
-    assert found.times == {0: 1.5, 1: 2.5}
-    assert found.value(1, "value") == 1e300
-
-
-def test_a_restart_goes_on_behind_the_last_whole_line(tmp_path: Path) -> None:
-    path = tmp_path / "r0.x.csv"
-    recorder = record(path)
-    recorder.write(0, 1.0, {"value": 1.0}, {})
-    recorder.write(1, 2.0, {"value": 2.0}, {})
-    recorder.close()
-    path.write_text(path.read_text()[:-4])  # killed while it wrote
-    recorder = record(path, append=True)
-    recorder.write(1, 2.0, {"value": 2.0}, {})
-    recorder.write(2, 3.0, {"value": 3.0}, {})
-    recorder.close()
-    assert path.read_text() == "k,t,value\n0,1.0,1.0\n1,2.0,2.0\n2,3.0,3.0\n"
-
-
-def test_a_new_run_begins_the_file_anew(tmp_path: Path) -> None:
-    path = tmp_path / "r0.x.csv"
-    for value in (1.0, 2.0):
-        recorder = record(path)
-        recorder.write(0, value, {"value": value}, {})
-        recorder.close()
-    assert path.read_text() == "k,t,value\n0,2.0,2.0\n"
-
-
-def test_a_recording_that_cannot_be_made_is_counted_not_fatal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    counters: Counter[str] = Counter()
-    recorder = record(tmp_path / "none" / "r0.x.csv", counters)
-    for k in range(3):
-        recorder.write(k, 0.0, {"value": 0.0}, {})
-    recorder.close()
-    assert counters["records_lost"] >= 3
-    assert sum("cannot be recorded" in message for message in caplog.messages) == 1
-
-
-def test_a_full_disk_leaves_no_half_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    counters: Counter[str] = Counter()
-    path = tmp_path / "r0.x.csv"
-    recorder = record(path, counters)
-    recorder.write(0, 0.0, {"value": 0.0}, {})
-    pwrite = os.pwrite
-    monkeypatch.setattr(os, "pwrite", lambda file, data, at: pwrite(file, data[:4], at))
-    recorder.write(1, 0.0, {"value": 0.0}, {})
-    monkeypatch.undo()
-    recorder.write(2, 0.0, {"value": 0.0}, {})
-    recorder.close()
-    assert path.read_text() == "k,t,value\n0,0.0,0.0\n2,0.0,0.0\n"
-    assert counters["records_lost"] == 1

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 from apps_rig import Rig
+from conftest import wait_until
 from memory_swarm import config_of
 from test_host import START, MakeRig, make_rig
 
@@ -23,6 +24,7 @@ def told(*edges: tuple[str, str], version: int = 1, auto: bool = False, since: f
 
 
 def value(rig: Rig, name: str, k: int) -> float:
+    wait_until(lambda: k in rig.rows(name), what=f"{name} has recorded iteration {k}")
     return float(rig.rows(name)[k].split(",")[1])
 
 

@@ -1,5 +1,6 @@
 """Packing of app states: golden bytes, limits, round trips."""
 
+import enum
 import struct
 from typing import Annotated, Any
 
@@ -7,9 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm import Vector, float32
+from swarm import Matrix, Vector, float32
 from swarm.core.state import MAX_STATE, Field, Schema, field_of, pack_private, unpack_private
-from swarm.errors import AppError
+from swarm.errors import AppError, FrameError
+
+
+class Mood(enum.Enum):
+    CALM = "calm"
+    WILD = "wild"
+    LOST = "lost"
+
 
 ALL = {"a": float, "b": float32, "c": int, "d": bool, "e": Annotated[Vector, 2]}
 
@@ -158,3 +166,61 @@ def test_private_fields_that_cannot_be_saved_are_named(value: object) -> None:
 
 def test_columns() -> None:
     assert [c for f in schema(**ALL).fields for c in f.columns] == ["a", "b", "c", "d", "e[0]", "e[1]"]
+
+
+# Enums and matrices
+
+
+def test_golden_bytes_of_an_enum_and_a_matrix() -> None:
+    both = schema(mood=Mood, table=Annotated[Matrix, 2, 3])
+    packed = both.pack({"mood": Mood.LOST, "table": [[1, 2, 3], (4.0, 5.0, 6.0)]})
+    assert packed == b"\x02" + struct.pack("<6d", 1, 2, 3, 4, 5, 6)
+    assert both.unpack(packed) == (Mood.LOST, ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
+    assert both.plain(dict(zip(both.names, both.unpack(packed), strict=True))) == {
+        "mood": "LOST",
+        "table": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+    }
+    assert [field.zero for field in both.fields] == [Mood.CALM, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+    assert both.fields[1].columns == tuple(f"table[{i}]" for i in range(6))
+
+
+def test_the_hash_is_over_members_and_shape() -> None:
+    other = enum.Enum("Mood", ["CALM", "WILD"])
+    kinds = [Mood, other, Annotated[Matrix, 2, 3], Annotated[Matrix, 3, 2], Annotated[Vector, 6]]
+    assert len({schema(x=kind).hash for kind in kinds}) == 5
+
+
+def test_a_member_that_is_not_there_is_a_wrong_frame() -> None:
+    with pytest.raises(FrameError, match="mood: there is no member 3"):
+        schema(mood=Mood).unpack(b"\x03")
+
+
+@pytest.mark.parametrize(
+    ("annotation", "value", "message"),
+    [
+        (Mood, "wild", "expected CALM or WILD or LOST, got 'wild'"),
+        (Mood, 1, "expected CALM or WILD or LOST, got 1"),
+        (Annotated[Matrix, 2, 2], [1.0, 2.0, 3.0], "expected 2 rows of 2 numbers"),
+        (Annotated[Matrix, 2, 2], [[1.0, 2.0], [3.0]], "expected 2 rows of 2 numbers"),
+        (Annotated[Matrix, 2, 2], [[1.0, 2.0], [3.0, float("inf")]], "inf is not a finite number"),
+        (Annotated[Matrix, 2, 2], "1234", "expected 2 rows of 2 numbers"),
+        (Annotated[Matrix, 2, 2], 1.0, "expected 2 rows of 2 numbers"),
+    ],
+)
+def test_wrong_enums_and_matrices(annotation: Any, value: object, message: str) -> None:
+    with pytest.raises(AppError, match=message):
+        field_of("x", annotation).check(value)
+
+
+@pytest.mark.parametrize(
+    ("annotation", "message"),
+    [
+        (Matrix, "say how large the matrix is"),
+        (Annotated[Matrix, 2], r"expected Annotated\[Matrix, n, m\] with n and m positive integers, got \(2,\)"),
+        (Annotated[Matrix, 2, 0], r"got \(2, 0\)"),
+        (enum.Enum("Empty", []), "an enum of 1 to 256 members can be shared, Empty is none"),
+    ],
+)
+def test_enums_and_matrices_that_cannot_be(annotation: Any, message: str) -> None:
+    with pytest.raises(AppError, match=message):
+        field_of("x", annotation)

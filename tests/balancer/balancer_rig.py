@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from services.balancer.balancer import Balancer
 from services.balancer.core.body import BodyModel, body_model
+from services.balancer.core.gyro import Zero
 from services.balancer.core.lqr import PERIOD_S
 from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import NO_ERRORS, ImuErrors, SimulatedRobot, draw_errors
@@ -60,6 +61,7 @@ class Rig:
         lateness: Callable[[int], float] = lambda _tick: 0.0,
         errors: ImuErrors | None = None,
         place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        kept_zero: Zero | None = None,
         **settings: object,
     ) -> None:
         noise = random.Random(seed)
@@ -76,6 +78,7 @@ class Rig:
             self._sleep,
             start_mode=start_mode,
             settings=Balancing(**settings),
+            kept_zero=kept_zero,
         )
         self.lateness = lateness
         self.tick = 0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from services.balancer.core import imu
 from services.balancer.core.estimator import Estimator
-from services.balancer.core.gyro import SETTLE_S, STILL_SAMPLES, GyroZero, Zero
+from services.balancer.core.gyro import KEPT_CHECK_S, SETTLE_S, STILL_SAMPLES, GyroZero, Zero
 from swarm.errors import RemoteError
 
 G = imu.STANDARD_GRAVITY
@@ -34,6 +34,28 @@ def test_gyro_zero_is_the_mean_after_settling() -> None:
     assert found == pytest.approx(Zero(0.02), abs=1e-4)
     assert tick == pytest.approx(SETTLE_S * 100 + STILL_SAMPLES - 1, abs=1)
     assert zero.restarts == 0
+
+
+def ticks_until_found(zero: GyroZero, sample: imu.Reading, shake: float = 0.0) -> tuple[int, Zero | None]:
+    for tick in range(1000):
+        moved = sample._replace(back_rate=sample.back_rate + shake * (-1) ** tick)
+        if (found := zero.add(moved, 50.0 + tick * 0.01)) is not None:
+            return tick, found
+    return 1000, None
+
+
+def test_a_kept_zero_is_taken_after_a_short_look() -> None:
+    kept = Zero(0.02, -0.01, 0.03)
+    at_rest = reading(0.0, 0.021)._replace(up_rate=-0.01, back_rate=0.03)
+    assert ticks_until_found(GyroZero(kept=kept), at_rest) == (round(KEPT_CHECK_S * 100), kept)
+    # Nothing is to be learned from a robot that moves: what was right a second ago is right now.
+    assert ticks_until_found(GyroZero(kept=kept), reading(0.3, -0.9), shake=0.5) == (round(KEPT_CHECK_S * 100), kept)
+
+
+def test_a_kept_zero_that_is_wrong_is_found_out_at_rest() -> None:
+    tick, found = ticks_until_found(GyroZero(kept=Zero(0.02)), reading(0.0, 0.05))
+    assert found == pytest.approx(Zero(0.05))
+    assert tick == pytest.approx(SETTLE_S * 100 + STILL_SAMPLES - 1, abs=1)
 
 
 def test_a_robot_that_is_moved_begins_its_zero_anew() -> None:

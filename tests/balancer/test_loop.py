@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from services.balancer import loop as loop_module
 from services.balancer.chores import Chores
+from services.balancer.core.gyro import Zero
 from services.balancer.link import pack, unpack
 from services.balancer.loop import Loop
 from services.balancer.orders import MAX_REASON
@@ -203,7 +204,15 @@ def test_telemetry_is_25_hz_and_odometry_begins_with_the_estimate(monkeypatch: p
 
 def test_ready_once_and_progress_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = VirtualLoop(monkeypatch).run(500)
-    assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1\nWATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
+    assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
+
+
+def test_the_gyros_zero_is_kept_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop, kept = VirtualLoop(monkeypatch), list[tuple[Zero, float]]()
+    loop.loop._keep = lambda zero, now: kept.append((zero, now))
+    loop.run(500)
+    assert [zero for zero, _ in kept] == [loop.rig.balancer.gyro_zero] * 4
+    assert [round(now - loop.started[0], 1) for _, now in kept] == [2.0, 2.8, 3.8, 4.8]
 
 
 def test_leds_are_told_on_change_and_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:

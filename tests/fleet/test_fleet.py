@@ -195,7 +195,9 @@ def test_an_app_is_started_with_one_number_for_all(robots: FakeRobots, run: Run)
     assert first == second
     assert first.startswith("-n sh -c cat > /var/lib/swarm/apps/mine.py.new && mv")
     assert "class Mine: ...\n" in first
-    assert re.search(r"^APP=/var/lib/swarm/apps/mine.py\nARGUMENTS=--run [0-9a-f]{16} --iterations 50$", first, re.M)
+    assert re.search(
+        r"^APP=/var/lib/swarm/apps/mine.py\nARGUMENTS=--run [0-9a-f]{16} --iterations 50 --record$", first, re.M
+    )
     assert first.endswith("-n systemctl restart --no-block swarm-app@mine.service\n")
 
 

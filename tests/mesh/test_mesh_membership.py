@@ -11,8 +11,8 @@ from services.mesh.core import membership, packets
 from services.mesh.core.frames import CONTROL, FLOOD
 from services.mesh.core.halt import REPEAT_PERIOD, SPACING
 from services.mesh.core.membership import Membership
-from services.mesh.core.overlays import CONFIRM_AFTER, MAX_NAMED, STOP_PERIOD
 from services.mesh.core.packets import Halt, Mark, decode_halt, encode_halts
+from services.mesh.core.stops import CONFIRM_AFTER, MAX_NAMED, STOP_PERIOD
 from services.mesh.core.survey import PAGE, Survey
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.keys import STOP

@@ -79,7 +79,7 @@ def test_a_link_that_is_down_is_said() -> None:
 
 @given(st.binary(max_size=40))
 def test_any_echo_is_answered_or_refused(payload: bytes) -> None:
-    prober = Prober(("r1",))
+    prober = Prober("r0", ("r1",))
     with suppress(FrameError):
         assert prober.receive(probe.ping_key("r1"), payload, 0.0) in (payload, payload[: probe.MIN_SIZE])
     with suppress(FrameError):
@@ -99,9 +99,12 @@ def test_bad_echoes_are_counted_and_harm_nothing() -> None:
 
 
 def test_answers_that_never_come_are_forgotten() -> None:
-    prober = Prober(("r1",))
+    world = World([("r0", "r1")])
+    world.run(1.0)
+    node = world.bots["r0"].node
+    prober, link = node._prober, node._links["r1"]
     for number in range(100):
-        prober.pings(EchoRequest("r1", number, 50, count=10), number * 1.0)
+        assert prober.ping(EchoRequest("r1", number, 50, count=10), link, number * 1.0) is None
     assert len(prober._sent) <= 10 * (probe.FORGET + 1)
 
 

@@ -204,7 +204,8 @@ def test_messages_reach_neighbours_and_nobody_else(build: Build, kind: str) -> N
         swarm["r0"].bus.publish(SYNC.format("r0"), payload)
     wait_until(lambda: len(swarm["r1"].samples) >= len(sent))
     assert [payload for key, payload in swarm["r1"].samples if key == SYNC.format("r0")] == sent
-    assert len(swarm["r1"].samples) == len(sent)
+    # `talk` repeats itself, so another r2's "back" may still be under way.
+    assert {key for key, _ in swarm["r1"].samples} <= {SYNC.format("r0"), SYNC.format("r2")}
     link = swarm["r0"].status()
     assert link.state == "ready"
     for robot in swarm.robots.values():

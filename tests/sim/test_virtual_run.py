@@ -3,10 +3,12 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from services.sim.virtual.run import simulate
+from swarm.recording.run import Run
 
 EDGES_OF_LINE = 5
 SIX = ("consensus", "--robots", "6", "--iterations", "60")
@@ -64,7 +66,7 @@ def test_equal_seeds_give_equal_recordings_and_others_do_not(tmp_path):
 
     first = files("a")
     assert first == files("b")
-    assert len(first) == 6
+    assert sorted(first) == ["consensus.mcap", "run.toml", "swarm.toml"]
     assert first != files("c", "--seed", "2")
 
 
@@ -108,3 +110,102 @@ def test_a_run_that_cannot_go_on_says_who_is_waited_for():
     (problem,) = report["problems"]
     assert "r3" in problem
     assert "no iteration for" in problem
+
+
+def test_localization_measures_and_finds_the_target():
+    report, _ = simulate("localization", "--robots", "3", "--iterations", "60")
+    assert report["problems"] == []
+    assert report["error_cm"] < 8
+
+
+def test_a_replay_ends_where_the_recording_does(tmp_path):
+    """Rows come as the dwm service would answer them."""
+    rows = "100,0,0,0,0,0,0\n" + "".join(f"{101 + k},0,0,0,0,0,0,0,0,{60 + k},50,{150 - k}\n" for k in range(12))
+    for robot in range(2):
+        (tmp_path / f"{robot}.csv").write_text(rows)
+    report, outcome = simulate("localization", "--replay", str(tmp_path), "--latency", "0ms")
+    assert report["problems"] == []
+    assert report["iterations"] == outcome.scenario.iterations == 12
+
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BLINK = """
+from swarm import PeriodicApp, SyncApp, channel
+
+
+class Frequency(SyncApp):
+    value: float
+
+    def step(self, neighbours):
+        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+
+
+class Blink(PeriodicApp):
+    on: bool
+    f: float
+    frequency = channel(Frequency)
+
+    def start(self):
+        self.frequency.value = 1.0 + self.robot.swarm.index(self.robot.name)
+
+    def step(self, neighbours):
+        self.f = self.frequency.value
+        self.on = not self.on
+        self.robot.leds(green=self.on)
+"""
+
+
+@pytest.mark.parametrize("app", sorted(path.stem for path in EXAMPLES.glob("*.py")))
+def test_every_example_runs_the_same_twice(app, tmp_path):
+    def files(name):
+        folder = tmp_path / name
+        report, _ = simulate(
+            str(EXAMPLES / f"{app}.py"), "--robots", "4", "--seconds", "3", "--jitter", "10ms",
+            "--press", "r1.A@1s", "--record", str(folder),
+        )  # fmt: skip
+        assert report["problems"] == []
+        return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+    first = files("a")
+    assert f"{app}.mcap" in first
+    assert first == files("b")
+
+
+def test_a_button_reaches_an_event_driven_app_and_its_neighbours():
+    app = str(EXAMPLES / "button_count.py")
+    report, _ = simulate(app, "--robots", "3", "--seconds", "4", "--press", "r1.A@1s", "--press", "r1.A@2s")
+    assert all(result["presses"] == 2 for result in report["result"].values())
+
+
+def test_a_channel_runs_beside_the_periodic_app_that_it_belongs_to(tmp_path):
+    app = tmp_path / "blink.py"
+    app.write_text(BLINK)
+    records = tmp_path / "records"
+    report, outcome = simulate(str(app), "--robots", "4", "--iterations", "40", "--record", str(records))
+    assert report["problems"] == []
+    assert report["iterations"] == 40
+    assert all(result["f"] == pytest.approx(2.5, abs=0.01) for result in report["result"].values())
+    times = outcome.trajectories["r0"].times
+    assert times[40] - times[1] == pytest.approx(3.9)
+    recorded = Run(records)
+    assert recorded.states()[""]["r0"] == "swarm/r0/app/blink/state"
+    assert recorded.states()["frequency"]["r0"] == "swarm/r0/app/blink/frequency/state"
+    assert recorded.trajectories()["r3"].value(40, "f") == pytest.approx(2.5, abs=0.01)
+
+
+def test_a_fault_of_a_handler_is_named(tmp_path):
+    app = tmp_path / "bad.py"
+    app.write_text(
+        "from swarm import EventApp\n\n\nclass Bad(EventApp):\n    value: int\n\n"
+        "    def on_button(self, button):\n        raise RuntimeError(button)\n"
+    )
+    report, _ = simulate(str(app), "--robots", "3", "--seconds", "5", "--press", "r2.C@1s")
+    (problem,) = report["problems"]
+    assert "r2" in problem
+    assert "RuntimeError: c" in problem
+
+
+def test_an_app_that_waits_for_events_ends_when_nothing_happens():
+    report, _ = simulate(str(EXAMPLES / "button_count.py"), "--robots", "2", "--press", "r0.A@1s")
+    assert report["problems"] == []
+    assert report["result"]["r1"] == {"presses": 1}

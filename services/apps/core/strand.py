@@ -88,6 +88,11 @@ class Terms:
     after: float = AFTER
     """s after which they are."""
 
+    @property
+    def notes(self) -> str:
+        """The chunk of the key under which notes about the members travel, beside the frames."""
+        return f"{self.run:016x}-{self.schema:08x}-epochs"
+
 
 Action = lockstep.Action | epochs.Action | Renew
 
@@ -98,14 +103,16 @@ class Strand:
     def __init__(
         self,
         me: str,
-        names: Sequence[str],
+        names: frozenset[str],
         terms: Terms,
         begin: Epoch,
+        graph: Graph,
         incarnation: int,
         program: Program,
         kept: Kept | None = None,
     ) -> None:
-        """`names`: all robots there may be; `begin`: the epoch of a run of which nothing was `kept`."""
+        """`names`: all robots there may be; `begin`: the epoch of a run of which nothing was `kept`; `graph`: its
+        links. Of thousands of robots in one process, all may be given the same ones."""
         self.phase = "starting"
         """starting, running, done or fault."""
         self.reason = ""
@@ -120,13 +127,14 @@ class Strand:
         self.epochs = Epochs(me, names, of, incarnation, begin, kept, auto=terms.drop)
         self.rtt = lockstep.RTT
         self._me = me
-        self._terms = terms
+        self.terms = terms
         self._program = program
         self._new = kept is None or (kept.run, kept.schema) != (terms.run, terms.schema)
         self._stopping: Stopping | None = None
         self._lockstep: Lockstep | None = None
         self._channel = self._channel_of(self.epochs.epoch)
-        self._history: deque[State] = deque(maxlen=len(names) + 1)
+        self._graph = graph if self.epochs.number == begin.number else self.epochs.epoch.graph
+        self._history: deque[State] = deque()
         self._began_at = 0.0
         self._progress_at = 0.0
         self._heard: dict[str, float] = {}
@@ -164,7 +172,7 @@ class Strand:
     def saved(self, pages: Sequence[bytes]) -> list[Snapshot]:
         """What an earlier process of this run and version has left behind. Both go from the oldest to the newest."""
         found = [Snapshot.decode(page) for page in pages]
-        return [one for one in found if (one.run, one.schema) == (self._terms.run, self._terms.schema)]
+        return [one for one in found if (one.run, one.schema) == (self.terms.run, self.terms.schema)]
 
     def begin(self, saved: Sequence[Snapshot], measurement: Measurement | None, now: float) -> None:
         """Go on from snapshots, the newest last, or let the app set its first state. What it raises is `AppError`."""
@@ -172,6 +180,7 @@ class Strand:
         self._progress_at = self._began_at = now
         epoch = self.epochs.epoch
         if saved:
+            self._history = deque(maxlen=len(saved))
             for snapshot in saved:
                 if snapshot.epoch == saved[-1].epoch:
                     computed_at, self._began_at = _STAMP.unpack_from(snapshot.private)
@@ -180,7 +189,7 @@ class Strand:
             if saved[-1].epoch == epoch.number and self.epochs.member:
                 self._resume(saved[-1], epoch, now)
             else:
-                self._channel = Channel(self._terms.run, saved[-1].epoch, self.epochs.birth, self._terms.schema)
+                self._channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
                 self.epochs.resettle()
         elif self._new:
             own, private = self._program.start(measurement)
@@ -201,10 +210,11 @@ class Strand:
         """Let the app go over to an epoch; what it gives goes to `renewed`. None: this robot has no part in it."""
         if self._me not in epoch.members:
             return None
+        self._graph = epoch.graph
         state = self._before(epoch)
         if state is not None:
-            return self._program.renew(epoch.k, state.own, state.private, epoch.graph)
-        return self._program.renew(epoch.k, *self._program.start(measurement), epoch.graph)
+            return self._program.renew(epoch.k, state.own, state.private, self._graph)
+        return self._program.renew(epoch.k, *self._program.start(measurement), self._graph)
 
     # The other side
 
@@ -229,10 +239,9 @@ class Strand:
 
     def renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None, now: float) -> None:
         """Go on with what `renew` gave."""
-        if epoch.number != self.epochs.epoch.number:
+        if epoch.number != self.epochs.number:
             return  # there is a newer one by now
         if answer is not None:
-            self._history.clear()
             self._enter(epoch, *answer, now)
         self.epochs.settle()
 
@@ -240,7 +249,7 @@ class Strand:
         """A frame. Before the own start there is no slot for it: its sender is asked again."""
         core = self._lockstep
         self._heard[sender] = now
-        if channel.epoch != self.epochs.epoch.number and sender != self._me:
+        if channel.epoch != self.epochs.number and sender != self._me:
             self.epochs.stranger(now)
         if core is not None and not self._changing:
             core.receive(sender, channel, payload, now)
@@ -267,7 +276,7 @@ class Strand:
         if self._lockstep is not None and not self._changing:
             self._lockstep.rtt = self.rtt
             self._lockstep.handle_timer(now)
-        if self._terms.drop:
+        if self.terms.drop:
             awaited = self._awaited()
             self.epochs.stalled = bool(awaited) and now >= self._stalled_at
             silent = {n for n, at in awaited if now >= at}
@@ -282,7 +291,7 @@ class Strand:
         times = [self.epochs.next_deadline(now)]
         if self._lockstep is not None and not self._changing:
             times.append(self._lockstep.next_deadline())
-        if self._terms.drop:
+        if self.terms.drop:
             times += [at for _, at in self._awaited() if at > now]
             if self._stalled_at > now:
                 times.append(self._stalled_at)
@@ -325,12 +334,12 @@ class Strand:
     @property
     def _changing(self) -> bool:
         """Whether the lockstep is of an epoch that is over."""
-        return self._channel.epoch != self.epochs.epoch.number
+        return self._channel.epoch != self.epochs.number
 
     @property
     def _stalled_at(self) -> float:
         """When the others are to hear that this robot does not get on."""
-        return self._progress_at + self._terms.after / 2
+        return self._progress_at + self.terms.after / 2
 
     def _awaited(self) -> list[tuple[str, float]]:
         """Neighbours that this robot waits for, and when they are to be given up, sorted."""
@@ -338,11 +347,11 @@ class Strand:
             return []
         # Who has stopped for a ballot waits for all: they repeat what they have to say.
         frozen = self.epochs.frozen and self.epochs.member
-        waiting = self.epochs.epoch.graph.neighbours(self._me) if frozen else self._lockstep.waiting_for
-        return [(n, max(self._progress_at, self._heard.get(n, 0.0)) + self._terms.after) for n in waiting]
+        waiting = self._graph.neighbours(self._me) if frozen else self._lockstep.waiting_for
+        return [(n, max(self._progress_at, self._heard.get(n, 0.0)) + self.terms.after) for n in waiting]
 
     def _channel_of(self, epoch: Epoch) -> Channel:
-        return Channel(self._terms.run, epoch.number, self.epochs.birth, self._terms.schema)
+        return Channel(self.terms.run, epoch.number, self.epochs.birth, self.terms.schema)
 
     def _before(self, epoch: Epoch) -> State | None:
         """The state with which this robot goes over to an epoch: that of its first iteration, or the newest one."""
@@ -356,12 +365,12 @@ class Strand:
         return state._replace(own=state.own[: self._program.size])
 
     def _lockstep_of(self, epoch: Epoch) -> Lockstep:
-        rule = self._terms.rule
-        self._stopping = Stopping(rule, epoch.graph, self._me) if rule is not None else None
+        rule = self.terms.rule
+        self._stopping = Stopping(rule, self._graph) if rule is not None else None
         self._channel = self._channel_of(epoch)
         size = self._program.size + (Stopping.size if self._stopping is not None else 0)
-        neighbours = epoch.graph.neighbours(self._me)
-        return Lockstep(self._me, neighbours, self._channel, size, last=self._terms.last, rtt=self.rtt)
+        neighbours = self._graph.neighbours(self._me)
+        return Lockstep(self._me, neighbours, self._channel, size, last=self.terms.last, rtt=self.rtt)
 
     def _enter(self, epoch: Epoch, own: bytes, private: bytes, now: float) -> None:
         """Begin an epoch."""
@@ -369,7 +378,8 @@ class Strand:
         own += Stopping.first() if self._stopping is not None else b""
         self._progress_at = self.computed_at = now
         self._heard.clear()
-        self._history.append(State(epoch.k, own, private, now))
+        # So far back the slowest robot of the epoch can be.
+        self._history = deque([State(epoch.k, own, private, now)], maxlen=self._graph.span + 2)
         self.lost = False
         self.waiting = ()
         if self.phase == "done":
@@ -383,7 +393,8 @@ class Strand:
         state = self._history[-1]
         count = state.own[self._program.size :]
         self._lockstep.resume(snapshot.encode(), now, last=self._stopping is not None and self._stopping.over(count))
-        self._program.restore(state.k, self._plain(state).own, state.private, epoch.graph)
+        self._history = deque(self._history, maxlen=self._graph.span + 2)
+        self._program.restore(state.k, self._plain(state).own, state.private, self._graph)
         self.computed_at = state.at
         self.epochs.k = state.k
 

@@ -104,10 +104,12 @@ class Phase(SyncApp):
             self.value = self.robot.random.uniform(0.0, 0.5)
 
     def step(self, neighbours: Sequence[Any]) -> None:
-        """The mean of the own and the neighbours' values."""
-        own = self.value if self._fired < 0.0 else self._fired
-        self._fired = -1.0
+        """The mean of the own and the neighbours' values, moved as far as the last blink has moved the own one: so all
+        of that reaches the others, as it does where the state is overwritten between two iterations."""
+        own, fired, self._fired = self.value, self._fired, -1.0
         self.value = own + sum(w * (n.value - own) for w, n in self.weighted(neighbours))
+        if fired >= 0.0:
+            self.value += fired - own
 
 
 class ThesisLedSync(EventApp):

@@ -14,7 +14,7 @@ import hmac
 import struct
 from collections.abc import Collection
 
-from services.mesh.core.frames import MAC_SIZE, TAG_SIZE
+from services.mesh.core.frames import MAC_SIZE, TAG_SIZE, seal
 
 SECRET_SIZE = 32
 """Bytes of a pre-shared key."""
@@ -72,10 +72,19 @@ class Keys:
         """What our CONFIRM carries."""
         self.outbound = Tagger(tags[we])
         self.inbound = Tagger(tags[they])
+        self._sealing = False
 
     def confirms(self, mac: bytes) -> bool:
         """Whether the other end's CONFIRM shows that it holds the key and has seen the same two HELLOs."""
         return hmac.compare_digest(mac, self._mac(self._their_confirm))
+
+    def seal(self, chunks: list[bytes], confirm: bytes) -> bytes:
+        """Frames as they go onto the wire: with a tag behind all that follow our CONFIRM frame."""
+        sealed = []
+        for frame in chunks:
+            sealed.append(seal(frame, self.outbound) if self._sealing else frame)
+            self._sealing = self._sealing or frame is confirm
+        return b"".join(sealed)
 
     def _mac(self, key: bytes) -> bytes:
         mac = hmac.digest(key, self._transcript, "sha256")

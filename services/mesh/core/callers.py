@@ -53,6 +53,17 @@ class Callers:
     def __init__(self) -> None:
         self._refused: OrderedDict[str, tuple[int, float]] = OrderedDict()
 
+    def refusal(self, caller: Caller, half_open: Iterable[Caller], now: float) -> tuple[str, str, str] | None:
+        """Why a caller may not begin its handshake: counter, problem and text; None where it may."""
+        if caller.robot == "":
+            text = f"connection refused: {caller.source} is the address of no robot of ours"
+            return "refused_robot", "strange address", text
+        if self.has_room(caller, half_open, now):
+            return None
+        limit = f"more than {MAX_HALF_OPEN} wait for their handshake, or the last ones from there were refused"
+        text = f"connection refused source={caller.source or 'unknown'}: {limit}"
+        return "half_open", "half-open connections", text
+
     def has_room(self, caller: Caller, half_open: Iterable[Caller], now: float) -> bool:
         """Whether a caller may begin its handshake while those of `half_open` are in theirs."""
         if now < self._refused.get(caller.source, (0, 0.0))[1]:

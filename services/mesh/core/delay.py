@@ -28,6 +28,11 @@ class AirModel:
     dial: float = 0.0
     """s until a connection is there, or found impossible: finding the other one takes a radio its time."""
 
+    @property
+    def shortest(self) -> float:
+        """No byte is on the air for less, s."""
+        return min(FLOOR, self.latency) if self.jitter else self.latency
+
     @classmethod
     def parse(cls, text: str) -> "AirModel":
         """Read `latency=0.03,jitter=0.01,bandwidth=78000,seed=1,dial=2`, each part optional."""
@@ -73,7 +78,7 @@ class DelayLine:
             self.free_at += len(data) / model.bandwidth
         delay = model.latency
         if model.jitter:
-            delay = max(self._gauss(delay, model.jitter), min(FLOOR, delay))
+            delay = max(self._gauss(delay, model.jitter), model.shortest)
         self._last_arrival = max(self._last_arrival, self.free_at + delay)
         self._chunks.append((self._last_arrival, data))
         return self._last_arrival

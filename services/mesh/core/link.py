@@ -1,5 +1,6 @@
 """One neighbour as a node keeps it: the connection in use, and what is told of all connections so far."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from services.mesh.core.dialler import Dialler
@@ -30,6 +31,26 @@ class Link:
         self.dropped = 0
         """Messages lost while the link was down, or in the queues of earlier connections."""
         self.refused = 0
+
+    def keep(self, random: Callable[[], float] | None) -> None:
+        """The link is to last; `random` where we are the one who dials."""
+        self.lasting = True
+        if self.dialler is None and random is not None:
+            self.dialler = Dialler(random)
+            if self.attempt or self.session is not None:
+                self.dialler.take(0.0)  # its first call is under way already
+
+    def detach(self, session: Session, reason: str, now: float) -> None:
+        """The connection in use is lost, or is given up."""
+        self.session = None
+        self.reason = reason
+        self.sent += session.sent
+        self.received += session.received
+        self.sent_bytes += session.sent_bytes
+        self.received_bytes += session.received_bytes
+        self.dropped += session.queue.dropped
+        if self.dialler is not None:
+            self.dialler.ended(now)
 
     def state(self) -> LinkState:
         """For the key `mesh/links`."""

@@ -7,17 +7,17 @@ The shell moves bytes between sessions and transports, carries out `actions()`, 
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 
-from services.mesh.core import flood, frames, probe, unicast
+from services.mesh.core import frames, probe
 from services.mesh.core.actions import Connect, Disconnect, Keep, Report, Transmit
-from services.mesh.core.callers import MAX_HALF_OPEN, UNKNOWN, Caller, Callers
+from services.mesh.core.callers import UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
 from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.counters import COUNTERS
-from services.mesh.core.dialler import Dialler
 from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
-from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.handshake import Local
+from services.mesh.core.limits import longest
 from services.mesh.core.link import Link
 from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays import Overlays
@@ -27,12 +27,6 @@ from swarm.codec import encode
 from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.messages import Echo, EchoRequest, LinkState
-
-_LIMITS = {
-    frames.FLOOD: flood.limit_of,
-    frames.UNICAST: unicast.limit_of,
-}
-"""Longest payload of a value that flood and unicast relay, in bytes, by its class."""
 
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
@@ -56,15 +50,18 @@ class Node:
         assert overlays.linking is not None
         self._local = local
         self._random = random
-        self._has_room = overlays.linking.has_room
         self._relay = relay
         self.overlays = overlays
         self._nonce = nonce
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
         self._links: dict[str, Link] = {}
-        self._prober = probe.Prober(local.dials)
+        self._prober = probe.Prober(local.robot, local.dials)
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
+        self._session = partial(
+            Session, local,
+            admit=self._admit, clock=self._clock, counters=counters, has_room=overlays.linking.has_room,
+        )  # fmt: skip
         self._sessions: list[Session] = []
         self._callers = Callers()
         self._half_open: dict[Session, Caller] = {}
@@ -77,14 +74,10 @@ class Node:
 
     def accepted(self, now: float, caller: Caller = UNKNOWN) -> Session | None:
         """Somebody connected; None = no handshake with this one, close it."""
-        if caller.robot == "":
-            self._counters["refused_robot"] += 1
-            self._note("strange address", f"connection refused: {caller.source} is the address of no robot of ours")
-            return None
-        if not self._callers.has_room(caller, self._half_open.values(), now):
-            self._counters["half_open"] += 1
-            limit = f"more than {MAX_HALF_OPEN} wait for their handshake, or the last ones from there were refused"
-            self._note("half-open connections", f"connection refused source={caller.source or 'unknown'}: {limit}")
+        if (refusal := self._callers.refusal(caller, self._half_open.values(), now)) is not None:
+            counter, problem, text = refusal
+            self._counters[counter] += 1
+            self._note(problem, text)
             return None
         session = self._open(None, now, caller.robot)
         self._half_open[session] = caller
@@ -130,19 +123,10 @@ class Node:
     def ping(self, request: EchoRequest, now: float) -> None:
         """Measure a link; the answers come out of `actions` as messages for the own bus."""
         link = self._links.get(request.peer)
-        reason = probe.fault(request)
-        if link is None:
-            reason = f"{request.peer} is not a neighbour"
-        elif link.session is None:
-            reason = f"the link to {request.peer} is down"
-        elif not reason:
-            priority, name = probe.CLASSES[request.priority][0], probe.ping_key(self._local.robot)
-            for ping in self._prober.pings(request, now):
-                if not link.session.send(priority, name, ping, latest=False):
-                    reason = f"the queue of the link to {request.peer} is full"
+        if (refusal := self._prober.ping(request, link, now)) is not None:
+            self._tell_echo(refusal)
+        if link is not None and link.session is not None:
             self._ready.append(link.session)
-        if reason:
-            self._tell_echo(Echo(now, request.peer, request.sequence, 0, request.size, None, reason))
 
     def handle_timer(self, now: float) -> None:
         """Whatever is due. Call it at `next_deadline` or any other time."""
@@ -210,28 +194,14 @@ class Node:
     # -- inside ------------------------------------------------------------------------------------
 
     def _open(self, peer: str | None, now: float, expected: str | None = None) -> Session:
-        session = Session(
-            self._local,
-            self._nonce(),
-            now,
-            dialled=peer,
-            admit=self._admit,
-            clock=self._clock,
-            counters=self._counters,
-            expected=expected,
-            has_room=self._has_room,
-        )
+        session = self._session(self._nonce(), now, dialled=peer, expected=expected)
         self._sessions.append(session)
         self._ready.append(session)
         return session
 
     def _send(self, send: Send, now: float) -> None:
         leg, payload = send
-        if leg.overlay == frames.NEIGHBOURS:
-            largest = MAX_MESSAGE if leg.priority == frames.BULK else frames.MAX_PAYLOAD
-        else:
-            largest = _LIMITS[leg.overlay](leg.priority)
-        if len(payload) > largest:
+        if len(payload) > (largest := longest(leg.overlay, leg.priority)):
             self._counters["too_large"] += 1
             self._note(leg.key, f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class")
             return
@@ -280,11 +250,7 @@ class Node:
                     link.attempt = True
                     self._actions.append(Dial(peer))
                     return
-                link.lasting = True
-                if link.dialler is None and self._local.dials.get(peer):
-                    link.dialler = Dialler(self._random)
-                    if link.attempt or link.session is not None:
-                        link.dialler.take(0.0)  # its first call is under way already
+                link.keep(self._random if self._local.dials.get(peer) else None)
                 self._links_changed()
             case Disconnect(peer, code):
                 self._drop_link(peer, code)
@@ -308,11 +274,6 @@ class Node:
         self._relay.set_peers(link.peer for link in self._links.values() if link.lasting or link.session is not None)
         self._actions.append(LinksChanged())
 
-    def _on_packet(self, session: Session, event: Received, now: float) -> None:
-        if session.peer is not None:
-            self.overlays.receive(session.peer, event.overlay, event.key, event.payload, event.priority, now)
-            self._serve_overlays()
-
     def _admit(self, peer: str, overlay: int, key: str) -> bool:
         if overlay == frames.NEIGHBOURS:
             admitted = self._relay.admits(peer, key) or self._prober.sender(key) == peer
@@ -328,7 +289,9 @@ class Node:
         for event in session.events():
             if type(event) is Received:
                 if event.overlay != frames.NEIGHBOURS:
-                    self._on_packet(session, event, now)
+                    assert session.peer is not None
+                    self.overlays.receive(session.peer, event.overlay, event.key, event.payload, event.priority, now)
+                    self._serve_overlays()
                 elif self._prober.sender(event.key) is not None:
                     self._on_probe(session, event, now)
                 else:
@@ -420,17 +383,9 @@ class Node:
 
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
         self._clock.lost(link.peer)
-        link.session = None
+        link.detach(session, reason, now)
         self.overlays.link_down(link.peer, now)
         self._serve_overlays()
-        link.reason = reason
-        link.sent += session.sent
-        link.received += session.received
-        link.sent_bytes += session.sent_bytes
-        link.received_bytes += session.received_bytes
-        link.dropped += session.queue.dropped
-        if link.dialler is not None:
-            link.dialler.ended(now)
 
     def _remove(self, session: Session) -> None:
         if session in self._sessions:

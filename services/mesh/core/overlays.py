@@ -4,7 +4,6 @@ The node feeds it links and packets, and carries out `actions()`. It knows no se
 real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
 """
 
-import itertools
 from collections import Counter
 from collections.abc import Callable, Collection
 
@@ -20,11 +19,12 @@ from services.mesh.core.linkstate import HOPS, LinkState
 from services.mesh.core.membership import SETTLE, Membership
 from services.mesh.core.pieces import Packet
 from services.mesh.core.requests import Requests
+from services.mesh.core.stops import Stops
 from services.mesh.core.survey import Survey
 from services.mesh.core.unicast import Unicast
 from swarm.codec import encode
 from swarm.errors import FrameError, PayloadError
-from swarm.keys import STOP, is_name, parse
+from swarm.keys import is_name, parse
 from swarm.keys import key as key_of
 from swarm.messages import (
     FloodRequest,
@@ -40,17 +40,6 @@ from swarm.messages import (
 
 MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
-
-STOP_PERIOD = 1.0
-"""s between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts, or a
-message that was lost, must not make an exception."""
-
-CONFIRM_AFTER = 0.05
-"""s from a change of the register until `mesh/stopped` is flooded: stops that are given on many robots at once make one
-flood of each robot."""
-
-MAX_NAMED = 16
-"""Robots that `mesh/stopped` names: with their reasons it stays far below what a flood carries."""
 
 LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
@@ -110,8 +99,13 @@ class Overlays:
             emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
         )  # fmt: skip
         self._register = Register(
-            me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=self._on_register
+            me,
+            lambda: self._flood.incarnation,
+            self._robots,
+            emit=emit,
+            changed=lambda: self._stops.changed(self._now),
         )
+        self._stops = Stops(me, self._register, self._flood, self._to_bus)
         self._membership = Membership(me, self._robots)
         self._survey = Survey(me, self._robots, self._membership, self._map, self._flood.known)
         self._now = 0.0
@@ -119,12 +113,8 @@ class Overlays:
         self._deadline = 0.0
         self._look_at = _NEVER
         self._members_at = 0.0
-        self._stop_at = _NEVER
-        self._confirm_at = _NEVER
-        self._confirmed: dict[str, str] = {}
         self._lsa_key = key_of(me, "mesh", "lsa")
         self._members_key = key_of(me, "mesh", "members")
-        self._stopped_key = key_of(me, "mesh", "stopped")
         self.linking: Linking | None = None
         """Which links there are to be; None where that is the caller's matter."""
         if start is not None:
@@ -271,10 +261,7 @@ class Overlays:
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
             self._to_bus(self._members_key, encode(self.members(now)), BULK)
-        if now >= self._stop_at:
-            self._tell_stop(now)
-        if now >= self._confirm_at:
-            self._confirm(now)
+        self._stops.handle_timer(now)
 
     @property
     def now(self) -> float:
@@ -297,8 +284,7 @@ class Overlays:
             _NEVER if self.linking is None else self.linking.next_deadline(),
             self._look_at,
             self._members_at,
-            self._stop_at,
-            self._confirm_at,
+            self._stops.next_deadline(),
         )
         actions = self._actions[:]
         self._actions.clear()  # the list itself is shared
@@ -310,8 +296,7 @@ class Overlays:
 
     def stopped(self, now: float) -> Stopped:
         """For the key `mesh/stopped`."""
-        stops = self._register.stops
-        return Stopped(now, bool(stops), dict(itertools.islice(stops.items(), MAX_NAMED)))
+        return self._stops.stopped(now)
 
     def graph(self, now: float, after: str = "") -> MeshGraph:
         """For the key `mesh/graph`: robots with names behind `after`."""
@@ -358,7 +343,7 @@ class Overlays:
         return route.next_hop if route is not None else None
 
     def _patience(self, priority: int) -> float:
-        """4 (D + 1) L: twice the time there and back (facts: 2 D L), and one hop to spare."""
+        """4 (D + 1) L: twice the time there and back, 2 D L, and one hop to spare."""
         farthest = max(self._map.routes().values(), key=lambda route: route.time, default=None)
         least = LEAST_PATIENCE.get(priority, LEAST_PATIENCE_ELSE)
         if farthest is None:
@@ -389,29 +374,6 @@ class Overlays:
             if len(chunks) == 3 and chunks[1:] == ["send", self.me] and is_name(chunks[0]):
                 return True
         return self._admits_unicast(sender, key)
-
-    # -- stop --------------------------------------------------------------------------------------------------
-
-    def _on_register(self) -> None:
-        self._tell_stop(self._now)
-        if self._stop_at == _NEVER:
-            self._to_bus(self._stopped_key, encode(self.stopped(self._now)), CONTROL)
-        self._confirm_at = min(self._confirm_at, self._now + CONFIRM_AFTER)
-
-    def _confirm(self, now: float) -> None:
-        """Tell all robots whether this one is stopped: not in the control class, where the stops themselves are."""
-        self._confirm_at = _NEVER
-        if self._confirmed != (stops := self._register.stops):
-            self._confirmed = stops
-            self._flood.publish(self._stopped_key, encode(self.stopped(now)), BULK, now, latest=True)
-
-    def _tell_stop(self, now: float) -> None:
-        stops = self._register.stops
-        self._stop_at = now + STOP_PERIOD if stops else _NEVER
-        if stops:
-            self._to_bus(self._stopped_key, encode(self.stopped(now)), CONTROL)
-        for origin, reason in stops.items():
-            self._to_bus(STOP, encode(Stop(now, origin, reason)), CONTROL)
 
 
 def _is_app_flood(service: str, topic: str) -> bool:

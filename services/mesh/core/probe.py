@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.frames import BULK, MAX_PAYLOAD, SYNC
+from services.mesh.core.link import Link
 from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.messages import Echo, EchoRequest
@@ -48,7 +49,8 @@ class _Sent(NamedTuple):
 class Prober:
     """The pings that one robot exchanges with its neighbours."""
 
-    def __init__(self, peers: Iterable[str]) -> None:
+    def __init__(self, me: str, peers: Iterable[str]) -> None:
+        self._key = ping_key(me)
         self._pings = {ping_key(peer): peer for peer in peers}
         self._pongs = {pong_key(peer): peer for peer in self._pings.values()}
         self._sent: dict[tuple[str, int, int], _Sent] = {}
@@ -57,8 +59,21 @@ class Prober:
         """The neighbour whose pings or answers travel under a key; None where neither do."""
         return self._pings.get(key) or self._pongs.get(key)
 
-    def pings(self, request: EchoRequest, now: float) -> list[bytes]:
-        """What to send for a request that `fault` finds nothing wrong with."""
+    def ping(self, request: EchoRequest, link: Link | None, now: float) -> Echo | None:
+        """Send what a request asks for; the echo that says why that cannot be."""
+        reason = fault(request)
+        session = link.session if link is not None else None
+        if link is None:
+            reason = f"{request.peer} is not a neighbour"
+        elif session is None:
+            reason = f"the link to {request.peer} is down"
+        elif not reason:
+            for ping in self._pings_of(request, now):
+                if not session.send(CLASSES[request.priority][0], self._key, ping, latest=False):
+                    reason = f"the queue of the link to {request.peer} is full"
+        return Echo(now, request.peer, request.sequence, 0, request.size, None, reason) if reason else None
+
+    def _pings_of(self, request: EchoRequest, now: float) -> list[bytes]:
         for name in [name for name, sent in self._sent.items() if now >= sent.at + FORGET]:
             del self._sent[name]
         flags = _SHORT if request.short else 0

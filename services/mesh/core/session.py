@@ -99,8 +99,6 @@ class Session:
         self._auth: Keys | None = None
         """The keys of this connection, once the other's HELLO was accepted; None on insecure links."""
         self._confirm = b""
-        self._tag: frames.Tag | None = None
-        """What tags our frames, once CONFIRM has left; None on insecure links."""
         self._heard = now
         self._heartbeat_at = now
         self._heartbeat_due = False
@@ -253,21 +251,9 @@ class Session:
                     if size >= BULK_WRITE:
                         break
         self.sent += len(chunks)
-        data = b"".join(chunks) if self._auth is None else self._seal(self._auth, chunks)
+        data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)
         self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
         return data
-
-    def _seal(self, auth: Keys, chunks: list[bytes]) -> bytes:
-        """Tag what comes behind our CONFIRM."""
-        sealed = []
-        for frame in chunks:
-            if self._tag is None:
-                sealed.append(frame)
-                if frame is self._confirm:
-                    self._tag = auth.outbound
-            else:
-                sealed.append(frames.seal(frame, self._tag))
-        return b"".join(sealed)
 
     def _beat(self, chunks: list[bytes], now: float) -> None:
         """A heartbeat, and what goes with it."""

@@ -49,6 +49,8 @@ class Air:
     def __init__(self, me: str, directory: Path) -> None:
         self.me = me
         self.model = AirModel.parse(os.environ.get(LINK_VARIABLE, ""))
+        self.quiet_until = 0.0
+        """Until then nothing can arrive that has not been put on the air already: see `SimPipe.read`."""
         self._cuts: dict[str, float] = {}
         # Who holds the lock owns the sockets here; the kernel lets go of it however the owner ends.
         try:
@@ -128,13 +130,19 @@ class SimPipe(Pipe):
 
     def wants_read(self, now: float) -> bool:
         """Not while the line is busy: what comes next must wait in the sender's socket."""
-        return not self._ended and (self._line is None or now >= self._line.free_at)
+        return not self._ended and (self._line is None or now >= self._next_read(self._line))
 
     def read(self, now: float) -> None:
-        """Put what is there on the air."""
+        """Put what is there on the air.
+
+        What is written from now on arrives after the shortest latency at the earliest, so until then no link of this
+        robot is looked at: neighbours write at about the same time, and one look serves for all of them.
+        """
         data = self._receive()
         if data is None:
             return
+        if data and now >= self._air.quiet_until:
+            self._air.quiet_until = now + self._air.model.shortest
         self._buffer += data
         try:
             if self._line is None and self._buffer:
@@ -167,9 +175,12 @@ class SimPipe(Pipe):
         arrival = self._line.next_arrival()
         if arrival is not None:
             arrival = max(arrival, self._air.cut_until(self._peer))
-        if self._ended or now >= self._line.free_at:
+        if self._ended or now >= (look := self._next_read(self._line)):
             return arrival
-        return self._line.free_at if arrival is None else min(arrival, self._line.free_at)
+        return look if arrival is None else min(arrival, look)
+
+    def _next_read(self, line: DelayLine) -> float:
+        return max(line.free_at, self._air.quiet_until)
 
     def _learn_caller(self) -> None:
         size = self._buffer[0]

@@ -34,10 +34,12 @@ class Phases(NamedTuple):
     neighbours: float
     all: float
     synchronous_at: float | None
-    """From when on no two were more than `SYNCHRONOUS_S` apart for a second; None: never."""
+    """From when on no two were more than `SYNCHRONOUS_S` apart, all through `WINDOW_S`; None: never."""
 
 
 SYNCHRONOUS_S = 0.02
+WINDOW_S = 3.0
+"""In this time each LED must go on twice at least."""
 
 
 class Witness:
@@ -100,15 +102,18 @@ class Witness:
         return Phases(percentile(near, 0.95), percentile(every, 0.95), self._synchronous(since))
 
     def _synchronous(self, since: float) -> float | None:
-        """The start of the first second in which every LED went on and no two were too far apart."""
-        end = min(times[-1] for times in self.flashes.values())
-        for begin in sorted({t for times in self.flashes.values() for t in times if since <= t <= end - 1.0}):
-            seconds = {name: [t for t in times if begin <= t < begin + 1.0] for name, times in self.flashes.items()}
-            if all(seconds.values()) and all(
+        """The first flash after which for a while all went on together."""
+        end = min(times[-1] for times in self.flashes.values()) - WINDOW_S
+        for begin in sorted({t for times in self.flashes.values() for t in times if since <= t <= end}):
+            windows = {
+                name: times[bisect_left(times, begin) : bisect_left(times, begin + WINDOW_S)]
+                for name, times in self.flashes.items()
+            }
+            if all(len(times) >= 2 for times in windows.values()) and all(
                 _nearest(self.flashes[b], t) <= SYNCHRONOUS_S
                 for a in self.names
                 for b in self.names
-                for t in seconds[a]
+                for t in windows[a]
             ):
                 return begin
         return None

@@ -3,21 +3,30 @@
 import os
 import random
 import time as real_time
-from collections.abc import Mapping
 from pathlib import Path
 
 from services.apps import loader
 from services.apps.recorder import Recorder
 from services.mesh.core.delay import AirModel
-from services.sim.options import Options
+from services.sim import scene
+from services.sim.core.witness import Witness
+from services.sim.options import PRESS_S, Options
 from services.sim.options import parse as arguments_of
 from services.sim.report import Json, Outcome, summary
 from services.sim.scenario import Scenario, build
-from services.sim.trajectory import EMPTY, Trajectory
-from services.sim.virtual.sync import Line, SyncHost
+from services.sim.virtual.bus import VirtualBus
+from services.sim.virtual.event_host import VirtualEventHost
+from services.sim.virtual.host import VirtualHost
+from services.sim.virtual.strand import Line, Teller, Told
+from services.sim.virtual.tape import Tape
 from services.sim.virtual.world import World
-from swarm.codec import Value
+from swarm.config.dump import dump
+from swarm.core import hands
 from swarm.errors import LocalError
+from swarm.recording import folder
+from swarm.recording.plain import PlainRecording
+from swarm.recording.reader import SUFFIX
+from swarm.recording.watch import Watch
 
 STALLED = 60.0
 """s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
@@ -40,8 +49,12 @@ class Run:
         self._rows = rows or bool(scenario.recordings) or options.plot is not None
         names = scenario.config.names
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed)
-        self.world = World(scenario.config, model, options.seed)
-        self._tapes = {name: _Tape(keep=self._rows) for name in names}
+        self._witness = Witness(names) if scenario.app in scene.WATCHED else None
+        self.world = World(
+            scenario.config, model, options.seed, body=options.body, lying=scenario.lying, witness=self._witness
+        )
+        self._tapes = {name: Tape(keep=self._rows) for name in names}
+        self._recording: PlainRecording | None = None
         self._recorders: dict[str, Recorder] = {}
         self._running = set(names)
         self._missing_first = set(names)
@@ -58,22 +71,23 @@ class Run:
         if scenario.program is not None:
             app = loader.load(scenario.program)
             number = random.Random(f"{options.seed} run").getrandbits(64)
+            if options.record is not None:
+                self._begin_record(options.record, app, number)
             for name in scenario.config.names:
                 world.start_app(
                     name,
                     app,
                     run=number,
                     last=scenario.iterations,
-                    measurements=None,
-                    advanced=self._advanced,
-                    ended=self._ended,
+                    recording=scenario.recordings.get(name),
+                    told=Told(self._advanced, self._ended),
                 )
         else:
             self._first_done()
         self._watch()
         ended_at = world.time.now
-        for recorder in self._recorders.values():
-            recorder.close()
+        if self._recording is not None:
+            self._recording.close()
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
 
@@ -84,44 +98,63 @@ class Run:
             end = _NEVER if seconds is None or self._started is None else self._started + seconds
             if not time.run(min(time.now + LOOK_EVERY, end)) or time.now >= end:
                 return
-            if self._scenario.app is not None and time.now > self._last_progress + STALLED:
-                stuck = [f"{name} waits for {', '.join(host.waiting)}" for name, host in self._hosts() if host.waiting]
-                self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
+            if seconds is None and self._scenario.app is not None and time.now > self._last_progress + STALLED:
+                self._stalled()
                 return
 
-    def _hosts(self) -> list[tuple[str, SyncHost]]:
-        return [(name, host) for name, robot in self.world.robots.items() for host in robot.apps.values()]
+    def _stalled(self) -> None:
+        """Nothing has happened for long. For an app that waits for events that is the end; for others, a problem."""
+        hosts = [host for robot in self.world.robots.values() for host in robot.apps.values()]
+        strands = [strand for host in hosts if isinstance(host, VirtualHost) for strand in host.strands.values()]
+        tellers: list[Teller] = [*strands, *(host for host in hosts if isinstance(host, VirtualEventHost))]
+        if tellers and all(_has_no_steps(each) for each in tellers):
+            return
+        stuck = [f"{each.robot} waits for {', '.join(each.waiting)}" for each in tellers if each.waiting]
+        self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
-    def _advanced(self, host: SyncHost, line: Line) -> None:
+    def _advanced(self, teller: Teller, line: Line) -> None:
         """A robot has done an iteration."""
-        name = host.robot
+        name = teller.robot
         self._last_progress = line.t
-        self._tapes[name].write(host, line)
-        if self._options.record is not None:
-            recorder = self._recorders.get(name)
-            if recorder is None:
-                path = self._options.record / f"{name}.{host.name}.csv"
-                recorder = Recorder(path, host.runner.schema, self.world.robots[name].mesh.counters, append=False)
-                self._recorders[name] = recorder
-            recorder.write(line.k, line.t, line.state, line.result)
-        if line.k >= 1 and self._started is None:
+        if self._recorders:
+            self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
+        if teller.part:
+            return
+        self._tapes[name].write(teller, line)
+        if self._started is None and (line.k >= 1 or _has_no_steps(teller)):
             self._missing_first.discard(name)
             if not self._missing_first:
                 self._first_done()
 
+    def _begin_record(self, place: Path, app: loader.App, number: int) -> None:
+        """Begin the recording: one file for all robots."""
+        run = folder.describe(app.name, number, self._options.seed, app.digest)
+        folder.begin(place, run, {folder.CONFIG_FILE: dump(self._scenario.config).encode()})
+        self._recording = recording = PlainRecording(place / f"{app.name}{SUFFIX}", run)
+        self._recorders = {name: Recorder(recording, name, app.name) for name in self._scenario.config.names}
+        for name, robot in self.world.robots.items():
+            bus = VirtualBus(robot.router)
+            watch = Watch(bus, name, app.name, recording, lambda: self.world.time.now)
+            watch.on_sample = watch.drain
+            watch.hear_requests(bus, name)
+
     def _first_done(self) -> None:
-        """All robots have done their first iteration: the cuts' times count from here."""
+        """All robots have done their first iteration: the times of cuts and acts count from here."""
         self._started = now = self.world.time.now
+        for press in self._options.presses:
+            self.world.act(press.robot, now + press.at, hands.Press(press.button, PRESS_S))
         for cut in self._options.cuts:
             self.world.cut(cut.a, cut.b, now + cut.at, cut.seconds)
 
-    def _ended(self, host: SyncHost) -> None:
+    def _ended(self, teller: Teller) -> None:
         """A robot is at its last iteration, or its app has failed: that ends the run."""
-        if host.fault:
-            self._problems.append(f"{host.robot} app {host.fault}")
+        if teller.reason:
+            self._problems.append(f"{teller.robot} app {teller.reason}")
             self.world.time.stop()
             return
-        self._running.discard(host.robot)
+        if teller.part:
+            return
+        self._running.discard(teller.robot)
         if not self._running and self._options.seconds is None:
             self.world.time.stop()
 
@@ -141,48 +174,13 @@ class Run:
             restarts=dict.fromkeys(names, 0),
             problems=tuple(self._problems),
             computed_s=self.computed,
+            scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
         )
 
 
-class _Tape:
-    """What is kept of one robot's iterations: when each was done, and the states of all or of the last."""
-
-    def __init__(self, *, keep: bool) -> None:
-        self._keep = keep
-        self._times: dict[int, float] = {}
-        self._lines: dict[int, Line] = {}
-        self._host: SyncHost | None = None
-
-    def write(self, host: SyncHost, line: Line) -> None:
-        """One iteration."""
-        self._host = host
-        self._times[line.k] = line.t
-        if not self._keep:
-            self._lines.clear()
-        self._lines[line.k] = line
-
-    def trajectory(self) -> Trajectory:
-        """As the recorder would have written it."""
-        if self._host is None:
-            return EMPTY
-        shared = [column for field in self._host.runner.schema.fields for column in field.columns]
-        results: list[str] = []
-        for name, value in next(iter(self._lines.values())).result.items():
-            parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]
-            results += [f"result.{name}{part}" for part in parts]
-        rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in self._lines.items()}
-        return Trajectory((*shared, *results), self._times, rows)
-
-
-def _cells(values: Mapping[str, Value]) -> list[str]:
-    found: list[str] = []
-    for value in values.values():
-        found += [str(each) if isinstance(each, str) else repr(each) for each in _parts(value)]
-    return found
-
-
-def _parts(value: Value) -> tuple[Value, ...]:
-    return value if isinstance(value, tuple) else (value,)
+def _has_no_steps(teller: Teller) -> bool:
+    """Whether it waits for events alone."""
+    return isinstance(teller, VirtualEventHost) and teller.runner.period is None
 
 
 def simulate(*arguments: str, rows: bool = False) -> tuple[Json, Outcome]:

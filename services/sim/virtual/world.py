@@ -1,31 +1,41 @@
-"""A swarm under virtual time: for each robot a bus, a mesh and the hosts of its apps, and the air between them."""
+"""A swarm under virtual time: for each robot a bus with mesh, balancer, dwm and the hosts of its apps; and the air."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from services.apps import loader, topology
+from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
 from services.mesh.core.delay import AirModel
+from services.sim.core.witness import Witness
 from services.sim.virtual.air import Air
+from services.sim.virtual.balancer import VirtualBalancer
+from services.sim.virtual.body import DIFFERENTIAL
 from services.sim.virtual.bus import VirtualBus, VirtualRouter
+from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.events import EventQueue
+from services.sim.virtual.host import Place, VirtualHost
+from services.sim.virtual.measurements import Live, Replayed
 from services.sim.virtual.mesh import Common, VirtualMesh
-from services.sim.virtual.sync import Line, Measurements, SyncHost
+from services.sim.virtual.strand import Measurements, Told
+from services.sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app import SyncApp
 from swarm.config import Config
-from swarm.core.lockstep import Channel
+from swarm.core.epoch_notes import Epoch, first
+from swarm.core.graph import Graph
+from swarm.core.hands import Act
 from swarm.devices import Devices
 from swarm.errors import AppError
+from swarm.event_app import Channel, EventApp, channels_of
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
+from swarm.recordings import Recording
 from swarm.robot import Robot
 
 ASK_EVERY = 0.2
 """s between two looks whether an automatic topology links all robots yet, as the real host has it."""
-
-INCARNATION = 1
-"""Of every app host: nobody is started anew."""
 
 
 @dataclass
@@ -35,17 +45,36 @@ class VirtualRobot:
     name: str
     router: VirtualRouter
     mesh: VirtualMesh
-    apps: dict[str, SyncHost] = field(default_factory=dict)
+    balancer: VirtualBalancer
+    dwm: VirtualDwm
+    apps: dict[str, VirtualHost | VirtualEventHost] = field(default_factory=dict)
 
 
 class World:
     """Robots and their links."""
 
-    def __init__(self, config: Config, air: AirModel, seed: int) -> None:
+    def __init__(
+        self,
+        config: Config,
+        air: AirModel,
+        seed: int,
+        *,
+        body: str = DIFFERENTIAL,
+        lying: str | None = None,
+        witness: Witness | None = None,
+    ) -> None:
+        """`body`: which model of `services.sim.virtual.body`; `lying`: the side on which robots begin, if they do not
+        stand; `witness`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
         self.air = Air(self.time, air)
+        self.modules = ModuleField(config)
+        self._body = body
+        self._lying = lying
+        self._witness = witness
+        self._names = frozenset(config.names)
+        self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
 
@@ -53,50 +82,65 @@ class World:
         """Let nothing pass between two robots from `at` on."""
         self.time.at(at, self.air.cut, a, b, seconds)
 
+    def act(self, robot: str, at: float, act: Act) -> None:
+        """Let a person do something to a robot."""
+        self.time.at(at, self.robots[robot].balancer.act, act)
+
     def start_app(
-        self,
-        robot: str,
-        app: loader.App,
-        *,
-        run: int,
-        last: int | None,
-        measurements: Measurements | None,
-        advanced: Callable[[SyncHost, Line], None],
-        ended: Callable[[SyncHost], None],
+        self, robot: str, app: loader.App, *, run: int, last: int | None, recording: Recording | None, told: Told
     ) -> None:
         """Start an app's host; with an automatic topology it begins when that links all robots."""
+        self.time.soon(self._begin, robot, app, run, last, recording, told)
 
-        def begin() -> None:
-            config, epoch = self.config, topology.CONFIGURED
-            if config.auto:
-                in_force = self.robots[robot].mesh.node.overlays.topology(self.time.now)
-                if topology.lacking(config, in_force, self.time.now):
-                    self.time.at(self.time.now + ASK_EVERY, begin)
-                    return
-                links = topology.of_edges(config, in_force.edges)
-                config, epoch = links.config, links.epoch
-            instance = app.make(config, robot, self.seed)
-            if not isinstance(instance, SyncApp):
-                raise AppError(f"app {app.name}: in virtual time only synchronous apps run")
-            bus = VirtualBus(self.robots[robot].router)
-            self._equip(instance.robot, bus, f"{run & 0xFFFFFFFFFFFF:012x}")
-            runner = Runner(instance, app.source)
-            host = self.robots[robot].apps[app.name] = SyncHost(
-                app.name,
-                robot,
-                runner,
-                config.graph.neighbours(robot),
-                Channel(run, epoch, INCARNATION, runner.schema.hash),
-                last=last,
-                time=self.time,
-                bus=bus,
-                measurements=measurements,
-                advanced=advanced,
-                ended=ended,
-            )
-            host.start()
+    def _begin(
+        self, robot: str, app: loader.App, run: int, last: int | None, recording: Recording | None, told: Told
+    ) -> None:
+        config, epoch = self.config, topology.CONFIGURED
+        if config.auto:
+            in_force = self.robots[robot].mesh.node.overlays.topology(self.time.now)
+            if topology.lacking(config, in_force, self.time.now):
+                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, app, run, last, recording, told)
+                return
+            links = topology.of_edges(config, in_force.edges)
+            config, epoch = links.config, links.epoch
+        instance = app.make(config, robot, self.seed)
+        bus = VirtualBus(self.robots[robot].router)
+        if epoch not in self._begin_with:
+            self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
+        place = Place(robot, self._names, *self._begin_with[epoch], run, last, self.time, bus)
+        self._equip(instance.robot, bus, place.prefix)
+        host: VirtualHost | VirtualEventHost
+        if isinstance(instance, EventApp):
+            host = self._event_host(app, instance, place, told)
+        else:
+            assert isinstance(instance, SyncApp)
+            measurements: Measurements | None = None
+            if instance.measured:
+                measurements = Replayed(recording) if recording is not None else self._live(robot, bus)
+            assert instance.robot.overlays is not None
+            instance.robot.overlays.collect()
+            host = VirtualHost(app.name, {"": Runner(instance, app.source)}, app.digest, place, measurements, told)
+        self.robots[robot].apps[app.name] = host
+        host.start()
 
-        self.time.soon(begin)
+    def _event_host(self, app: loader.App, instance: EventApp, place: Place, told: Told) -> VirtualEventHost:
+        names = channels_of(type(instance))
+        channels: dict[str, Channel] = {name: getattr(instance, name) for name in names}
+        inner: VirtualHost | None = None
+        if channels:
+            for each in channels.values():
+                self._equip(each.app.robot, place.bus, place.prefix)
+            runners = {name: Runner(each.app, app.source) for name, each in channels.items()}
+            latest = {name: _taking(each) for name, each in channels.items()}
+            inner = VirtualHost(app.name, runners, app.digest, place._replace(last=None), None, told, latest)
+        return VirtualEventHost(
+            app.name, EventRunner(instance, app.source), app.digest, place, self.config.names, inner, told
+        )
+
+    def _live(self, robot: str, bus: VirtualBus) -> Live:
+        if self.config.dwm.target is None:
+            raise AppError("[dwm] target: expected the address of the target's module, this app needs it")
+        return Live(bus, robot, self.config.dwm.target)
 
     def _equip(self, robot: Robot, bus: VirtualBus, prefix: str) -> None:
         """Put in what an app on a bus has: the clients that run on robots, told the virtual time."""
@@ -104,10 +148,10 @@ class World:
         def now() -> float:
             return self.time.now
 
+        robot.log = logging.getLogger(robot.name)
         robot.time = now
         robot.bus = bus
         robot.overlays = Overlays(bus, robot.name, robot.app, now=now, prefix=prefix)
-        robot.overlays.collect()
         robot.mesh_clock = MeshClock(bus, robot.name, now)
         robot.ranging = Ranging(bus, robot.name, now)
         robot.devices = Devices(bus, robot.name, now)
@@ -115,4 +159,19 @@ class World:
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
         mesh = VirtualMesh(self._common, name, self.time, self.air, VirtualBus(router), self.seed)
-        return VirtualRobot(name, router, mesh)
+        bus = VirtualBus(router)
+        balancer = VirtualBalancer(self.config, name, self._body, self.time, bus, self.seed, self._witness)
+        if self._lying is not None:
+            balancer.body.lay(self._lying, self.time.now)
+        dwm = VirtualDwm(self.config, name, self.modules, balancer, self.time, VirtualBus(router), self.seed)
+        return VirtualRobot(name, router, mesh, balancer, dwm)
+
+
+def _taking(channel: Channel) -> Callable[[int, bytes], None]:
+    """Hands a channel's new states to the app that it belongs to."""
+    schema = type(channel.app).spec.schema
+
+    def take(k: int, state: bytes) -> None:
+        channel.take(k, dict(zip(schema.names, schema.unpack(state), strict=True)))
+
+    return take

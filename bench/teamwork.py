@@ -1,0 +1,153 @@
+"""Apps that blink, stand and drive together, as the simulated world sees them: from LEDs' registers and true poses.
+
+LEDs, stand-up and one formation with the balancing bodies, in real time; formations from many starts and the crossings
+in virtual time, with the cart that follows the balancer's ramps.
+"""
+
+import math
+import random
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from bench.rows import Row
+from bench.simulation import simulate
+from services.sim.options import parse
+from services.sim.scenario import build
+from services.sim.virtual.run import PLACE, Run
+
+LINKS = ("--robots", "6", "--topology", "line", "--latency", "30ms", "--jitter", "10ms")
+NEIGHBOURS_MS, ALL_MS, TOGETHER_S = 10.0, 20.0, 30.0
+"""Goals: 95 % of the differences between LEDs, and from the command until they blink together."""
+THESIS_TOGETHER_S = 40.0
+"""Figure 4.6: 40 s and 160 s."""
+
+PERIOD_S = 6.0
+"""Of stand_up, as in the thesis."""
+MISFIT_M, FORMED_S = 0.05, 60.0
+STARTS = 10
+"""Formations in virtual time."""
+
+CONTACT_M = 0.15
+CROSSINGS = 100
+CROSSING_S = 60.0
+RADIUS, SPREAD, CENTRE = 0.8, 0.08, 0.97
+
+
+def rows() -> Iterator[Row]:
+    """Measure; yields rows as they are there."""
+    yield from _leds()
+    yield from _stand_up()
+    yield from _formation()
+    yield from _crossings()
+
+
+def _leds() -> Iterator[Row]:
+    frequencies = [f"r{i}.frequency_value={value}" for i, value in enumerate((1.8, 2.0, 2.1, 2.2, 2.3, 2.2))]
+    settings = [word for text in frequencies for word in ("--set", text)]
+    for algorithm, judged in (("clock", 1.0), ("thesis", None)):
+        scene = _real("led_sync", *LINKS, "--algorithm", algorithm, "--seconds", "60", *settings)
+        name = f"LEDs, {algorithm}"
+        after = _figure(scene, "synchronous_after_s")
+        yield Row(
+            f"{name}: neighbours apart, 95 %", _figure(scene, "apart_neighbours_p95_ms"), "ms", NEIGHBOURS_MS, judged
+        )
+        yield Row(f"{name}: any two apart, 95 %", _figure(scene, "apart_all_p95_ms"), "ms", ALL_MS, judged)
+        limit = TOGETHER_S if judged else THESIS_TOGETHER_S
+        yield Row(f"{name}: together within 20 ms after", after, "s", limit, judged)
+
+
+def _stand_up() -> Iterator[Row]:
+    """Five lying robots in line, the button of r4."""
+    arguments = ("--robots", "5", "--topology", "line", "--press", "r4.A@1s", "--seconds", "25")
+    scene = _real("stand_up", *arguments)
+    after = scene.get("after_its_neighbour_s")
+    gaps = [math.nan if gap is None else float(gap) for gap in after.values()] if isinstance(after, dict) else []
+    slowest = max(gaps) if len(gaps) == 4 and not any(map(math.isnan, gaps)) else math.nan
+    yield Row("stand_up: a robot stands after its neighbour", slowest, "s", PERIOD_S, 1.0)
+
+
+def _formation() -> Iterator[Row]:
+    scene = _real("formation", *LINKS, "--seconds", "60")
+    yield Row("formation, balancing bodies: rms at 60 s", _figure(scene, "misfit_m"), "m", MISFIT_M, 1.0)
+    yield Row("formation, balancing bodies: formed after", _figure(scene, "formed_after_s"), "s", FORMED_S, 1.0)
+    found = []
+    for seed in range(STARTS):
+        generator = random.Random(f"formation {seed}")
+        places = _scattered(generator, 6)
+        found.append(_virtual("formation", places, {}, "--iterations", "600", "--seed", str(seed)))
+    yield Row(f"formation, {STARTS} random starts: worst rms at 60 s", _worst(found, "misfit_m"), "m", MISFIT_M, 1.0)
+    yield Row("the same: slowest formed after", _worst(found, "formed_after_s"), "s", FORMED_S, 1.0)
+    closest = min(_figure(scene, "closest_m") for scene in found)
+    yield Row("the same: contact, beside the nearest two came", CONTACT_M, "m", closest, 1.0)
+
+
+def _crossings() -> Iterator[Row]:
+    """Six robots on a circle, each to about the opposite side."""
+    found, arrived, took = [], 0, []
+    for seed in range(CROSSINGS):
+        places, settings = crossing(seed)
+        scene = _virtual("goto", places, settings, "--iterations", f"{10 * CROSSING_S:.0f}", "--seed", str(seed))
+        found.append(scene)
+        arrived += bool(scene["all_arrived"])
+        took.append(_figure(scene, "seconds"))
+    closest = min(_figure(scene, "closest_m") for scene in found)
+    yield Row(f"{CROSSINGS} crossings: contact, beside the nearest two came", CONTACT_M, "m", closest, 1.0)
+    yield Row("the same: missed within 60 s", CROSSINGS - arrived, "", 1.0, 0.0)
+    yield Row("the same: slowest", max(took), "s", CROSSING_S, 1.0)
+    yield Row("the same: median", sorted(took)[len(took) // 2], "s", 2 * RADIUS / 0.2, None)
+
+
+def crossing(seed: int, count: int = 6) -> tuple[dict[str, tuple[float, float, float]], dict[str, str]]:
+    """Places (m, rad) and waypoints of the robots, by name."""
+    generator = random.Random(f"crossing {seed}")
+    turned = generator.uniform(0.0, math.tau)
+    places, waypoints = {}, {}
+    for i in range(count):
+        start, end = (turned + math.tau * i / count + half + generator.gauss(0.0, SPREAD) for half in (0.0, math.pi))
+        places[f"r{i}"] = (*_on_circle(start), generator.uniform(-math.pi, math.pi))
+        waypoints[f"r{i}"] = "{:.4f},{:.4f}".format(*_on_circle(end))
+    return places, waypoints
+
+
+def _on_circle(angle: float) -> tuple[float, float]:
+    return CENTRE + RADIUS * math.cos(angle), CENTRE + RADIUS * math.sin(angle)
+
+
+def _scattered(generator: random.Random, count: int) -> dict[str, tuple[float, float, float]]:
+    """Random places on the table, no two within half a metre."""
+    places: list[tuple[float, float]] = []
+    while len(places) < count:
+        place = (generator.uniform(0.1, 1.85), generator.uniform(0.1, 1.85))
+        if all(math.dist(place, other) > 0.5 for other in places):
+            places.append(place)
+    return {f"r{i}": (*place, generator.uniform(-math.pi, math.pi)) for i, place in enumerate(places)}
+
+
+def _real(*arguments: str) -> Mapping[str, Any]:
+    """What the world saw of a run in real time; nothing where it failed."""
+    scene = simulate(*arguments).get("scene")
+    return scene if isinstance(scene, dict) else {}
+
+
+def _virtual(
+    app: str, places: Mapping[str, tuple[float, float, float]], waypoints: Mapping[str, str], *arguments: str
+) -> Mapping[str, Any]:
+    """The same of a run in virtual time, with `all_arrived` and `seconds`."""
+    settings = [word for robot, text in waypoints.items() for word in ("--set", f"{robot}.waypoints={text}")]
+    options = parse([app, *LINKS, *arguments, *settings, "--virtual"])
+    scenario = build(options, PLACE)
+    simulation = replace(scenario.config.simulation, places=dict(places))
+    outcome = Run(options, replace(scenario, config=replace(scenario.config, simulation=simulation))).go()
+    results = [path.value(path.last, "result.reached") for path in outcome.trajectories.values() if waypoints]
+    return {**outcome.scene, "seconds": outcome.seconds, "all_arrived": all(each == 1 for each in results)}
+
+
+def _figure(scene: Mapping[str, Any], name: str) -> float:
+    value = scene.get(name)
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _worst(scenes: list[Mapping[str, Any]], name: str) -> float:
+    values = [_figure(scene, name) for scene in scenes]
+    return math.nan if any(map(math.isnan, values)) else max(values)

@@ -1,0 +1,67 @@
+"""Where the host of an app records: the folder of its run, and the file in it."""
+
+import os
+from pathlib import Path
+
+from services.apps import loader
+from services.apps.recorder import Recorder
+from swarm import clock
+from swarm.recording import folder
+from swarm.recording.file import RecordingFile
+from swarm.recording.reader import CLOCK, EPOCH, RUN, SUFFIX, run_of
+from swarm.recording.watch import Watch
+from swarm.service import Service
+
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+"""Names the machine's clock, which began when the machine did. Robots' services do not see it (ProcSubset of
+systemd)."""
+
+
+class Recording:
+    """The recording of one app's process; a context. Losing it does not stop the app: it is logged once and counted."""
+
+    def __init__(self, service: Service, app: loader.App, run: int, seed: int, place: Path) -> None:
+        """`place`: the run's folder. A file of this run that an earlier process has left is gone on with."""
+        entries = folder.describe(app.name, run, seed, app.digest)
+        files = {folder.CONFIG_FILE: service.config.path.read_bytes()}
+        if app.name not in loader.BUILT_IN:
+            files[f"{app.name}.py"] = Path(app.source).read_bytes()
+        try:
+            folder.begin(place, entries, files)
+        except OSError as error:
+            service.log.warning("%s cannot be made, the run goes on: %s", place, error.strerror)
+        path = place / f"{service.robot}.{app.name}{SUFFIX}"
+        self._file = RecordingFile(
+            path,
+            service.counters,
+            append=run_of(path) == entries["run"],
+            journal=service.runtime / f"app.{app.name}.journal",
+        )
+        epoch_ns = self._file.epoch_ns
+        own = {"robot": service.robot, EPOCH: str(epoch_ns), CLOCK: _clock(service.robot, epoch_ns)}
+        self._file.metadata(RUN, entries | own)
+        self._file.flush()  # whatever comes now: the next process finds which run this is of
+        self.recorder = Recorder(self._file, service.robot, app.name)
+        self.watch = Watch(service.bus, service.robot, app.name, self._file, clock.now)
+        """What the robot's other services say meanwhile."""
+        self._file.feed = self.watch.drain
+
+    def close(self) -> None:
+        """End the file."""
+        self._file.close()
+
+
+def place_of(app: str, run: int, *, wanted: bool) -> Path | None:
+    """The folder that SWARM_RECORD names, or the robot's own where a recording is `wanted`; None without either."""
+    place = os.environ.get("SWARM_RECORD")
+    if place:
+        return Path(place)
+    return folder.of_robot(app, run) if wanted else None
+
+
+def _clock(robot: str, epoch_ns: int) -> str:
+    """A name for this process' clock: other processes of the machine give the same one, or one of their own."""
+    try:
+        return BOOT_ID.read_text().strip()
+    except OSError:
+        return f"{robot}-{epoch_ns // 1_000_000_000}"

@@ -1,0 +1,58 @@
+"""The gyro's zero, kept in the runtime directory for the balancer after this one: it need not look for it for 2 s.
+
+A zero is as good as the last moment in which a loop worked with it: it is taken by who starts within seconds, and not
+when it was measured long ago, since it moves with the sensor's temperature. A boot clears the directory.
+"""
+
+import logging
+import math
+from pathlib import Path
+
+from services.balancer.core.gyro import Zero
+
+NAME = "balancer.zero"
+USED_S = 10.0
+"""Since a loop last worked with it: a restart takes 1 s."""
+MEASURED_S = 3600.0
+"""Since it was measured: 0.05 degrees a second a kelvin (LSM6DS33 datasheet, table 3), so 20 K make a degree."""
+LARGEST = math.radians(30.0)
+"""rad/s: the datasheet's typical zero is up to 10 degrees a second."""
+
+_log = logging.getLogger("balancer")
+
+
+class ZeroFile:
+    """See the module."""
+
+    def __init__(self, runtime: Path) -> None:
+        self._path = runtime / NAME
+        self._zero: Zero | None = None
+        self._measured = 0.0
+        self._failed = False
+
+    def read(self, now: float) -> Zero | None:
+        """The zero of the process before, where it still holds; None otherwise."""
+        try:
+            *axes, measured, used = map(float, self._path.read_text().split())
+            zero = Zero(*axes)
+        except (OSError, ValueError, TypeError):
+            return None
+        if not (0.0 <= now - used <= USED_S and measured <= used and now - measured <= MEASURED_S):
+            return None
+        if len(axes) != len(zero) or not all(abs(axis) <= LARGEST for axis in zero):
+            return None
+        self._zero, self._measured = zero, measured
+        return zero
+
+    def keep(self, zero: Zero, now: float) -> None:
+        """Say that `zero` is in use now. Where it cannot be kept the next process looks for it."""
+        if zero != self._zero:
+            self._zero, self._measured = zero, now
+        try:
+            new = self._path.with_suffix(".new")
+            new.write_text(" ".join(map(repr, (*zero, self._measured, now))))
+            new.replace(self._path)
+        except OSError as error:
+            if not self._failed:
+                _log.warning("the gyro's zero cannot be kept for a restart: %s", error)
+            self._failed = True

@@ -1,0 +1,142 @@
+"""The host of one app on one robot under virtual time: what `services.apps.host` is in a process."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from services.apps.core.strand import Strand, Terms
+from services.apps.host import TICK, schema_of
+from services.apps.runner import Runner
+from services.sim.virtual.bus import VirtualBus
+from services.sim.virtual.events import EventQueue
+from services.sim.virtual.strand import Measurements, Told, VirtualStrand
+from swarm.codec import decode
+from swarm.core.epoch_notes import Epoch
+from swarm.core.graph import Graph
+from swarm.core.lockstep import Channel
+from swarm.errors import FrameError
+from swarm.keys import key
+from swarm.messages import Links
+
+INCARNATION = 1
+"""Of every app host: nobody is started anew."""
+
+
+class Place(NamedTuple):
+    """Where a host runs, and in which run."""
+
+    robot: str
+    names: frozenset[str]
+    """Of all robots."""
+    begin: Epoch
+    """Its members and links, the same object for all robots."""
+    graph: Graph
+    run: int
+    last: int | None
+    """The last iteration, if there is one."""
+    time: EventQueue
+    bus: VirtualBus
+
+    @property
+    def neighbours(self) -> tuple[str, ...]:
+        """Of this robot, sorted."""
+        return self.graph.neighbours(self.robot)
+
+    @property
+    def prefix(self) -> str:
+        """What the tickets of this host's requests begin with: another one in each run."""
+        return f"{self.run & 0xFFFFFFFFFFFF:012x}"
+
+
+class VirtualHost:
+    """The lockstep channels of one app on one robot."""
+
+    def __init__(
+        self,
+        app: str,
+        runners: Mapping[str, Runner],
+        digest: bytes,
+        place: Place,
+        measurements: Measurements | None,
+        told: Told,
+        latest: Mapping[str, Callable[[int, bytes], None]] | None = None,
+    ) -> None:
+        """`runners` by channel, the name empty for an app that is one lockstep; `digest` of the app's source;
+        `latest[channel](k, state)` is called with each packed state."""
+        self.app = app
+        self.robot = place.robot
+        self.strands: dict[str, VirtualStrand] = {}
+        self._place = place
+        self._by_schema: dict[int, VirtualStrand] = {}
+        self._notes: dict[str, VirtualStrand] = {}
+        self._senders: dict[str, tuple[VirtualStrand, str, Channel | None] | None] = {}
+        self._connections: dict[str, int] = {}
+        for part, runner in runners.items():
+            schema = schema_of(runner, part, digest)
+            terms = Terms(place.run, schema, place.last)
+            begin, graph = place.begin, place.graph
+            strand = Strand(place.robot, place.names, terms, begin, graph, INCARNATION, runner)
+            self.strands[part] = self._by_schema[schema] = self._notes[terms.notes] = VirtualStrand(
+                strand,
+                runner,
+                robot=place.robot,
+                app=app,
+                part=part,
+                time=place.time,
+                bus=place.bus,
+                measurements=measurements,
+                told=told,
+                latest=(latest or {}).get(part),
+            )
+        place.bus.subscribe(key("*", f"app/{app}", "sync", "**"), self._on_sync)
+        place.bus.subscribe(key(place.robot, "mesh", "links"), self._on_links)
+
+    def start(self) -> None:
+        """Begin all channels."""
+        for strand in self.strands.values():
+            strand.start()
+        self._place.time.at(self._place.time.now + TICK, self._show)
+
+    def _on_sync(self, name: str, payload: bytes) -> None:
+        try:
+            known = self._senders[name]
+        except KeyError:
+            known = self._senders[name] = self._parsed(name)
+        if known is not None:
+            strand, sender, channel = known
+            if channel is not None:
+                strand.receive(sender, channel, payload)
+            elif sender != self.robot:
+                strand.receive_note(sender, payload)
+
+    def _parsed(self, name: str) -> tuple[VirtualStrand, str, Channel | None] | None:
+        """Whom a frame's key is for, sender and channel (None for a note about the members); None where it is for
+        another robot, or is no such key."""
+        _, sender, _, _, _, text, *receiver = name.split("/")
+        if receiver and receiver != [self.robot]:
+            return None
+        if text in self._notes:
+            return self._notes[text], sender, None
+        try:
+            channel = Channel.parse(text)
+        except FrameError:
+            return None
+        strand = self._by_schema.get(channel.schema)
+        return None if strand is None else (strand, sender, channel)
+
+    def _on_links(self, name: str, payload: bytes) -> None:
+        links = decode(Links, payload, name).links
+        up = {link.peer: link.connection for link in links if link.state == "up"}
+        rtts = [link.rtt for link in links if link.rtt is not None]
+        renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
+        self._connections.update(up)
+        for strand in self.strands.values():
+            if rtts:
+                strand.take_rtt(max(rtts))
+            if renewed:
+                strand.nudge()
+
+    def _show(self) -> None:
+        """Ten times a second: states and progress, for who watches."""
+        self._place.time.at(self._place.time.now + TICK, self._show)
+        for strand in self.strands.values():
+            strand.show()

@@ -1,0 +1,247 @@
+"""One lockstep of an app under virtual time: drives `services.apps.core.strand` as `services.apps.worker` does, without
+its thread and files."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from services.apps.core.strand import ALONE, Renew, Strand
+from services.apps.runner import AppRunner, Runner
+from services.sim.virtual.bus import VirtualBus
+from services.sim.virtual.events import EventQueue
+from swarm.codec import Value
+from swarm.core.epochs import Tell
+from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Send
+from swarm.errors import AppError
+from swarm.keys import key
+from swarm.messages import AppProgress, AppState, Measurement
+
+_NEVER = float("inf")
+
+
+class Line(NamedTuple):
+    """What a run has of one iteration of one robot."""
+
+    k: int
+    t: float
+    state: dict[str, Value]
+    result: dict[str, Value]
+
+
+class Measurements(Protocol):
+    """Where an app's measurements come from."""
+
+    def get(self, k: int, ready: Callable[[Measurement], None]) -> None:
+        """Call `ready(measurement)` when that of step k is there."""
+
+
+class Teller(Protocol):
+    """What tells of an app's iterations, steps or events: a strand, or the host of an event-driven app."""
+
+    @property
+    def robot(self) -> str:
+        """Where it runs."""
+
+    @property
+    def app(self) -> str:
+        """The app's name."""
+
+    @property
+    def part(self) -> str:
+        """Name of the channel within the app; empty for the app itself."""
+
+    @property
+    def runner(self) -> AppRunner:
+        """The app."""
+
+    @property
+    def reason(self) -> str:
+        """Why it has stopped; empty where it has not."""
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """Robots that are waited for."""
+
+
+class Told(NamedTuple):
+    """Who is told what becomes of an app."""
+
+    advanced: Callable[[Teller, Line], None]
+    """For each iteration of each channel, for each step or event."""
+    ended: Callable[[Teller], None]
+    """When the last one is done or the app has failed."""
+
+
+class VirtualStrand:
+    """One strand, from the first state to the last iteration."""
+
+    def __init__(
+        self,
+        strand: Strand,
+        runner: Runner,
+        *,
+        robot: str,
+        app: str,
+        part: str,
+        time: EventQueue,
+        bus: VirtualBus,
+        measurements: Measurements | None,
+        told: Told,
+        latest: Callable[[int, bytes], None] | None = None,
+    ) -> None:
+        """`part`: name of the channel within the app, empty for an app that is one lockstep. `latest(k, state)` is
+        called with each packed state."""
+        self.robot = robot
+        self.app = app
+        self.part = part
+        self.strand = strand
+        self.runner = runner
+        self._time = time
+        self._bus = bus
+        self._measurements = measurements
+        self._advanced, self._ended = told
+        self._latest = latest
+        self._prefix = key(robot, f"app/{app}", "sync")
+        self._channel = strand.channel
+        self._sync = f"{self._prefix}/{strand.channel.text}"
+        self._notes = f"{self._prefix}/{strand.terms.notes}"
+        keys = f"app/{app}/{part}" if part else f"app/{app}"
+        self._state_key, self._progress_key = key(robot, keys, "state"), key(robot, keys, "progress")
+        self._shown: tuple[str, int] | None = None
+        self._timer = _NEVER
+
+    @property
+    def reason(self) -> str:
+        """See `Teller`."""
+        return self.strand.reason
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """See `Teller`."""
+        return self.strand.waiting
+
+    def start(self) -> None:
+        """Let the app begin, as soon as there is a measurement for it where it wants one."""
+        if self._measurements is None:
+            self._begin(None)
+        else:
+            self._measurements.get(0, self._begin)
+
+    def receive(self, sender: str, channel: Channel, payload: bytes) -> None:
+        """A frame of this run and this strand."""
+        self.strand.receive(sender, channel, payload, self._time.now)
+        self._perform()
+
+    def receive_note(self, sender: str, payload: bytes) -> None:
+        """What a robot has to say about the members."""
+        self.strand.receive_note(sender, payload, self._time.now)
+        self._perform()
+
+    def nudge(self) -> None:
+        """A link came up."""
+        self.strand.nudge(self._time.now)
+        self._perform()
+
+    def take_rtt(self, rtt: float) -> None:
+        """The slowest link's round-trip time, s."""
+        self.strand.rtt = rtt
+
+    def show(self) -> None:
+        """Publish state and progress where they are new and somebody hears them."""
+        strand, runner = self.strand, self.runner
+        if self._shown == (strand.phase, strand.k):
+            return
+        self._shown = strand.phase, strand.k
+        if self._bus.wanted(self._progress_key):
+            progress = AppProgress(self._time.now, strand.phase, strand.k, strand.waiting, strand.reason)
+            self._bus.publish(self._progress_key, progress)
+        if strand.begun and not strand.reason and self._bus.wanted(self._state_key):
+            state = AppState(strand.computed_at, runner.k, runner.state(), runner.result())
+            self._bus.publish(self._state_key, state)
+
+    def _begin(self, measurement: Measurement | None) -> None:
+        try:
+            self.strand.begin((), measurement, self._time.now)
+        except AppError as error:
+            self._fail(str(error))
+            return
+        self._perform()
+
+    def _compute(self, todo: Compute) -> None:
+        if self._measurements is not None:
+            self._measurements.get(todo.k, lambda measurement: self._step(todo, measurement))
+        elif todo.values:
+            self._step(todo, None)
+        else:
+            self._time.at(self._time.now + ALONE, self._step, todo, None)
+
+    def _step(self, todo: Compute, measurement: Measurement | None) -> None:
+        if self.strand.phase == "fault":
+            return
+        try:
+            answer = self.strand.compute(todo, measurement)
+        except AppError as error:
+            self._fail(str(error))
+            return
+        self.strand.computed(todo, answer, self._time.now)
+        self._perform()
+
+    def _renew(self, todo: Renew) -> None:
+        if self._measurements is not None:
+            self._measurements.get(todo.epoch.k, lambda measurement: self._change(todo, measurement))
+        else:
+            self._change(todo, None)
+
+    def _change(self, todo: Renew, measurement: Measurement | None) -> None:
+        try:
+            answer = self.strand.renew(todo.epoch, measurement)
+        except AppError as error:
+            self._fail(str(error))
+            return
+        self.strand.renewed(todo.epoch, answer, self._time.now)
+        self._perform()
+
+    def _perform(self) -> None:
+        """Carry out what the strand wants, in its order."""
+        strand = self.strand
+        for action in strand.actions():
+            if type(action) is Send:
+                to = action.to
+                if self._channel is not strand.channel:
+                    self._channel = strand.channel
+                    self._sync = f"{self._prefix}/{self._channel.text}"
+                self._bus.publish(self._sync if to is None else f"{self._sync}/{to}", action.data, urgent=True)
+            elif type(action) is Compute:
+                # Not from within: a robot without neighbours would never come back.
+                self._time.soon(self._compute, action)
+            elif type(action) is Tell:
+                self._bus.publish(self._notes, action.data, urgent=True)
+            elif type(action) is Renew:
+                self._time.soon(self._renew, action)
+            elif type(action) is Advanced:
+                try:
+                    line = Line(action.k, strand.computed_at, self.runner.state(), self.runner.result())
+                except AppError as error:
+                    self._fail(str(error))
+                    return
+                if self._latest is not None:
+                    self._latest(action.k, action.value)
+                self._advanced(self, line)
+            elif type(action) is Fault or type(action) is Finished:
+                self._ended(self)
+        deadline = strand.next_deadline(self._time.now)
+        if deadline is not None and deadline < self._timer:
+            self._timer = deadline
+            self._time.at(deadline, self._tick, deadline)
+
+    def _tick(self, planned: float) -> None:
+        if planned != self._timer:
+            return  # an earlier one came before
+        self._timer = _NEVER
+        deadline = self.strand.next_deadline(self._time.now)
+        if deadline is not None and deadline <= self._time.now:
+            self.strand.handle_timer(self._time.now)
+        self._perform()
+
+    def _fail(self, reason: str) -> None:
+        if self.strand.fail(reason, self._time.now):
+            self._ended(self)

@@ -1,0 +1,48 @@
+"""What a run under virtual time keeps of one robot's app, without a file."""
+
+from collections.abc import Mapping
+
+from services.sim.virtual.strand import Line, Teller
+from swarm.codec import Value
+from swarm.recording.trajectory import EMPTY, Trajectory
+
+
+class Tape:
+    """What is kept of one robot's iterations: when each was done, and the states of all or of the last."""
+
+    def __init__(self, *, keep: bool) -> None:
+        self._keep = keep
+        self._times: dict[int, float] = {}
+        self._lines: dict[int, Line] = {}
+        self._teller: Teller | None = None
+
+    def write(self, teller: Teller, line: Line) -> None:
+        """One iteration."""
+        self._teller = teller
+        self._times[line.k] = line.t
+        if not self._keep:
+            self._lines.clear()
+        self._lines[line.k] = line
+
+    def trajectory(self) -> Trajectory:
+        """As the recorder would have written it."""
+        if self._teller is None:
+            return EMPTY
+        shared = [column for field in self._teller.runner.schema.fields for column in field.columns]
+        results: list[str] = []
+        for name, value in next(iter(self._lines.values())).result.items():
+            parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]
+            results += [f"result.{name}{part}" for part in parts]
+        rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in self._lines.items()}
+        return Trajectory((*shared, *results), self._times, rows)
+
+
+def _cells(values: Mapping[str, Value]) -> list[str]:
+    found: list[str] = []
+    for value in values.values():
+        found += [str(each) if isinstance(each, str) else repr(each) for each in _parts(value)]
+    return found
+
+
+def _parts(value: Value) -> tuple[Value, ...]:
+    return value if isinstance(value, tuple) else (value,)

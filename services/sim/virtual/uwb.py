@@ -1,0 +1,121 @@
+"""UWB under virtual time: simulated modules that mismeasure as `services.sim.core.uwb` has it, and for each robot what
+`services.dwm` makes of them: calibration, filters, Kalman filter, at 10 Hz.
+
+A robot's module measures as long as somebody hears what comes of it: a filter costs more than all of a mesh.
+"""
+
+import logging
+import random
+from collections import Counter
+from typing import NamedTuple
+
+from services.dwm.core.tlv import NOWHERE, Location, Position
+from services.dwm.localizer import Localizer
+from services.sim.core.uwb import PERIOD, Module, Tag
+from services.sim.module import module_address
+from services.sim.virtual.balancer import VirtualBalancer
+from services.sim.virtual.bus import VirtualBus
+from services.sim.virtual.events import EventQueue
+from swarm.config import Config
+from swarm.keys import key
+
+_SILENT = logging.getLogger("virtual.dwm")
+"""What a dwm service says of its modules is for its own log, which nobody would read here."""
+_SILENT.disabled = True
+
+
+class _Standing(NamedTuple):
+    """A module that stands by itself."""
+
+    address: str
+    place: tuple[float, float, float]
+    known: Position
+
+
+class ModuleField:
+    """All modules of a world: the anchors, the target, and those of robots that are anchors."""
+
+    def __init__(self, config: Config) -> None:
+        target = config.dwm.target
+        self._standing = []
+        for anchor in config.anchors:
+            at = (anchor.x, anchor.y)
+            if anchor.address == target:  # the simulation may have moved it
+                at = config.simulation.target
+            self._standing.append(
+                _Standing(anchor.address, (*at, anchor.z), Position(anchor.x, anchor.y, anchor.z, 100))
+            )
+        if target is not None and all(module.address != target for module in self._standing):
+            self._standing.append(_Standing(target, (*config.simulation.target, 0.0), NOWHERE))
+        self._carried: dict[str, tuple[str, VirtualBalancer]] = {}
+
+    def move(self, address: str, x: float, y: float) -> None:
+        """Put a module that stands by itself somewhere else."""
+        self._standing = [
+            each._replace(place=(x, y, each.place[2])) if each.address == address else each for each in self._standing
+        ]
+
+    def carry(self, robot: str, address: str, balancer: VirtualBalancer) -> None:
+        """A robot whose module is an anchor."""
+        self._carried[robot] = (address, balancer)
+
+    def around(self, robot: str, now: float) -> list[Module]:
+        """What a robot's module may range to."""
+        modules = [Module(each.address, *each.place, each.known) for each in self._standing]
+        for name, (address, balancer) in self._carried.items():
+            if name != robot:
+                balancer.body.advance(now)
+                modules.append(Module(address, balancer.body.x, balancer.body.y, 0.0, NOWHERE))
+        return modules
+
+
+class VirtualDwm:
+    """One robot's module and its dwm service."""
+
+    def __init__(
+        self,
+        config: Config,
+        robot: str,
+        field: ModuleField,
+        balancer: VirtualBalancer,
+        time: EventQueue,
+        bus: VirtualBus,
+        seed: int,
+    ) -> None:
+        self.config, self.robot, self.bus = config, robot, bus
+        self.counters: Counter[str] = Counter()
+        self.log = _SILENT
+        self._field = field
+        self._balancer = balancer
+        self._time = time
+        known = config.robot(robot)
+        if known.uwb_role == "anchor":
+            field.carry(robot, known.uwb or module_address(config.names.index(robot)), balancer)
+        self._is_tag = known.uwb_role == "tag"
+        # The generator of the real simulation's module: a robot that stands gets the very same errors.
+        self._tag = Tag(random.Random(f"{seed} {robot} uwb"))
+        self._latency = config.dwm.latency
+        self._keys = key(robot, "dwm", "ranges"), key(robot, "dwm", "pose")
+        self._localizer: Localizer | None = None
+        phase = random.Random(f"{seed} {robot} latency").random()
+        time.at(time.now + PERIOD * phase, self._measure)
+
+    def _measure(self) -> None:
+        now = self._time.now
+        self._time.at(now + PERIOD, self._measure)
+        if not any(map(self.bus.wanted, self._keys)):
+            return
+        if self._localizer is None:
+            self._localizer = Localizer(self, now)
+        body = self._balancer.body
+        body.advance(now)
+        location = (
+            self._tag.measure(self._field.around(self.robot, now), body.x, body.y, body.heading)
+            if self._is_tag
+            else Location(NOWHERE, ())
+        )
+        self._time.at(now + self._latency, self._report, location)
+
+    def _report(self, location: Location) -> None:
+        assert self._localizer is not None
+        self._localizer.report(location, self._time.now)

@@ -1,0 +1,47 @@
+"""Poses in the form that Foxglove draws: `foxglove.PoseInFrame`, with all fields of our own message beside it."""
+
+import json
+import math
+
+from swarm.core import jsontext
+from swarm.messages import Pose
+
+POSE = "foxglove.PoseInFrame"
+FRAME = "anchors"
+"""The frame of reference of all poses: that of the UWB anchors."""
+
+_NUMBER = {"type": "number"}
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+
+
+def pose(message: Pose, log_time: int) -> bytes:
+    """JSON text of a pose at a log time, ns. A robot whose heading is not known looks along x."""
+    sec, nsec = divmod(log_time, 1_000_000_000)
+    half = (message.heading or 0.0) / 2.0
+    view = {
+        "timestamp": {"sec": sec, "nsec": nsec},
+        "frame_id": FRAME,
+        "pose": {
+            "position": {"x": message.x, "y": message.y, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
+        },
+    }
+    return json.dumps(view, separators=(",", ":"))[:-1].encode() + b"," + jsontext.encode(message)[1:]
+
+
+def pose_schema() -> bytes:
+    """The JSON schema of such a pose."""
+    own = json.loads(jsontext.schema(Pose(0.0, 0, 0.0, 0.0, None, 0, ""), POSE))
+    own["properties"] = {
+        "timestamp": _TIME,
+        "frame_id": {"type": "string"},
+        "pose": {
+            "type": "object",
+            "properties": {
+                "position": {"type": "object", "properties": dict.fromkeys("xyz", _NUMBER)},
+                "orientation": {"type": "object", "properties": dict.fromkeys("xyzw", _NUMBER)},
+            },
+        },
+        **own["properties"],
+    }
+    return json.dumps(own, separators=(",", ":")).encode()

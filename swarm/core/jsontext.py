@@ -1,0 +1,138 @@
+"""Messages as JSON text and their JSON schemas, for recordings.
+
+Floats are written by repr: equal text means equal bits, and they come back to the bit. JSON has no infinities or NaN,
+so these are `1e999`, `-1e999` and `null`. What is None in a message class is left out. Enumerations are written by
+name.
+"""
+
+import base64
+import dataclasses
+import enum
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from swarm.errors import LocalError
+
+Json = dict[str, Any]
+
+
+def encode(message: object) -> bytes:
+    """A dataclass or mapping as JSON text; `LocalError` for what cannot be carried."""
+    try:
+        return _encoder.encode(message).encode()
+    except ValueError:  # not finite, most likely
+        try:
+            return _text(message).encode()
+        except (TypeError, ValueError, RecursionError) as error:
+            raise LocalError(f"cannot be recorded: {error}") from None
+    except (TypeError, RecursionError) as error:
+        raise LocalError(f"cannot be recorded: {error}") from None
+
+
+def decode(data: bytes | str) -> Any:
+    """What `encode` was given, in plain types: lists are tuples."""
+    return _tupled(json.loads(data))
+
+
+def schema(message: object, name: str) -> bytes:
+    """The JSON schema of messages like this one, packed. Free-form maps in it get the fields that they have now."""
+    shape = _of_value(message)
+    return json.dumps({"title": name, **shape}, separators=(",", ":")).encode()
+
+
+def _plain(value: object) -> object:
+    """What JSON itself does not know."""
+    if dataclasses.is_dataclass(value):
+        return {name: entry for name in _names(value.__class__) if (entry := getattr(value, name)) is not None}
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, bytes | bytearray | memoryview):
+        return base64.b64encode(value).decode()
+    raise TypeError(f"a {type(value).__name__} has no form in JSON")
+
+
+_encoder = json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_plain)
+
+
+@cache
+def _names(kind: Any) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
+
+
+def _text(value: object) -> str:
+    """As the encoder, with numbers that are not finite."""
+    if isinstance(value, float):
+        if math.isnan(value):
+            return "null"
+        return float.__repr__(value) if math.isfinite(value) else "1e999" if value > 0 else "-1e999"
+    if isinstance(value, Mapping):
+        return "{" + ",".join(f"{json.dumps(str(key))}:{_text(entry)}" for key, entry in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ",".join(map(_text, value)) + "]"
+    if value is None or isinstance(value, str | int):
+        return json.dumps(value)
+    return _text(_plain(value))
+
+
+def _tupled(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_tupled, value))
+    if isinstance(value, dict):
+        return {key: _tupled(entry) for key, entry in value.items()}
+    return value
+
+
+def _of_value(value: object) -> Json:
+    """The schema of one value as it stands."""
+    if dataclasses.is_dataclass(value):
+        shape = _of_type(type(value))
+        free = [name for name, field in shape["properties"].items() if field == _FREE]
+        return {**shape, "properties": shape["properties"] | {name: _of_value(getattr(value, name)) for name in free}}
+    if isinstance(value, Mapping):
+        return {"type": "object", "properties": {str(name): _of_value(entry) for name, entry in value.items()}}
+    if isinstance(value, list | tuple):
+        return {"type": "array", "items": _of_value(value[0]) if value else {"type": "number"}}
+    if isinstance(value, bytes | bytearray | memoryview):
+        return dict(_BYTES)
+    for kind, name in ((bool, "boolean"), (int, "integer"), (float, "number")):
+        if isinstance(value, kind):
+            return {"type": name}
+    return {"type": "number"} if value is None else {"type": "string"}
+
+
+_FREE: Json = {"type": "object", "properties": {}}
+_BYTES = {"type": "string", "contentEncoding": "base64"}
+
+
+def _of_type(kind: Any) -> Json:
+    """The schema of a message class, or of the type of one of its fields. What may be None may be missing."""
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        return {
+            "type": "object",
+            "properties": {name: _of_type(hints[name]) for name in _names(typing.cast(type, kind))},
+        }
+    if kind in _PLAIN:
+        return dict(_PLAIN[kind])
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return _of_type(next(argument for argument in arguments if argument is not type(None)))
+    if origin is tuple:
+        return {"type": "array", "items": _of_type(arguments[0])}
+    return _FREE
+
+
+_PLAIN: dict[object, Json] = {
+    float: {"type": "number"},
+    int: {"type": "integer"},
+    bool: {"type": "boolean"},
+    str: {"type": "string"},
+    bytes: _BYTES,
+}

@@ -1,0 +1,264 @@
+"""The MCAP container (https://mcap.dev/spec, version 0) as bytes: the records that we write, and those that we read.
+
+Written here, in a hundred lines, because the `mcap` package costs a robot's process 9 MiB and 50 ms at import; tests
+read what we write with that package. A file is `MAGIC`, records, `MAGIC`; a record is an opcode (u8), the content's
+length (u64) and the content, all little endian. Messages stand in chunks, uncompressed, each chunk with its checksum
+and followed by an index of each of its channels. Schemas, channels and metadata stand between the chunks.
+"""
+
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+from zlib import crc32
+
+from swarm.errors import RecordingError
+
+MAGIC = b"\x89MCAP0\r\n"
+
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(11, 16)
+"""Opcodes; 9 and 10 are attachments, which we have none of."""
+
+HEAD = struct.Struct("<BQ")
+"""What every record begins with: opcode and length of the content."""
+
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+"""A message up to its data: opcode, length, channel, sequence, log time, publish time (ns)."""
+
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQI")
+_CHUNK_INDEX = struct.Struct("<QQQQ")
+_STATISTICS = struct.Struct("<QHIIIIQQ")
+_FOOTER = struct.Struct("<QQI")
+INDEX_ENTRY = struct.Struct("<QQ")
+"""One message in an index of messages: log time, ns, and offset within the chunk's records."""
+CHANNEL_ID = _U16 = struct.Struct("<H")
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+
+
+class Schema(NamedTuple):
+    """How the messages of some channels look."""
+
+    id: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+class Channel(NamedTuple):
+    """The messages of one topic."""
+
+    id: int
+    schema: int
+    topic: str
+    encoding: str
+    metadata: dict[str, str]
+
+
+class Message(NamedTuple):
+    """One message."""
+
+    channel: int
+    sequence: int
+    log_time: int
+    """ns"""
+    data: bytes
+
+
+class Chunk(NamedTuple):
+    """Some messages. `crc` 0 = not checked."""
+
+    start: int
+    """Smallest log time in it, ns."""
+    end: int
+    size: int
+    crc: int
+    compression: str
+    records: bytes
+
+
+# What is written
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    """One record."""
+    return HEAD.pack(opcode, len(content)) + content
+
+
+def header(library: str) -> bytes:
+    """The file's beginning, magic included."""
+    return MAGIC + record(HEADER, _text("") + _text(library))
+
+
+def schema(it: Schema) -> bytes:
+    """A schema record."""
+    return record(SCHEMA, _U16.pack(it.id) + _text(it.name) + _text(it.encoding) + _block(it.data))
+
+
+def channel(it: Channel) -> bytes:
+    """A channel record."""
+    head = _U16.pack(it.id) + _U16.pack(it.schema)
+    return record(CHANNEL, head + _text(it.topic) + _text(it.encoding) + _map(it.metadata))
+
+
+def metadata(name: str, entries: Mapping[str, str]) -> bytes:
+    """A metadata record."""
+    return record(METADATA, _text(name) + _map(entries))
+
+
+def chunk(start: int, end: int, records: bytes | bytearray) -> bytes:
+    """A chunk record over packed messages, not compressed."""
+    content = _CHUNK.pack(start, end, len(records), crc32(records)) + _text("") + _U64.pack(len(records))
+    return b"".join((HEAD.pack(CHUNK, len(content) + len(records)), content, records))
+
+
+def message_index(channel: int, entries: bytes | bytearray) -> bytes:
+    """Where a channel's messages are in the chunk before it; `entries` are packed `INDEX_ENTRY`s."""
+    return record(MESSAGE_INDEX, _U16.pack(channel) + _block(entries))
+
+
+def chunk_index(start: int, end: int, offset: int, length: int, indexes: Mapping[int, int], size: int) -> bytes:
+    """Where a chunk is: its times, offset and length in the file, the offsets of its message indexes (which follow it
+    and each other) by channel with the end of the last as channel -1, and the size of its records."""
+    places = dict(indexes)
+    after = places.pop(-1)
+    packed = b"".join(_U16.pack(channel) + _U64.pack(at) for channel, at in places.items())
+    content = _CHUNK_INDEX.pack(start, end, offset, length) + _block(packed)
+    return record(CHUNK_INDEX, content + _U64.pack(after - offset - length) + _text("") + _U64.pack(size) * 2)
+
+
+def statistics(counts: Mapping[int, int], schemas: int, chunks: int, metadatas: int, start: int, end: int) -> bytes:
+    """Numbers of messages by channel, of schemas, chunks and metadata records, and the times between which they are."""
+    packed = b"".join(_U16.pack(channel) + _U64.pack(count) for channel, count in counts.items())
+    head = _STATISTICS.pack(sum(counts.values()), schemas, len(counts), 0, metadatas, chunks, start, end)
+    return record(STATISTICS, head + _block(packed))
+
+
+def metadata_index(offset: int, length: int, name: str) -> bytes:
+    """Where a metadata record is."""
+    return record(METADATA_INDEX, _U64.pack(offset) + _U64.pack(length) + _text(name))
+
+
+def ending(position: int, groups: Iterable[tuple[int, bytes]]) -> bytes:
+    """All that comes behind the last chunk when the file is complete: the summary, made of `groups` of records (opcode,
+    bytes), and where to find it. `position` is where in the file this begins."""
+    data_end = record(DATA_END, _U32.pack(0))
+    start = at = position + len(data_end)
+    summary, offsets = b"", b""
+    for opcode, packed in groups:
+        if packed:
+            offsets += record(SUMMARY_OFFSET, bytes((opcode,)) + _U64.pack(at) + _U64.pack(len(packed)))
+            summary += packed
+            at += len(packed)
+    covered = summary + offsets + HEAD.pack(FOOTER, _FOOTER.size) + _FOOTER.pack(start, at, 0)[:16]
+    return data_end + covered + _U32.pack(crc32(covered)) + MAGIC
+
+
+def _text(text: str) -> bytes:
+    return _block(text.encode())
+
+
+def _block(data: bytes | bytearray) -> bytes:
+    return _U32.pack(len(data)) + data
+
+
+def _map(entries: Mapping[str, str]) -> bytes:
+    return _block(b"".join(_text(key) + _text(value) for key, value in entries.items()))
+
+
+# What is read
+
+
+def whole_records(data: bytes | memoryview, at: int = 0) -> Iterator[tuple[int, int, memoryview]]:
+    """Offset, opcode and content of each record that is wholly in `data`; stops before the first that is not."""
+    view = memoryview(data)
+    while at + HEAD.size <= len(view):
+        opcode, length = HEAD.unpack_from(view, at)
+        if length > len(view) - at - HEAD.size:
+            return
+        yield at, opcode, view[at + HEAD.size : at + HEAD.size + length]
+        at += HEAD.size + length
+
+
+def read_schema(content: bytes | memoryview) -> Schema:
+    """Raises `RecordingError` like all of these, where the content is none."""
+    fields = _Fields(content)
+    return Schema(fields.u16(), fields.text(), fields.text(), fields.block())
+
+
+def read_channel(content: bytes | memoryview) -> Channel:
+    """A channel record's content."""
+    fields = _Fields(content)
+    return Channel(fields.u16(), fields.u16(), fields.text(), fields.text(), fields.map())
+
+
+def read_message(content: bytes | memoryview) -> Message:
+    """A message record's content."""
+    if len(content) < _MESSAGE.size:
+        raise RecordingError("a message is too short")
+    channel, sequence, log_time, _ = _MESSAGE.unpack_from(content)
+    return Message(channel, sequence, log_time, bytes(content[_MESSAGE.size :]))
+
+
+def read_metadata(content: bytes | memoryview) -> tuple[str, dict[str, str]]:
+    """Name and entries."""
+    fields = _Fields(content)
+    return fields.text(), fields.map()
+
+
+def read_chunk(content: bytes | memoryview) -> Chunk:
+    """A chunk; where `content` was cut off, `records` are those that are left. The sum is not checked here."""
+    fields = _Fields(content)
+    start, end, size, crc = (fields.u64(), fields.u64(), fields.u64(), fields.u32())
+    compression = fields.text()
+    length = fields.u64()
+    return Chunk(start, end, size, crc, compression, fields.rest(length))
+
+
+class _Fields:
+    """Takes one field after the other from a record's content."""
+
+    def __init__(self, content: bytes | memoryview) -> None:
+        self._content = memoryview(content)
+        self._at = 0
+
+    def u16(self) -> int:
+        return int(self._unpack(_U16))
+
+    def u32(self) -> int:
+        return int(self._unpack(_U32))
+
+    def u64(self) -> int:
+        return int(self._unpack(_U64))
+
+    def block(self) -> bytes:
+        length = self.u32()
+        if length > len(self._content) - self._at:
+            raise RecordingError("a field is longer than its record")
+        return self.rest(length)
+
+    def rest(self, most: int) -> bytes:
+        data = bytes(self._content[self._at : self._at + most])
+        self._at += len(data)
+        return data
+
+    def text(self) -> str:
+        try:
+            return self.block().decode()
+        except UnicodeDecodeError:
+            raise RecordingError("a text is not UTF-8") from None
+
+    def map(self) -> dict[str, str]:
+        fields = _Fields(self.block())
+        found = {}
+        while fields._at < len(fields._content):
+            key = fields.text()
+            found[key] = fields.text()
+        return found
+
+    def _unpack(self, layout: struct.Struct) -> int:
+        if self._at + layout.size > len(self._content):
+            raise RecordingError("a record is too short")
+        (value,) = layout.unpack_from(self._content, self._at)
+        self._at += layout.size
+        return int(value)

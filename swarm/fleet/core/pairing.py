@@ -1,0 +1,106 @@
+"""Which robots are to be paired, in what order, and what the config says of their addresses."""
+
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+
+from swarm.config.types import Config
+
+Edge = tuple[str, str]
+"""Two robots; the first calls the second."""
+
+
+@dataclass(frozen=True)
+class Bond:
+    """What one robot's bluetoothd says of another robot."""
+
+    paired: bool = False
+    trusted: bool = False
+
+
+def edges(config: Config, robots: Collection[str]) -> list[Edge]:
+    """The Bluetooth links between these robots: those of the topology, all of them where robots find links themselves.
+
+    A link is Bluetooth's where either end has no `link`.
+    """
+    radio = {robot.name for robot in config.robots if robot.link is None}
+    pairs = combinations(config.names, 2) if config.auto else config.edges
+    return [(a, b) for a, b in pairs if {a, b} & radio and a in robots and b in robots]
+
+
+def check(config: Config, addresses: Mapping[str, str]) -> dict[str, str]:
+    """What is wrong, by robot, where adapters have these addresses: the config has another, or two have the same."""
+    wrong = {}
+    for name, address in addresses.items():
+        said = config.robot(name).bluetooth
+        owner = next((robot.name for robot in config.robots if robot.bluetooth == address and robot.name != name), None)
+        twin = next((other for other, its in addresses.items() if its == address and other != name), None)
+        if twin is not None:
+            wrong[name] = f"it and {twin} are the same robot, or have the same address {address}"
+        elif owner is not None:
+            wrong[name] = (
+                f"its address {address} is that of {owner} in {config.path.name}: one of them is another robot"
+            )
+        elif said is not None and said != address:
+            wrong[name] = (
+                f"its address is {address}, {config.path.name} says {said}: mend it, or give the robot its name"
+            )
+    return wrong
+
+
+def plan(a: Bond | None, b: Bond | None) -> list[str]:
+    """What is to be done with a link whose ends know each other so (None: not at all), in order.
+
+    forget-a, forget-b: remove what is left of a pairing the other end knows nothing of; pair; trust-a, trust-b.
+    """
+    paired = [end is not None and end.paired for end in (a, b)]
+    if not all(paired):
+        # Whatever else an end knows of the other is from before: an inquiry begins with nothing.
+        return [*(f"forget-{end}" for end, its in zip("ab", (a, b), strict=True) if its is not None), "pair"]
+    return [f"trust-{end}" for end, its in zip("ab", (a, b), strict=True) if its is not None and not its.trusted]
+
+
+@dataclass
+class Schedule:
+    """Which links are worked at, so that no robot is asked twice at once: one radio does one thing at a time."""
+
+    waiting: list[Edge]
+    busy: set[str] = field(default_factory=set)
+
+    def start(self) -> list[Edge]:
+        """Links that can be begun now; their robots are busy from now on."""
+        begun = []
+        for edge in list(self.waiting):
+            if not self.busy & set(edge):
+                self.busy |= set(edge)
+                self.waiting.remove(edge)
+                begun.append(edge)
+        return begun
+
+    def done(self, edge: Edge) -> None:
+        """The robots of this link are free again."""
+        self.busy -= set(edge)
+
+
+def ordered(pairs: Iterable[Edge], addresses: Mapping[str, str]) -> list[Edge]:
+    """The lower address calls, as it will when the mesh runs."""
+    return [(a, b) if addresses[a] < addresses[b] else (b, a) for a, b in pairs]
+
+
+def with_addresses(text: str, addresses: Mapping[str, str]) -> str:
+    """The text of a swarm.toml with a line `bluetooth = "..."` below the names of these robots; the rest is untouched.
+
+    Robots whose name stands in another form than `name = "r0"` on a line of its own are left alone.
+    """
+    lines, out, table = text.splitlines(keepends=True), [], ""
+    for line in lines:
+        out.append(line)
+        if header := re.match(r"\s*(\[\[?[^\]]+\]\]?)", line):
+            table = header[1].replace(" ", "")
+        name = re.match(r"""\s*name\s*=\s*["']([^"']+)["']\s*(#.*)?$""", line)
+        if table == "[[robots]]" and name and name[1] in addresses:
+            if not line.endswith("\n"):
+                out.append("\n")
+            out.append(f'bluetooth = "{addresses[name[1]]}"\n')
+    return "".join(out)

@@ -1,0 +1,84 @@
+"""One time axis for the recordings of several robots, whose clocks began at different times and run a bit differently.
+
+Recordings of one machine since one start of it share a clock. Others are brought together by the mesh clock, whose
+samples every robot records: C(t') = t' + offset + rate (t' - t), with robots of one root on one time
+(`swarm.mesh_clock`). Where a clock has no such sample, its time of day has to do, and a note says so.
+"""
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
+
+Axis = Callable[[float], float]
+"""From a clock's time to common time, s."""
+
+
+class Relation(NamedTuple):
+    """What a robot's mesh said of its clock at time t."""
+
+    t: float
+    offset: float
+    rate: float
+    root: str
+
+
+class Clocks:
+    """The clocks of a run, by id, and what is known of each."""
+
+    def __init__(self) -> None:
+        self._epochs: dict[str, float] = {}
+        self._relations: dict[str, list[Relation]] = {}
+        self.notes: list[str] = []
+        """What is doubtful about the common time; known after `axes`."""
+
+    def add(self, clock: str, epoch: float) -> None:
+        """A clock was seen: the time of day, s since 1970, at its zero."""
+        self._epochs.setdefault(clock, epoch)
+
+    def relate(self, clock: str, relation: Relation) -> None:
+        """A sample of the mesh clock was recorded under this clock."""
+        self._relations.setdefault(clock, []).append(relation)
+
+    def axes(self) -> dict[str, Axis]:
+        """The way from each clock to common time."""
+        if len(self._epochs) < 2:
+            return dict.fromkeys(self._epochs, _same)
+        counts = Counter(relation.root for each in self._relations.values() for relation in each)
+        root = min(counts, key=lambda name: (-counts[name], name), default="")
+        axes: dict[str, Axis] = {}
+        for clock, relations in self._relations.items():
+            if chosen := sorted(relation for relation in relations if relation.root == root):
+                axes[clock] = _interpolated(chosen)
+        # Time of day is related to common time by the clocks that have both.
+        shifts = [axes[clock](0.0) - self._epochs[clock] for clock in axes if clock in self._epochs]
+        shift = sorted(shifts)[len(shifts) // 2] if shifts else -min(self._epochs.values())
+        for clock, epoch in self._epochs.items():
+            if clock not in axes:
+                axes[clock] = _shifted(epoch + shift)
+                self.notes.append(f"clock {clock}: no samples of the mesh clock, its time of day has to do")
+        return axes
+
+
+def _same(t: float) -> float:
+    return t
+
+
+def _shifted(by: float) -> Axis:
+    return lambda t: t + by
+
+
+def _interpolated(relations: list[Relation]) -> Axis:
+    """Between two samples the offset goes from one to the other; outside the nearest one holds with its rate."""
+    times = [relation.t for relation in relations]
+
+    def axis(t: float) -> float:
+        index = bisect_right(times, t)
+        if 0 < index < len(relations):
+            a, b = relations[index - 1], relations[index]
+            share = (t - a.t) / (b.t - a.t)
+            return t + a.offset + share * (b.offset - a.offset)
+        near = relations[0] if index == 0 else relations[-1]
+        return t + near.offset + near.rate * (t - near.t)
+
+    return axis

@@ -1,0 +1,206 @@
+"""A recording on disk: what is written is kept in memory and put into the file by a thread of its own, twice a second.
+
+Nobody who records ever waits for a disk (an SD card may take seconds). Whoever reads the file of a killed process
+misses half a second; with a journal the next process of the run puts that in, too. Losing the recording stops nothing:
+it is logged once and counted.
+"""
+
+import logging
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from swarm import __version__
+from swarm.core import mcap
+from swarm.core.recording import Known, Writer
+from swarm.errors import RecordingError
+from swarm.recording.journal import Journal
+from swarm.recording.survey import survey
+
+FLUSH_S = 0.5
+"""s between two writes to the file."""
+SYNC_S = 10.0
+"""s between two waits for the disk itself: what a robot loses at most when its battery falls out."""
+
+MIN_FREE = 64 * 1024 * 1024
+"""Bytes that stay free on the disk: the robot needs them more than we do."""
+
+MAX_WAITING = 1024 * 1024
+"""Bytes that wait in memory for a disk that is slow or full; what comes then is lost."""
+
+LIBRARY = f"balboa-swarm {__version__}"
+
+_log = logging.getLogger("record")
+
+
+class RecordingFile:
+    """One file that grows. All methods may be called from any thread, and none of them waits for the disk but `flush`
+    and `close`."""
+
+    def __init__(
+        self,
+        path: Path,
+        counters: Counter[str],
+        *,
+        append: bool,
+        journal: Path | None = None,
+        min_free: int = MIN_FREE,
+    ) -> None:
+        """`append`: go on with the file of an earlier process of this run, otherwise begin it anew. `journal`: a file
+        in memory for what has not reached the disk yet."""
+        self._path = path
+        self._counters = counters
+        self._min_free = min_free
+        self._lock = threading.Lock()  # around the writer
+        self._disk = threading.Lock()  # around the file; taken first
+        self._written = 0
+        self._unwritten = b""
+        self._due = False
+        """Whether the journal's other half still waits for the disk."""
+        self._told = False
+        self._file: int | None = None
+        self._journal = self._open_journal(journal)
+        left = self._journal.left() if self._journal is not None and append else []
+        known = Known()
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
+            if append:
+                known = self._found(left[0][0] if left else None)
+            os.ftruncate(self._file, known.position)
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+        self._written = known.position
+        self.epoch_ns = time.time_ns() - time.monotonic_ns()
+        """The clock's zero in time of day, for people: nothing is computed with it."""
+        keep = self._journal.add if self._journal is not None else _forget
+        self._writer = Writer(LIBRARY, epoch_ns=self.epoch_ns, known=known, keep=keep)
+        self._restore(left)
+        self.feed: Callable[[], None] = lambda: None
+        """Called before each write to the file: puts in what waits elsewhere."""
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="recording", daemon=True)
+        self._thread.start()
+
+    def metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Note something about the whole recording."""
+        with self._lock:
+            self._writer.metadata(name, entries)
+
+    def write(self, topic: str, t: float, message: object, name: str = "") -> None:
+        """Record a message; see `Writer.write`."""
+        with self._lock:
+            if self._file is None or self._writer.waiting + len(self._unwritten) > MAX_WAITING:
+                self._counters["records_lost"] += 1
+                return
+            self._writer.write(topic, t, message, name)
+
+    def flush(self) -> None:
+        """Put into the file what was written so far."""
+        with self._disk:
+            self.feed()
+            with self._lock:
+                self._writer.cut()
+                self._unwritten += self._writer.take()
+                if self._journal is not None and self._unwritten and not self._due:
+                    self._journal.turn(self._written + len(self._unwritten))
+                    self._due = True
+            self._store()
+
+    def close(self) -> None:
+        """End the file."""
+        self._ending.set()
+        self._thread.join()
+        self.flush()
+        with self._disk:
+            if self._file is None:
+                return
+            if not self._unwritten:
+                self._writer.finish()
+                self._unwritten = self._writer.take()
+                self._store()
+            os.close(self._file)
+            self._file = None
+            if self._journal is not None:
+                self._journal.close()
+
+    def _open_journal(self, path: Path | None) -> Journal | None:
+        if path is None:
+            return None
+        try:
+            return Journal(path)
+        except OSError as error:
+            _log.warning("%s: %s; a process that is killed loses half a second of its recording", path, error.strerror)
+            return None
+
+    def _restore(self, left: list[tuple[int, bytes]]) -> None:
+        """Write what an earlier process had only in its journal."""
+        if self._journal is None:
+            return
+        self._journal.clear()
+        self._journal.turn(self._written)
+        for _, records in left:
+            for at, _, content in mcap.whole_records(records):
+                try:
+                    self._writer.restore(records[at : at + mcap.HEAD.size + len(content)])
+                except RecordingError as error:
+                    _log.warning("%s: a record of the process before cannot be put in: %s", self._path, error)
+
+    def _found(self, limit: int | None) -> Known:
+        """What an earlier process has left, up to `limit` where its journal goes on from there; a file that is none of
+        ours is put aside, not written over."""
+        assert self._file is not None
+        try:
+            return survey(self._file, limit)
+        except RecordingError as error:
+            aside = self._path.with_suffix(".damaged")
+            _log.warning("%s: %s; it is now %s", self._path, error, aside.name)
+            self._path.rename(aside)
+            os.close(self._file)
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
+            return Known()
+
+    def _loop(self) -> None:
+        synced = 0.0
+        while not self._ending.wait(FLUSH_S):
+            self.flush()
+            synced += FLUSH_S
+            if synced >= SYNC_S and self._file is not None:
+                synced = 0.0
+                try:
+                    os.fdatasync(self._file)
+                except OSError as error:
+                    self._lose(error.strerror or str(error))
+
+    def _store(self) -> None:
+        """Write what is there. Where the disk takes less, the rest stays for the next time."""
+        data = self._unwritten
+        if not data or self._file is None:
+            return
+        try:
+            space = os.fstatvfs(self._file)
+            if space.f_bavail * space.f_frsize < self._min_free:
+                self._lose(f"less than {self._min_free >> 20} MiB are free on its disk")
+                return
+            count = os.pwrite(self._file, data, self._written)
+        except OSError as error:
+            self._lose(error.strerror or str(error))
+            return
+        self._written += count
+        self._unwritten = data[count:]
+        if self._unwritten:
+            self._lose("the disk is full")
+        elif self._journal is not None:
+            self._journal.stored()
+            self._due = False
+
+    def _lose(self, reason: str) -> None:
+        if not self._told:
+            self._told = True
+            _log.warning("%s cannot be recorded, the run goes on: %s", self._path, reason)
+
+
+def _forget(record: bytes) -> None:
+    """Keep a record nowhere but in the writer."""

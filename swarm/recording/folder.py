@@ -1,0 +1,57 @@
+"""The folder of a run: recordings beside what is needed to run it again.
+
+    run.toml              app, run, version, seed, digest: the same on every robot
+    swarm.toml            the configuration it ran with
+    <app>.py              the app's source, where it is a file of the author's
+    <robot>.<app>.mcap    what that robot's process of the app recorded
+
+The names do not clash when the folders of several robots are copied into one.
+"""
+
+import json
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+from swarm import __version__
+from swarm.errors import RecordingError
+from swarm.paths import state_dir
+
+RUN_FILE = "run.toml"
+CONFIG_FILE = "swarm.toml"
+KEYS = ("app", "run", "version", "seed", "digest")
+"""What `run.toml` holds."""
+
+
+def of_robot(app: str, run: int) -> Path:
+    """Where a robot keeps the recording of a run."""
+    return state_dir() / "runs" / f"{app}-{run:016x}"
+
+
+def describe(app: str, run: int, seed: int, digest: bytes) -> dict[str, str]:
+    """What is to be known of a run; `digest` is of the app's source."""
+    return {"app": app, "run": f"{run:016x}", "version": __version__, "seed": str(seed), "digest": digest.hex()}
+
+
+def begin(folder: Path, run: Mapping[str, str], files: Mapping[str, bytes]) -> None:
+    """Make the folder, with `run` and copies of `files` (by the name they get) in it. What is there already is the
+    same: another robot of the simulation has written it. Raises `OSError`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in run.items())  # a JSON text is one of TOML
+    for name, data in {**files, RUN_FILE: text.encode()}.items():
+        if not (folder / name).exists():
+            fresh = folder / f"{name}.{os.getpid()}"
+            fresh.write_bytes(data)
+            fresh.replace(folder / name)
+
+
+def read_run(folder: Path) -> dict[str, str]:
+    """What `begin` wrote; nothing where there is no such file. Raises `RecordingError`."""
+    try:
+        with (folder / RUN_FILE).open("rb") as file:
+            return {name: str(value) for name, value in tomllib.load(file).items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{folder / RUN_FILE}: {error}") from None

@@ -1,0 +1,45 @@
+"""A recording without clock and threads, for virtual time: same messages, same bytes."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from swarm.core.recording import Writer
+from swarm.errors import LocalError
+from swarm.recording.file import LIBRARY
+from swarm.recording.reader import CLOCK, EPOCH, RUN
+
+VIRTUAL = "virtual"
+"""Names the clock of virtual time, which begins at 0."""
+
+
+class PlainRecording:
+    """One file for a whole run, robots told apart by the topics. Raises `LocalError` where it cannot be written."""
+
+    def __init__(self, path: Path, run: Mapping[str, str]) -> None:
+        """`run`: what is to be known of the run (`folder.describe`)."""
+        self._path = path
+        self._writer = Writer(LIBRARY, epoch_ns=0)
+        self._writer.metadata(RUN, {**run, EPOCH: "0", CLOCK: VIRTUAL})
+        try:
+            self._file = path.open("xb")
+        except OSError as error:
+            raise LocalError(f"{path}: cannot be written: {error.strerror}") from None
+
+    def write(self, topic: str, t: float, message: object, name: str = "") -> None:
+        """Record a message; see `Writer.write`."""
+        self._writer.write(topic, t, message, name)
+        if self._writer.ready:
+            self.flush()
+
+    def flush(self) -> None:
+        """Put into the file the chunks that are complete. (An open one is not ended: that would change the bytes.)"""
+        try:
+            self._file.write(self._writer.take())
+        except OSError as error:
+            raise LocalError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+    def close(self) -> None:
+        """End the file."""
+        self._writer.finish()
+        self.flush()
+        self._file.close()

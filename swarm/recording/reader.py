@@ -1,0 +1,171 @@
+"""Reads a recording, one message after the other, as far as the file is whole; what is not is named in `damage`."""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+from swarm.core import jsontext, mcap
+from swarm.errors import RecordingError
+
+SUFFIX = ".mcap"
+
+RUN = "run"
+"""Name of the metadata record that every process of ours writes first: app, run, robot, version, seed, ..."""
+EPOCH = "epoch_ns"
+"""Its entry that says which time of day, ns since 1970, the process' clock had at its zero."""
+
+CLOCK = "clock"
+"""Its entry that names the clock: of a machine since it was started, or a virtual one."""
+
+
+class Sample(NamedTuple):
+    """One recorded message."""
+
+    topic: str
+    t: float
+    """When it was recorded, s of the recording process' clock."""
+    data: bytes
+    """JSON text."""
+
+    @property
+    def message(self) -> dict[str, Any]:
+        """The message's fields. What was None is missing; raises `RecordingError` where the text is no JSON."""
+        try:
+            message = jsontext.decode(self.data)
+        except (ValueError, RecursionError) as error:
+            raise RecordingError(f"{self.topic}: a message is not JSON: {error}") from None
+        if not isinstance(message, dict):
+            raise RecordingError(f"{self.topic}: a message is no JSON object")
+        return message
+
+
+class Reader:
+    """One file. May be iterated again while it grows: then it goes on behind the last whole record."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises `RecordingError` for a file that is none."""
+        self.path = path
+        self.channels: dict[int, mcap.Channel] = {}
+        """Seen so far, by number."""
+        self.schemas: dict[int, mcap.Schema] = {}
+        self.metadata: list[tuple[str, dict[str, str]]] = []
+        """Name and entries of each, in order, as far as was read."""
+        self.damage: list[str] = []
+        """What cannot be read, and where."""
+        self.finished = False
+        """Whether the file has its proper end."""
+        self.clock = ""
+        """The clock whose times are read at the moment: processes that say the same run on the same clock."""
+        self.clocks: dict[str, int] = {}
+        """All clocks so far, with the time of day at their zero, ns since 1970."""
+        self._epoch_ns = 0
+        self._at = len(mcap.MAGIC)
+        try:
+            with path.open("rb") as file:
+                begins = file.read(len(mcap.MAGIC))
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+        if begins != mcap.MAGIC[: len(begins)]:
+            raise RecordingError(f"{path}: it is no MCAP file")
+
+    def samples(self, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[Sample]:
+        """The messages of the topics that are `wanted`, in the order of their writing."""
+        self.damage.clear()
+        chosen: dict[int, str | None] = {}
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if size <= len(mcap.MAGIC):
+                self._name(0, "it was only begun")
+            while self._at < size and not self.finished:
+                start = self._at
+                file.seek(start)
+                head = file.read(mcap.HEAD.size)
+                if len(head) < mcap.HEAD.size:
+                    self._cut(size)
+                    return
+                opcode, length = mcap.HEAD.unpack(head)
+                after = start + mcap.HEAD.size + length
+                torn = after > size
+                if torn and opcode != mcap.CHUNK:
+                    self._cut(size)
+                    return
+                if opcode in (mcap.DATA_END, mcap.FOOTER):
+                    file.seek(-len(mcap.MAGIC), os.SEEK_END)
+                    self.finished = file.read() == mcap.MAGIC
+                    if not self.finished:
+                        self._cut(size)
+                    return
+                content = b"" if opcode == mcap.MESSAGE_INDEX else file.read(min(length, size - start))
+                try:
+                    for message in self._take(opcode, content, torn=torn):
+                        if (channel := self.channels.get(message.channel)) is None:
+                            self._name(start, f"a message of channel {message.channel}, which is not described")
+                            continue
+                        if message.channel not in chosen:
+                            chosen[message.channel] = channel.topic if wanted(channel.topic) else None
+                        if (topic := chosen[message.channel]) is not None:
+                            yield Sample(topic, (message.log_time - self._epoch_ns) / 1e9, message.data)
+                except RecordingError as error:
+                    if not torn:
+                        self._name(start, str(error))
+                if torn:
+                    self._cut(size)
+                    return
+                self._at = after
+
+    def _take(self, opcode: int, content: bytes, *, torn: bool) -> Iterator[mcap.Message]:
+        """Note what a record says; its messages."""
+        if opcode == mcap.SCHEMA:
+            schema = mcap.read_schema(content)
+            self.schemas[schema.id] = schema
+        elif opcode == mcap.CHANNEL:
+            channel = mcap.read_channel(content)
+            if channel.encoding != "json":
+                raise RecordingError(f"{channel.topic} is in {channel.encoding!r}, only json can be read")
+            self.channels[channel.id] = channel
+        elif opcode == mcap.METADATA:
+            name, entries = mcap.read_metadata(content)
+            self.metadata.append((name, entries))
+            if name == RUN:
+                self._epoch_ns = _integer(entries.get(EPOCH, "0"))
+                self.clock = entries.get(CLOCK, "")
+                self.clocks.setdefault(self.clock, self._epoch_ns)
+        elif opcode == mcap.MESSAGE:
+            yield mcap.read_message(content)
+        elif opcode == mcap.CHUNK:
+            yield from self._chunk(content, torn=torn)
+
+    def _chunk(self, content: bytes, *, torn: bool) -> Iterator[mcap.Message]:
+        chunk = mcap.read_chunk(content)
+        if chunk.compression:
+            raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
+        if not torn and chunk.crc and crc32(chunk.records) != chunk.crc:
+            raise RecordingError(f"the checksum of a chunk of {len(chunk.records)} bytes is wrong")
+        for _, opcode, inner in mcap.whole_records(chunk.records):
+            if opcode != mcap.CHUNK:  # chunks hold no chunks
+                yield from self._take(opcode, bytes(inner), torn=False)
+
+    def _cut(self, size: int) -> None:
+        self._name(self._at, f"it was cut off: the last {size - self._at} bytes are no whole record")
+
+    def _name(self, at: int, what: str) -> None:
+        self.damage.append(f"{self.path}: at byte {at}: {what}")
+
+
+def _integer(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise RecordingError(f"{EPOCH} is {text[:40]!r}, expected a whole number") from None
+
+
+def run_of(path: Path) -> str:
+    """The run that a recording is of; empty where that cannot be read."""
+    try:
+        reader = Reader(path)
+        next(reader.samples(), None)
+    except RecordingError:
+        return ""
+    return next((entries.get("run", "") for name, entries in reader.metadata if name == RUN), "")

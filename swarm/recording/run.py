@@ -1,0 +1,137 @@
+"""A whole run: the recordings of all its robots and apps in one folder, read as one, on one time axis."""
+
+import heapq
+import re
+from collections.abc import Callable, Iterator
+from fnmatch import fnmatchcase
+from itertools import groupby
+from pathlib import Path
+
+from swarm.errors import RecordingError
+from swarm.recording import folder
+from swarm.recording.axis import Axis, Clocks, Relation
+from swarm.recording.reader import SUFFIX, Reader, Sample
+from swarm.recording.trajectory import Builder, Trajectory, is_state
+
+DISORDER_S = 5.0
+"""s by which a message may stand in a file behind later ones: what came over the bus is written twice a second."""
+
+
+class Run:
+    """One run. `samples` streams from the files; nothing but the list of topics is kept."""
+
+    def __init__(self, path: Path) -> None:
+        """`path`: the run's folder, or one recording of it. Raises `RecordingError` where there is none."""
+        self.path = path
+        self.files = tuple(sorted(path.glob(f"*{SUFFIX}"))) if path.is_dir() else (path,)
+        if not self.files:
+            raise RecordingError(f"{path}: there is no recording (*{SUFFIX}) in this folder")
+        self.info = folder.read_run(path) if path.is_dir() else {}
+        """App, run, version, seed and digest."""
+        self.topics: dict[str, list[Path]] = {}
+        """Every topic, and the files that hold it."""
+        self.damage: list[str] = []
+        """What cannot be read of the files, and what is doubtful about their times."""
+        self._begun: dict[bool, dict[str, float]] = {True: {}, False: {}}
+        clocks = Clocks()
+        for file in self.files:
+            self._look(file, clocks)
+        self._axes = clocks.axes()
+        self.damage += clocks.notes
+        self.robots = tuple(sorted({topic.split("/")[1] for topic in self.topics if topic.count("/") > 2}, key=natural))
+        self.origin = self._origin()
+        """Common time at which the first state was reached (without an app: of the first message); `samples` count from
+        there."""
+
+    @property
+    def apps(self) -> tuple[str, ...]:
+        """Names of the apps whose states are there."""
+        return tuple(sorted({topic.split("/")[3] for topic in self.topics if is_state(topic)}))
+
+    def states(self, app: str = "") -> dict[str, dict[str, str]]:
+        """The topics of an app's states (default: of the only or first app), by channel (the app itself is ``) and
+        robot."""
+        app = app or next(iter(self.apps), "")
+        found: dict[str, dict[str, str]] = {}
+        for topic in sorted((topic for topic in self.topics if is_state(topic)), key=natural):
+            _, robot, _, name, *rest = topic.split("/")
+            if name == app:
+                found.setdefault(rest[0] if len(rest) == 2 else "", {})[robot] = topic
+        return found
+
+    def trajectories(self, app: str = "", channel: str = "") -> dict[str, Trajectory]:
+        """What each robot computed, with times from `origin` on. Raises `RecordingError` where an iteration stands
+        there twice with different values."""
+        topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
+        found = {robot: Builder() for robot in topics.values()}
+        for file in self.files:
+            for sample in self._read(file, topics.__contains__):
+                found[topics[sample.topic]].add(sample.message | {"t": sample.t}, file)
+        return {robot: builder.known() for robot, builder in found.items()}
+
+    def samples(self, *patterns: str) -> Iterator[Sample]:
+        """All messages of the topics that match one of `patterns` (`*` matches slashes, too; none: all), in the order
+        of common time, which counts from `origin`. What two apps of a robot have both recorded comes once."""
+        merged = heapq.merge(*(self._ordered(file, patterns) for file in self.files), key=_order)
+        for _, same in groupby(merged, key=_order):
+            yield next(same)
+
+    def _look(self, file: Path, clocks: Clocks) -> None:
+        """First pass: what is in a file, and how its clocks relate."""
+        reader = Reader(file)
+        for sample in reader.samples():
+            clock = reader.clock
+            begun = self._begun[is_state(sample.topic)]
+            begun[clock] = min(begun.get(clock, sample.t), sample.t)
+            if sample.topic.endswith("/mesh/clock"):
+                message = sample.message
+                try:
+                    t, offset, rate = (float(message[name]) for name in ("t", "offset", "rate"))
+                    clocks.relate(clock, Relation(t, offset, rate, str(message["root"])))
+                except (KeyError, TypeError, ValueError):
+                    self.damage.append(f"{file}: {sample.topic}: it is no sample of the mesh clock")
+        for clock, epoch_ns in reader.clocks.items():
+            clocks.add(clock, epoch_ns / 1e9)
+        for channel in reader.channels.values():
+            self.topics.setdefault(channel.topic, []).append(file)
+        self.damage += reader.damage
+        for name, entries in reader.metadata:
+            if name == "run":
+                self.info = {**{key: entries[key] for key in folder.KEYS if key in entries}, **self.info}
+
+    def _read(self, file: Path, wanted: Callable[[str], bool]) -> Iterator[Sample]:
+        reader = Reader(file)
+        for sample in reader.samples(wanted):
+            yield sample._replace(t=self._axis(reader.clock)(sample.t) - self.origin)
+
+    def _axis(self, clock: str) -> Axis:
+        return self._axes.get(clock, float)
+
+    def _ordered(self, file: Path, patterns: tuple[str, ...]) -> Iterator[Sample]:
+        """A file's messages by time: those written late are waited for."""
+
+        def wanted(topic: str) -> bool:
+            return not patterns or any(fnmatchcase(topic, pattern) for pattern in patterns)
+
+        waiting: list[tuple[tuple[float, str, bytes], Sample]] = []
+        latest = float("-inf")
+        for sample in self._read(file, wanted):
+            heapq.heappush(waiting, (_order(sample), sample))
+            latest = max(latest, sample.t)
+            while waiting[0][1].t < latest - DISORDER_S:
+                yield heapq.heappop(waiting)[1]
+        while waiting:
+            yield heapq.heappop(waiting)[1]
+
+    def _origin(self) -> float:
+        begun = self._begun[True] or self._begun[False]
+        return min((self._axis(clock)(t) for clock, t in begun.items()), default=0.0)
+
+
+def natural(text: str) -> tuple[object, ...]:
+    """Sorts r10 behind r9."""
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text))
+
+
+def _order(sample: Sample) -> tuple[float, str, bytes]:
+    return sample.t, sample.topic, sample.data

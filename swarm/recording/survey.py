@@ -1,0 +1,86 @@
+"""What a recording holds already, found without reading its messages, so that a restarted process can go on with it."""
+
+import os
+
+from swarm.core import mcap
+from swarm.core.recording import Known
+from swarm.errors import RecordingError
+
+_CHUNK_HEAD = 40
+"""Bytes of a chunk record's content before its messages, where they are not compressed."""
+
+
+def survey(file: int, limit: int | None = None) -> Known:
+    """What the file holds, up to its last whole record (`position`) or to the end of its data where it was finished.
+
+    What begins at `limit` or behind it is left out. Chunks are stepped over; a chunk whose indexes are not all there
+    counts as not written. Raises `RecordingError` for a file that begins differently from one of ours.
+    """
+    size = os.fstat(file).st_size
+    if limit is not None:
+        size = min(size, limit)
+    if size == 0:
+        return Known()
+    known = Known(len(mcap.MAGIC))
+    if os.pread(file, len(mcap.MAGIC), 0) != mcap.MAGIC:
+        raise RecordingError("it is no MCAP file")
+    chunk: tuple[mcap.Chunk, int] | None = None
+    indexes: dict[int, int] = {}
+    counts: dict[int, int] = {}
+
+    def close_chunk(at: int) -> None:
+        nonlocal chunk
+        if chunk is not None:
+            head, length = chunk
+            known.add_chunk(head.start, head.end, length, {**indexes, -1: at}, head.size)
+            for channel, count in counts.items():
+                known.counts[channel] = known.counts.get(channel, 0) + count
+            chunk = None
+
+    at = known.position
+    while at + mcap.HEAD.size <= size:
+        opcode, length = mcap.HEAD.unpack(os.pread(file, mcap.HEAD.size, at))
+        inside, after = at + mcap.HEAD.size, at + mcap.HEAD.size + length
+        if after > size:
+            break
+        if opcode == mcap.MESSAGE_INDEX and chunk is not None:
+            (channel,) = mcap.CHANNEL_ID.unpack(os.pread(file, 2, inside))
+            indexes[channel] = at
+            counts[channel] = (length - 6) // mcap.INDEX_ENTRY.size
+            at = after
+            continue
+        close_chunk(at)
+        if opcode == mcap.CHUNK:
+            chunk = mcap.read_chunk(os.pread(file, _CHUNK_HEAD, inside)), after - at
+            indexes, counts = {}, {}
+        elif opcode in (mcap.DATA_END, mcap.FOOTER):
+            break
+        else:
+            _note(known, opcode, os.pread(file, length, inside), after - at)
+        at = after
+    # A chunk at the end may lack indexes of channels; all of ours are written in one go, so it is whole if one is
+    # there.
+    if chunk is not None and indexes and _complete(file, chunk[0], known.position, counts):
+        close_chunk(at)
+    return known
+
+
+def _note(known: Known, opcode: int, content: bytes, length: int) -> None:
+    if opcode == mcap.METADATA:
+        name, _ = mcap.read_metadata(content)
+        known.add_metadata(length, name)
+        return
+    if opcode == mcap.SCHEMA:
+        schema = mcap.read_schema(content)
+        known.schemas[schema.id] = schema
+    elif opcode == mcap.CHANNEL:
+        channel = mcap.read_channel(content)
+        known.channels[channel.id] = channel
+        known.counts.setdefault(channel.id, 0)
+    known.position += length
+
+
+def _complete(file: int, chunk: mcap.Chunk, at: int, counts: dict[int, int]) -> bool:
+    """Whether the indexes name as many messages as there are in the chunk at `at`."""
+    records = os.pread(file, chunk.size, at + mcap.HEAD.size + _CHUNK_HEAD)
+    return sum(1 for _, opcode, _ in mcap.whole_records(records) if opcode == mcap.MESSAGE) == sum(counts.values())

@@ -1,0 +1,154 @@
+"""What one robot's app computed, iteration by iteration: read from a recording, compared to the bit, and timed."""
+
+import math
+import statistics
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from swarm.errors import RecordingError
+from swarm.recording.reader import Reader
+
+WINDOW = 10
+"""Iterations of a window. On bipartite graphs (a line, an even loop) lockstep has period 2: single intervals alternate
+for ever, so an iteration is measured over an even number of them, at least ten."""
+WARM_UP = 10
+"""Iterations left out at the start."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What one robot's app computed."""
+
+    columns: tuple[str, ...] = ()
+    """Names of the state and result columns: `name`, `vector[0]`..., results as `result.name`."""
+    times: dict[int, float] = field(default_factory=dict)
+    """s of the robot's clock at which state k was there."""
+    rows: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    """State and result of iteration k, as text (repr of the floats, so that equal text means equal bits)."""
+
+    @property
+    def last(self) -> int:
+        """The last iteration; -1 where there is none."""
+        return max(self.rows, default=-1)
+
+    def value(self, k: int, column: str) -> float:
+        """One number; nan where the column holds none (an absent or ambiguous result)."""
+        try:
+            return float(self.rows[k][self.columns.index(column)])
+        except ValueError:
+            return math.nan
+
+    def first_reached(self) -> float | None:
+        """When the first iteration was done."""
+        return min((t for k, t in self.times.items() if k >= 1), default=None)
+
+
+EMPTY = Trajectory()
+
+
+class Builder:
+    """Takes recorded states one by one."""
+
+    def __init__(self) -> None:
+        self._columns: tuple[str, ...] = ()
+        self._times: dict[int, float] = {}
+        self._rows: dict[int, tuple[str, ...]] = {}
+
+    def known(self) -> Trajectory:
+        """What it has by now; grows with it."""
+        return Trajectory(self._columns, self._times, self._rows)
+
+    def add(self, message: Mapping[str, Any], path: Path) -> None:
+        """Take the state in a message of the file `path`.
+
+        Raises `RecordingError` where one iteration stands there twice with different values: a restart forked the run.
+        """
+        k, t = message.get("k"), message.get("t")
+        state, result = message.get("state"), message.get("result")
+        if not (isinstance(k, int) and isinstance(t, float) and isinstance(state, dict) and isinstance(result, dict)):
+            raise RecordingError(f"{path}: a state without k, t, state and result")
+        cells = [*_cells("", state), *_cells("result.", result)]
+        columns = tuple(name for name, _ in cells)
+        if not self._columns:
+            self._columns = columns
+        elif columns != self._columns:
+            raise RecordingError(f"{path}: iteration {k} has other fields than the first: {', '.join(columns)}")
+        row = tuple(text for _, text in cells)
+        if self._rows.setdefault(k, row) != row:
+            raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
+        self._times.setdefault(k, t)
+
+
+class TrajectoryReader:
+    """Reads one app's trajectory from a recording, and goes on with it while the file grows."""
+
+    def __init__(self, path: Path, topic: str = "") -> None:
+        """`topic`: of the app's states; default: the first app in the file."""
+        self._path = path
+        self._topic = topic
+        self._reader: Reader | None = None
+        self._builder = Builder()
+
+    def read(self) -> Trajectory:
+        """All there is by now; nothing where there is no such file. Raises `RecordingError`."""
+        if self._reader is None:
+            if not self._path.is_file() or not self._path.stat().st_size:
+                return EMPTY
+            self._reader = Reader(self._path)
+        for sample in self._reader.samples(self._wanted):
+            self._builder.add(sample.message, self._path)
+        return self._builder.known()
+
+    def _wanted(self, topic: str) -> bool:
+        if not self._topic and is_state(topic):
+            self._topic = topic
+        return topic == self._topic
+
+
+def read(path: Path) -> Trajectory:
+    """Read one recording of one app. What was cut off (the robot was killed while it wrote) is left out."""
+    return TrajectoryReader(path).read()
+
+
+def is_state(topic: str) -> bool:
+    """Whether an app's states travel under this topic."""
+    chunks = topic.split("/")
+    return len(chunks) in (5, 6) and chunks[2] == "app" and chunks[-1] == "state"
+
+
+def _cells(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for name, value in values.items():
+        yield from _cell(prefix + name, value)
+
+
+def _cell(name: str, value: object) -> Iterator[tuple[str, str]]:
+    if isinstance(value, tuple):
+        for index, entry in enumerate(value):
+            yield from _cell(f"{name}[{index}]", entry)
+    else:
+        yield name, value if isinstance(value, str) else "nan" if value is None else repr(value)
+
+
+def iteration_times(trajectories: Mapping[str, Trajectory]) -> list[float]:
+    """Seconds an iteration of every robot, each over a window of `WINDOW`, after the warm-up."""
+    return [
+        (trajectory.times[k + WINDOW] - at) / WINDOW
+        for trajectory in trajectories.values()
+        for k, at in trajectory.times.items()
+        if k >= WARM_UP and k + WINDOW in trajectory.times
+    ]
+
+
+def median(values: list[float]) -> float | None:
+    """The median, None of nothing."""
+    return statistics.median(values) if values else None
+
+
+def percentile(values: list[float], percent: float) -> float | None:
+    """The nearest-rank percentile, None of nothing."""
+    if not values:
+        return None
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, math.ceil(percent / 100 * len(ordered)) - 1)]

@@ -1,0 +1,205 @@
+"""`swarm new` and `swarm check`: what is written runs, and every kind of bad app is named with file and line."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.apps import loader
+from services.apps.rehearsal import check, examine, new, rehearse, trends
+from swarm.errors import AppError, LocalError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+HEAD = "import random\nfrom swarm import SyncApp\nCOUNT = 0\nclass Bad(SyncApp):\n    value: float\n"
+STEP = HEAD + "    def step(self, neighbours):\n        mean = sum(n.value for n in neighbours)\n"
+"""Seven lines: the eighth is the one to blame."""
+
+
+def write(directory: Path, text: str, name: str = "bad.py") -> str:
+    path = directory / name
+    path.write_text(text)
+    return str(path)
+
+
+def findings(file: str, iterations: int = 60, graphs: tuple[str, ...] = ("line",)) -> list[dict]:
+    """What one process finds out, here in this one."""
+    app = loader.load(file)
+    found = [examine.describe(app, {})]
+    found += [vars(one) for one in examine.examine(app, 6, iterations, {}) if one.graph in graphs]
+    return json.loads(json.dumps(found))
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """One graph, little patience, and the alarm that the process of its own would have."""
+    monkeypatch.setattr(examine, "GRAPHS", ("line",))
+    monkeypatch.setattr(examine, "STEP_LIMIT", 0.3)
+    before = signal.signal(signal.SIGALRM, examine._alarm)
+    yield
+    signal.signal(signal.SIGALRM, before)
+
+
+BAD = {
+    "raises": ("        self.value = 1 / 0\n", "ZeroDivisionError: division by zero", 8),
+    "no number": ("        self.value = float('nan') * mean\n", "value: nan is not a finite number", 8),
+    "a wrong type": ("        self.value = 'much'\n", "value: expected a number, got 'much'", 8),
+    "nothing declared": ("        self.speed = 3.0\n", "Bad declares no 'speed'", 8),
+    "hangs": ("        while True:\n            mean += 1.0\n", "it hangs: a step took more than 0.3 s", (8, 9)),
+    "is random": ("        self.value = random.random()\n", "the same step gave two results", 8),
+    "counts its calls": (
+        "        global COUNT\n        COUNT += 1\n        self.value += 1e-3 * COUNT\n",
+        "the same step gave two results",
+        10,
+    ),
+    "returns": ("        return mean\n", "it returned", 6),
+    "overflows": ("        self.value = 10.0 ** (200 * (self.k + 1))\n", "OverflowError", 8),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_bad_step_is_named_with_file_and_line(tmp_path: Path, short: None, kind: str) -> None:
+    body, message, line = BAD[kind]
+    file = write(tmp_path, STEP + body)
+    found = check.judge(findings(file), findings(file))
+    assert not found["ok"]
+    (problem,) = found["problems"]
+    assert message in problem
+    assert any(f"{file}, line {number}" in problem for number in ([line] if isinstance(line, int) else line)), problem
+
+
+def test_one_that_diverges_is_told_from_one_that_counts(tmp_path: Path, short: None) -> None:
+    file = write(tmp_path, STEP + "        self.value += 0.3 * (self.value - mean)\n")
+    found = check.judge(findings(file), findings(file))
+    assert found["problems"] == [f"it diverges on graph line: the results grow without end ({file}, line 6)"]
+    assert found["graphs"][0]["trend"]["grows"]
+    file = write(tmp_path, STEP + "        self.value += 1e3\n", "counts.py")
+    assert check.judge(findings(file), findings(file))["ok"]
+
+
+def test_who_goes_by_the_order_of_neighbours_is_warned(tmp_path: Path, short: None) -> None:
+    file = write(tmp_path, STEP + "        self.value = neighbours[0].value / 2\n")
+    found = check.judge(findings(file), findings(file))
+    assert found["ok"]
+    (warning,) = found["warnings"]
+    assert "depends on the order of the neighbours" in warning
+
+
+def test_a_slow_step_is_warned_of(tmp_path: Path, short: None) -> None:
+    file = write(tmp_path, STEP + "        self.value = sum(mean * 1e-9 for _ in range(60_000))\n")
+    found = check.judge(findings(file, 5), findings(file, 5))
+    assert any("on a Pi Zero 2 W, more than 10 ms" in warning for warning in found["warnings"])
+
+
+def test_two_processes_that_differ_are_a_problem() -> None:
+    one = findings(str(EXAMPLES / "consensus.py"), 10)
+    other = json.loads(json.dumps(one))
+    other[1]["digests"][7] += 1
+    found = check.judge(one, other)
+    assert not found["ok"]
+    assert "graph line, iteration 7: two processes came to different states" in found["problems"][0]
+
+
+def test_a_bad_handler_is_named(tmp_path: Path, short: None) -> None:
+    text = "from swarm import PeriodicApp\nclass Bad(PeriodicApp):\n    value: float\n    def step(self, neighbours):\n"
+    file = write(tmp_path, text + "        if self.k == 3:\n            self.value = 1 / 0\n")
+    found = check.judge(findings(file), findings(file))
+    assert f"{file}, line 6: ZeroDivisionError" in found["problems"][0]
+    text = "from swarm import EventApp\nclass Bad(EventApp):\n    def on_button(self, button):\n"
+    text += "        while True:\n            pass\n"
+    file = write(tmp_path, text, "buttons.py")
+    found = check.judge(findings(file), findings(file))
+    assert "it hangs" in found["problems"][0]
+    assert f"{file}, line " in found["problems"][0]
+
+
+def test_good_apps_are_told_what_they_are(short: None) -> None:
+    file = str(EXAMPLES / "consensus.py")
+    found = check.judge(findings(file, 300), findings(file, 300))
+    assert found["ok"]
+    assert (found["kind"], found["bytes"], found["bytes_on_air"]) == ("sync", 8, 26)
+    trend = found["graphs"][0]["trend"]
+    assert trend["settles"] < 60
+    assert trend["spread"] < 1e-9
+    told = check.text(found)
+    assert "state       8 bytes (value float), 26 on the air" in told
+    assert "by an estimated factor of 10" in told
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "swarm.cli", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+
+
+def test_hash_order_is_found_by_the_command(tmp_path: Path) -> None:
+    body = "        names = {n.name for n in neighbours} | {'a', 'b', 'c', 'd'}\n"
+    body += "        self.value = float(sum(i * len(name) * ord(name[0]) for i, name in enumerate(names)))\n"
+    done = run("check", write(tmp_path, STEP + body), "--iterations", "10", "--json")
+    found = json.loads(done.stdout)
+    assert done.returncode == 1
+    assert not found["ok"]
+    assert "two processes came to different states" in found["problems"][0]
+
+
+def test_a_file_that_cannot_be_loaded_is_one_message(tmp_path: Path) -> None:
+    done = run("check", write(tmp_path, "from swarm import SyncApp\nclass Bad(SyncApp:\n"))
+    assert done.returncode == 1
+    assert "bad.py, line 2: SyntaxError" in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("kind", ["sync", "periodic", "event"])
+def test_a_new_app_passes_its_test_and_the_check(tmp_path: Path, kind: str, short: None) -> None:
+    app, test = new.write(tmp_path / "my_first.py", kind)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", test.name],
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert check.judge(findings(str(app), 60), findings(str(app), 60))["ok"]
+    assert max(map(len, app.read_text().splitlines())) <= 120
+    with pytest.raises(LocalError, match="is there already; it is not written over"):
+        new.write(app, kind)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("My.py", "a lower-case letter"),
+        ("app.txt", "expected NAME.py"),
+        ("consensus.py", "a built-in app of that name"),
+        ("none/app.py", "there is no such folder"),
+    ],
+)
+def test_a_name_no_app_can_have_is_refused(tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(LocalError, match=message):
+        new.write(tmp_path / name, "sync")
+    assert not list(tmp_path.iterdir())
+
+
+def test_rehearse_takes_parameters_and_first_values() -> None:
+    swarm = rehearse(
+        "consensus", topology="thesis-d", parameters={"algorithm": "flood"}, values={"r5": {"value": 65.0}}
+    )
+    swarm.run(2)
+    assert swarm.result("r3")["value"] == 65.0 / 6
+    swarm = rehearse("localization", robots=3)
+    swarm.run(60)
+    assert swarm.result("r1")["x"] == pytest.approx(0.5)
+    with pytest.raises(AppError, match="no app 'nothing'"):
+        rehearse("nothing")
+
+
+def test_trends() -> None:
+    def of(*values: float) -> dict:
+        return trends.judge({"r0": [{"x": value} for value in values]})
+
+    assert of(*(0.5**k for k in range(50)))["settles"] == 7
+    assert of(*(float(k) for k in range(50)))["settles"] is None
+    assert of(*(2.0**k for k in range(50)))["grows"]
+    assert not of(*(float(k**2) for k in range(50)))["grows"]
+    assert trends.judge({"r0": [{"name": "text"}] * 9}) == {"settles": None, "spread": None, "grows": False}

@@ -1,0 +1,285 @@
+"""The file of a recording: killed, gone on with, on a disk that is full."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import pytest
+
+from swarm.recording import file as module
+from swarm.recording.file import RecordingFile
+from swarm.recording.reader import Reader
+
+TOPIC = "swarm/r0/x"
+
+
+@pytest.fixture
+def open_file(tmp_path):
+    opened = []
+
+    def open_(path=None, counters=None, **options):
+        counters = Counter() if counters is None else counters
+        it = RecordingFile(path or tmp_path / "x.mcap", counters, **{"append": False, "min_free": 0, **options})
+        opened.append(it)
+        return it
+
+    yield open_
+    for it in opened:
+        it.close()
+
+
+def numbers(path):
+    reader = Reader(path)
+    return [sample.message["i"] for sample in reader.samples()], reader
+
+
+def test_it_is_whole_when_closed(open_file, tmp_path):
+    file = open_file()
+    file.metadata("run", {"app": "x"})
+    for i in range(10):
+        file.write(TOPIC, 1.0 + i, {"i": i})
+    file.close()
+    found, reader = numbers(tmp_path / "x.mcap")
+    assert found == list(range(10))
+    assert reader.finished
+    assert reader.metadata == [("run", {"app": "x"})]
+
+
+@pytest.mark.parametrize("lost", [0, 1, 5, 60])
+def test_another_process_goes_on_behind_what_is_whole(open_file, tmp_path, lost):
+    path = tmp_path / "x.mcap"
+    first = open_file()
+    first.metadata("run", {"start": "1"})
+    for i in range(3):
+        first.write(TOPIC, float(i), {"i": i})
+        first.flush()
+    size = path.stat().st_size
+    first.close()
+    os.truncate(path, size - lost)  # killed while it wrote
+    again = open_file(append=True)
+    again.metadata("run", {"start": "2"})
+    again.write(TOPIC, 3.0, {"i": 3})
+    again.write("swarm/r0/y", 3.0, {"i": 4})
+    again.close()
+    found, reader = numbers(path)
+    assert found == ([0, 1, 2, 3, 4] if lost == 0 else [0, 1, 3, 4])
+    assert reader.finished
+    assert reader.damage == []
+    assert [entries["start"] for _, entries in reader.metadata] == ["1", "2"]
+    mcap = pytest.importorskip("mcap.reader")
+    with path.open("rb") as stream:
+        summary = mcap.SeekingReader(stream, validate_crcs=True).get_summary()
+        assert summary.statistics.message_count == len(found)
+        assert len(list(mcap.SeekingReader(stream, validate_crcs=True).iter_messages())) == len(found)
+
+
+def test_a_finished_file_can_be_gone_on_with(open_file, tmp_path):
+    for i in range(3):
+        file = open_file(append=i > 0)
+        file.write(TOPIC, float(i), {"i": i})
+        file.close()
+    assert numbers(tmp_path / "x.mcap")[0] == [0, 1, 2]
+
+
+def test_a_new_run_begins_the_file_anew(open_file, tmp_path):
+    for i in range(2):
+        file = open_file()
+        file.write(TOPIC, float(i), {"i": i})
+        file.close()
+    assert numbers(tmp_path / "x.mcap")[0] == [1]
+
+
+def test_what_is_none_of_ours_is_put_aside(open_file, tmp_path, caplog):
+    (tmp_path / "x.mcap").write_text("my thesis")
+    file = open_file(append=True)
+    file.write(TOPIC, 1.0, {"i": 1})
+    file.close()
+    assert (tmp_path / "x.damaged").read_text() == "my thesis"
+    assert numbers(tmp_path / "x.mcap")[0] == [1]
+    assert "it is now x.damaged" in caplog.text
+
+
+def test_a_recording_that_cannot_be_made_is_counted_not_fatal(open_file, tmp_path, caplog):
+    counters = Counter()
+    file = open_file(tmp_path / "none" / "x.mcap", counters)
+    for i in range(3):
+        file.write(TOPIC, 1.0, {"i": i})
+    file.flush()
+    assert counters["records_lost"] == 3
+    assert sum("cannot be recorded, the run goes on: No such file" in message for message in caplog.messages) == 1
+
+
+def test_a_disk_that_is_nearly_full_is_left_alone_and_gone_on_with(open_file, tmp_path, monkeypatch, caplog):
+    counters = Counter()
+    monkeypatch.setattr(module, "MAX_WAITING", 2000)
+    file = open_file(counters=counters, min_free=1 << 62)
+    for i in range(100):
+        file.write(TOPIC, 0.0, {"i": i})
+        file.flush()
+    path = tmp_path / "x.mcap"
+    assert path.stat().st_size == 0
+    assert 0 < counters["records_lost"] < 100
+    file._min_free = 0  # somebody has made room
+    file.flush()
+    file.write(TOPIC, 1.0, {"i": 100})
+    file.close()
+    kept = 100 - counters["records_lost"]
+    assert numbers(path)[0] == [*range(kept), 100]
+    assert sum("are free on its disk" in message for message in caplog.messages) == 1
+
+
+def test_a_write_that_was_cut_short_is_finished_later(open_file, tmp_path, monkeypatch):
+    file = open_file()
+    file.write(TOPIC, 0.0, {"i": 0})
+    file.flush()
+    pwrite = os.pwrite
+    monkeypatch.setattr(os, "pwrite", lambda handle, data, at: pwrite(handle, data[:7], at))
+    file.write(TOPIC, 1.0, {"i": 1})
+    file.flush()
+    assert numbers(tmp_path / "x.mcap")[0] == [0]
+    monkeypatch.undo()
+    file.close()
+    found, reader = numbers(tmp_path / "x.mcap")
+    assert found == [0, 1]
+    assert reader.finished
+
+
+WRITES = """
+import sys
+from collections import Counter
+from pathlib import Path
+from swarm.recording.file import RecordingFile
+file = RecordingFile(Path(sys.argv[1]), Counter(), append=False)
+i = 0
+while sys.stdin.readline():
+    for _ in range(1000):
+        file.write("swarm/r0/x", float(i), {"i": i})
+        i += 1
+    print(i, flush=True)
+"""
+
+
+def test_killed_it_has_lost_no_more_than_what_was_not_yet_written(tmp_path):
+    """Half a second after a message was recorded it is in the file, whatever becomes of the process."""
+    path = tmp_path / "x.mcap"
+    process = subprocess.Popen([sys.executable, "-c", WRITES, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                               text=True)  # fmt: skip
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write("\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "1000\n"
+        end = time.monotonic() + 20
+        while not path.exists() or not path.stat().st_size or len(numbers(path)[0]) < 1000:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    found, reader = numbers(path)
+    assert found == list(range(1000))
+    assert not reader.finished
+
+
+# Killed by -9, and gone on with by the next process
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: whatever was under way does not go on."""
+
+
+def killed(file):
+    """End a file as a killed process leaves it: the thread is gone, nothing is flushed."""
+    file._ending.set()
+    file._thread.join()
+    os.close(file._file)
+    file._file = None
+
+
+@pytest.mark.parametrize("flushed", range(6))
+def test_with_a_journal_the_next_process_puts_in_what_was_not_written(open_file, tmp_path, flushed):
+    path, journal = tmp_path / "x.mcap", tmp_path / "journal"
+    first = open_file(journal=journal)
+    first.metadata("run", {"start": "1"})
+    for i in range(5):
+        first.write(TOPIC if i % 2 else "swarm/r0/y", float(i), {"i": i})
+        if i < flushed:
+            first.flush()
+    killed(first)
+    assert numbers(path)[0] == list(range(flushed)) if flushed < 5 else list(range(5))
+    second = open_file(journal=journal, append=True)
+    second.write(TOPIC, 5.0, {"i": 5})
+    killed(second)  # and once more
+    third = open_file(journal=journal, append=True)
+    third.write(TOPIC, 6.0, {"i": 6})
+    third.close()
+    found, reader = numbers(path)
+    assert found == list(range(7))
+    assert reader.finished
+    assert reader.damage == []
+    assert reader.metadata == [("run", {"start": "1"})]
+
+
+@pytest.mark.parametrize("moment", ["before", "torn", "after"])
+def test_killed_while_it_wrote_nothing_is_lost_or_doubled(open_file, tmp_path, monkeypatch, moment):
+    path, journal = tmp_path / "x.mcap", tmp_path / "journal"
+    file = open_file(journal=journal)
+    file.write(TOPIC, 0.0, {"i": 0})
+    file.flush()
+    file.write(TOPIC, 1.0, {"i": 1})
+    pwrite = os.pwrite
+
+    def kill(handle, data, at):
+        if moment != "before":
+            pwrite(handle, data if moment == "after" else data[:-9], at)
+        raise Killed
+
+    monkeypatch.setattr(os, "pwrite", kill)
+    with pytest.raises(Killed):
+        file.flush()
+    monkeypatch.undo()
+    file.write(TOPIC, 2.0, {"i": 2})
+    killed(file)
+    again = open_file(journal=journal, append=True)
+    again.close()
+    assert numbers(path)[0] == [0, 1, 2]
+
+
+def test_a_journal_that_is_too_small_for_a_full_disk_takes_nothing_back(open_file, tmp_path):
+    path, journal = tmp_path / "x.mcap", tmp_path / "journal"
+    file = open_file(journal=journal)
+    file.write(TOPIC, 0.0, {"i": 0})
+    file.flush()
+    for i in range(1, 31):
+        file.write(TOPIC, float(i), {"i": i, "text": "x" * 20_000})
+    file.flush()
+    killed(file)
+    again = open_file(journal=journal, append=True)
+    again.close()
+    assert numbers(path)[0] == list(range(31))
+
+
+def test_a_new_run_does_not_take_the_journal_of_another(open_file, tmp_path):
+    journal = tmp_path / "journal"
+    file = open_file(journal=journal)
+    file.write(TOPIC, 0.0, {"i": 0})
+    killed(file)
+    again = open_file(journal=journal)
+    again.write(TOPIC, 1.0, {"i": 1})
+    again.close()
+    assert numbers(tmp_path / "x.mcap")[0] == [1]
+
+
+def test_a_journal_of_junk_is_left_out(open_file, tmp_path, caplog):
+    journal = tmp_path / "journal"
+    record = b"\x05" + (22).to_bytes(8, "little") + bytes(22)
+    journal.write_bytes((8).to_bytes(8, "little") + len(record).to_bytes(8, "little") + record)
+    file = open_file(journal=journal, append=True)
+    file.write(TOPIC, 1.0, {"i": 1})
+    file.close()
+    assert numbers(tmp_path / "x.mcap")[0] == [1]
+    assert "a message of channel 0, which is not described" in caplog.text

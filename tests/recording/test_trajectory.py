@@ -1,0 +1,96 @@
+import pytest
+
+from swarm.core.recording import Writer
+from swarm.errors import RecordingError
+from swarm.messages import AppState
+from swarm.recording import trajectory
+
+TOPIC = "swarm/r0/app/consensus/state"
+
+
+def write(tmp_path, *rows, topic=TOPIC):
+    """A recording with states of (k, t, state, result)."""
+    writer = Writer("test", epoch_ns=0)
+    for k, t, state, result in rows:
+        writer.write(topic, t, AppState(t, k, state, result), "consensus.State")
+    writer.finish()
+    path = tmp_path / "r0.consensus.mcap"
+    path.write_bytes(writer.take())
+    return path
+
+
+def value(k, t, number):
+    return k, t, {"value": number}, {"value": number}
+
+
+def test_reads_what_a_host_writes(tmp_path):
+    found = trajectory.read(write(tmp_path, value(0, 10.0, 0.5), value(1, 10.03, 1.25)))
+    assert found.columns == ("value", "result.value")
+    assert found.last == 1
+    assert found.value(1, "value") == 1.25
+    assert found.first_reached() == 10.03
+
+
+def test_every_kind_of_value_has_its_columns(tmp_path):
+    state = {"q": (0.1 + 0.2, -0.0), "m": ((1.0, 2.0), (3.0, 4.0)), "n": 3, "on": True, "who": 'say "a, b"'}
+    found = trajectory.read(write(tmp_path, (0, 1.0, state, {})))
+    assert found.columns == ("q[0]", "q[1]", "m[0][0]", "m[0][1]", "m[1][0]", "m[1][1]", "n", "on", "who")
+    assert found.rows[0] == ("0.30000000000000004", "-0.0", "1.0", "2.0", "3.0", "4.0", "3", "True", 'say "a, b"')
+
+
+def test_a_repeated_iteration_must_be_equal(tmp_path):
+    again = trajectory.read(write(tmp_path, value(3, 10.0, 0.5), value(3, 11.0, 0.5)))
+    assert again.times[3] == 10.0
+    with pytest.raises(RecordingError, match=r"iteration 3 stands there twice"):
+        trajectory.read(write(tmp_path, value(3, 10.0, 0.0), value(3, 11.0, -0.0)))
+
+
+def test_a_state_has_the_same_fields_throughout(tmp_path):
+    with pytest.raises(RecordingError, match=r"iteration 1 has other fields than the first: v"):
+        trajectory.read(write(tmp_path, (0, 1.0, {"u": 1.0}, {}), (1, 2.0, {"v": 1.0}, {})))
+
+
+def test_what_is_no_state_is_refused(tmp_path):
+    writer = Writer("test", epoch_ns=0)
+    writer.write(TOPIC, 1.0, {"k": "one"})
+    writer.finish()
+    (tmp_path / "x.mcap").write_bytes(writer.take())
+    with pytest.raises(RecordingError, match="a state without k, t, state and result"):
+        trajectory.read(tmp_path / "x.mcap")
+
+
+def test_it_goes_on_with_a_file_that_grows(tmp_path):
+    whole = write(tmp_path, value(0, 1.0, 0.5), value(1, 2.0, 1.5), value(2, 3.0, 2.5)).read_bytes()
+    path = tmp_path / "growing.mcap"
+    reader = trajectory.TrajectoryReader(path)
+    assert reader.read().last == -1
+    seen = []
+    for size in range(len(whole) + 1):
+        path.write_bytes(whole[:size])
+        seen.append(reader.read().last)
+    assert seen == sorted(seen)
+    assert reader.read().rows == trajectory.read(tmp_path / "r0.consensus.mcap").rows
+
+
+def test_nothing_recorded_is_empty(tmp_path):
+    assert trajectory.read(tmp_path / "absent.mcap").last == -1
+    assert trajectory.read(write(tmp_path)).last == -1
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    assert trajectory.read(tmp_path / "empty.mcap").last == -1
+
+
+def test_iterations_are_measured_over_windows_because_lockstep_alternates():
+    # 2 ms and 64 ms in turn: a median of single intervals would say 2 or 64, the rate is 33 ms.
+    times, t = {}, 0.0
+    for k in range(60):
+        times[k] = t
+        t += 0.002 if k % 2 else 0.064
+    values = trajectory.iteration_times({"r0": trajectory.Trajectory((), times, {})})
+    assert trajectory.median(values) == pytest.approx(0.033)
+    assert trajectory.percentile(values, 95) == pytest.approx(0.033)
+
+
+def test_percentiles_are_nearest_rank():
+    assert trajectory.percentile([], 95) is None
+    assert trajectory.percentile([1.0], 95) == 1.0
+    assert trajectory.percentile(list(map(float, range(1, 101))), 95) == 95.0

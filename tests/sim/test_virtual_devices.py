@@ -1,0 +1,144 @@
+"""Balancer and dwm under virtual time, through the clients that apps use."""
+
+import math
+
+import pytest
+
+from services.mesh.core.delay import AirModel
+from services.sim.options import parse
+from services.sim.scenario import build
+from services.sim.virtual.bus import VirtualBus
+from services.sim.virtual.run import PLACE
+from services.sim.virtual.world import World
+from swarm.core.hands import Lay, Press, Push
+from swarm.devices import Devices
+from swarm.errors import LocalError
+from swarm.messages import LedChange, Notice, Stop, read
+
+
+class Rig:
+    def __init__(self, *options):
+        self.world = World(build(parse(list(options)), PLACE).config, AirModel(latency=0.03), seed=1)
+        self.bus = VirtualBus(self.world.robots["r0"].router)
+        self.time = self.world.time
+        self.devices = Devices(self.bus, "r0", lambda: self.time.now)
+        self.heard = []
+        self.bus.subscribe("swarm/r0/**", lambda key, payload: self.heard.append((self.time.now, key, payload)))
+
+    @property
+    def body(self):
+        return self.world.robots["r0"].balancer.body
+
+    def run(self, seconds):
+        """Time, and what the host does for the devices of an app."""
+        end = self.time.now + seconds
+        while self.time.now < end:
+            self.time.run(min(end, self.time.now + 0.05))
+            self.devices.handle_timer()
+        self.time.run(end)
+
+    def messages(self, kind):
+        found = [(at, read(key, payload)) for at, key, payload in self.heard if "/sync/" not in key]
+        return [(at, message) for at, message in found if isinstance(message, kind)]
+
+
+@pytest.fixture
+def rig():
+    return Rig("--robots", "3")
+
+
+def test_posture_battery_and_buttons(rig):
+    pressed = []
+    rig.devices.on_button(pressed.append)
+    assert rig.devices.posture == "unknown"
+    rig.run(2.0)
+    assert rig.devices.posture == "standing"
+    assert rig.devices.battery is None
+    rig.world.act("r0", rig.time.now + 0.5, Press("B", 0.2))
+    rig.run(0.6)
+    assert rig.devices.buttons == ("b",)
+    rig.run(1.0)
+    assert (rig.devices.buttons, pressed) == ((), ["b"])
+    assert rig.devices.battery == pytest.approx(7.4)
+    rig.devices.mode("lie")
+    rig.run(0.2)
+    assert rig.devices.posture == "lying_down"
+    rig.run(1.0)
+    assert rig.devices.posture == "front"
+    rig.world.act("r0", rig.time.now, Lay("back"))
+    rig.run(0.1)
+    assert rig.devices.posture == "back"
+    rig.devices.mode("stand")
+    rig.run(0.3)
+    assert rig.devices.posture == "standing_up"
+    rig.run(1.0)
+    assert rig.devices.posture == "standing"
+
+
+def test_what_is_driven_stops_with_the_app(rig):
+    x = rig.body.x
+    rig.run(1.0)
+    rig.devices.drive(0.2, 0.0)
+    rig.run(2.0)
+    assert rig.body.x - x == pytest.approx(0.4, abs=0.05)
+    rig.time.run(rig.time.now + 3.0)  # nobody repeats the command: the app is dead
+    still = rig.body.x
+    rig.time.run(rig.time.now + 1.0)
+    assert rig.body.x == still < x + 0.7
+
+
+def test_leds_are_told_when_they_change_and_go_back_to_the_robots_own(rig):
+    rig.run(1.0)
+    rig.devices.leds(True, None, False, None)
+    rig.run(4.0)
+    rig.devices.release()
+    rig.run(1.0)
+    changes = [(round(at, 3), message.red, message.green) for at, message in rig.messages(LedChange)]
+    assert [change[1:] for change in changes] == [(False, True), (True, False), (False, True)]
+    assert changes[1][0] == 1.0
+    assert rig.world.robots["r0"].balancer.led_changes[-1][1] == (False, False, True)
+
+
+def test_a_stop_holds_and_refusals_are_told(rig):
+    rig.run(0.5)
+    rig.bus.publish("swarm/stop", Stop(rig.time.now, "r1", "test"))
+    rig.devices.drive(0.1, 0.0)
+    rig.run(0.3)
+    rig.devices.drive(0.0, 0.0)
+    assert "test" in rig.devices.fault or rig.devices.posture == "unknown"
+    rig.run(0.5)
+    assert "test" in rig.devices.fault
+    assert rig.body.posture == "front"
+    assert any("refused" in message.text for _, message in rig.messages(Notice))
+    # it reached the others through the mesh
+    assert all(robot.balancer.body.fault for robot in rig.world.robots.values())
+
+
+def test_a_body_without_physics_cannot_be_pushed(rig):
+    with pytest.raises(LocalError, match="no physics"):
+        rig.world.robots["r0"].balancer.act(Push(0.5))
+
+
+def test_the_pose_comes_through_module_calibration_and_filter(rig):
+    rig.run(1.0)
+    assert rig.devices.pose is None  # nobody looked before
+    rig.run(1.0)
+    pose = rig.devices.pose
+    assert math.dist((pose.x, pose.y), (rig.body.x, rig.body.y)) < 0.3
+    for _ in range(8):
+        rig.devices.drive(0.2, 0.4)
+        rig.run(2.0)
+    rig.devices.drive(0.0, 0.0)
+    rig.run(4.0)
+    pose = rig.devices.pose
+    assert pose.sigma_x < 0.1
+    assert math.dist((pose.x, pose.y), (rig.body.x, rig.body.y)) < 0.15
+    error = (pose.heading - rig.body.heading + math.pi) % (2 * math.pi) - math.pi
+    assert abs(error) < 0.3
+
+
+def test_nothing_is_measured_for_nobody():
+    rig = Rig("--robots", "2")
+    rig.bus.close()
+    rig.time.run(3.0)
+    assert rig.world.robots["r1"].dwm.counters["reports"] == 0
