@@ -8,9 +8,9 @@ from pathlib import Path
 
 from services.sim.core.noise import ERRORS
 from services.sim.virtual.body import MODELS
-from swarm.codec import Value
+from swarm import settings
 from swarm.errors import AppError, ConfigError
-from swarm.parameters import value_of
+from swarm.settings import Setting
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -40,15 +40,6 @@ class Press:
     button: str
     at: float
     """s, counted like a cut's."""
-
-
-@dataclass(frozen=True)
-class Setting:
-    """A parameter of the app; `robot` is None where it holds for all."""
-
-    robot: str | None
-    name: str
-    value: Value
 
 
 @dataclass(frozen=True)
@@ -129,16 +120,8 @@ def press(text: str) -> Press:
 
 def setting(text: str) -> Setting:
     """A parameter `value=0.5` or, of one robot, `r2.value=3`."""
-    name, equals, value = text.partition("=")
-    robot, dot, parameter = name.rpartition(".")
-    if not equals or not (parameter or name).isidentifier():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a setting such as value=0.5 or r2.value=3")
-    return Setting(robot if dot else None, parameter, _value(value))
-
-
-def _value(text: str) -> Value:
     try:
-        return value_of(text)
+        return settings.parse(text)
     except AppError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 

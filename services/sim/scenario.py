@@ -27,6 +27,7 @@ from swarm.errors import AppError, ConfigError, LocalError
 from swarm.event_app import EventApp, PeriodicApp
 from swarm.paths import socket_path
 from swarm.recordings import Recording, read_folder
+from swarm.settings import on_top
 
 TARGET = "C933"
 ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
@@ -293,13 +294,4 @@ def _parameters(config: Config, wanted: loader.App, options: Options) -> App:
         starts = START_VALUES.get(len(config.names), tuple(float(index) for index in range(len(config.names))))
         for robot, value in zip(config.names, starts, strict=True):
             robots.setdefault(robot, {}).setdefault("value", value)
-    for setting in options.settings:
-        if setting.robot is None:
-            common[setting.name] = setting.value
-            for values in robots.values():
-                values.pop(setting.name, None)
-        elif setting.robot in config.names:
-            robots.setdefault(setting.robot, {})[setting.name] = setting.value
-        else:
-            raise ConfigError(f"--set {setting.robot}.{setting.name}: the robots are {', '.join(config.names)}")
-    return App(common, robots)
+    return on_top(App(common, robots), options.settings, config.names)
