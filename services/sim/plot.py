@@ -3,15 +3,16 @@
 import math
 from pathlib import Path
 
-from services.sim import report
+from services.sim import report, scene, scene_plot
+from services.sim.palette import COLOURS
 from services.sim.report import Json, Outcome
-
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Okabe and Ito's palette: told apart by colour-blind readers too."""
 
 
 def draw(outcome: Outcome, summary: Json, path: Path) -> None:
     """Write the picture of `outcome` to `path`; the ending says in which format."""
+    if outcome.witness is not None and outcome.scenario.app in scene.WATCHED:
+        scene_plot.draw(outcome.scenario, outcome.witness, outcome.began, path)
+        return
     # Slow to import and only wanted here. Agg: no display is needed.
     import matplotlib as mpl
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from services.sim import scene
+from services.sim.core.witness import Witness
 from services.sim.scenario import Scenario
 from swarm.messages import BalancerState
 from swarm.recording import trajectory
@@ -37,6 +38,10 @@ class Outcome:
     """s that a run under virtual time took to compute; None of one in real time."""
     scene: Mapping[str, object] = field(default_factory=dict)
     """What the world saw of it (services/sim/scene.py)."""
+    witness: Witness | None = None
+    """The world's own eyes, where somebody looked."""
+    began: float = 0.0
+    """When the run began, by the witness' clock, s."""
 
 
 def summary(outcome: Outcome) -> Json:
