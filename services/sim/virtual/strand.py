@@ -25,6 +25,8 @@ class Line(NamedTuple):
     t: float
     state: dict[str, Value]
     result: dict[str, Value]
+    measurement: Measurement | None = None
+    """What the step that gave this state computed with."""
 
 
 class Measurements(Protocol):
@@ -98,6 +100,7 @@ class VirtualStrand:
         self._time = time
         self._bus = bus
         self._measurements = measurements
+        self._measured: Measurement | None = None
         self._advanced, self._ended = told
         self._latest = latest
         self._prefix = key(robot, f"app/{app}", "sync")
@@ -178,6 +181,7 @@ class VirtualStrand:
         if self.strand.phase == "fault":
             return
         try:
+            self._measured = measurement
             answer = self.strand.compute(todo, measurement)
         except AppError as error:
             self._fail(str(error))
@@ -219,7 +223,8 @@ class VirtualStrand:
                 self._time.soon(self._renew, action)
             elif type(action) is Advanced:
                 try:
-                    line = Line(action.k, strand.computed_at, self.runner.state(), self.runner.result())
+                    state, result = self.runner.state(), self.runner.result()
+                    line = Line(action.k, strand.computed_at, state, result, self._measured)
                 except AppError as error:
                     self._fail(str(error))
                     return
