@@ -57,7 +57,7 @@ BAD = {
         10,
     ),
     "returns": ("        return mean\n", "it returned", 6),
-    "overflows": ("        self.value = 10.0 ** (200 * (self.k + 1))\n", "OverflowError", 8),
+    "overflows": ("        self.value = 10.0 ** (400 * (self.k + 1))\n", "OverflowError", 8),
 }
 
 
