@@ -62,25 +62,30 @@ def test_as_text(recorded, capsys):
     assert [line["t"] for line in lines] == sorted(line["t"] for line in lines)
 
 
-def test_on_a_bus_in_order_and_faster(recorded, runtime, processes):
-    """The command brings its own bus; a watcher of that one sees every state."""
+def test_on_a_bus_that_is_there(recorded, runtime, processes, router):
     seen, done = [], threading.Event()
 
     def take(key, payload):
-        seen.append(decode(AppState, payload, key).k)
+        seen.append((key.split("/")[1], decode(AppState, payload, key).k))
         if len(seen) == 22:
             done.set()
 
-    directory = runtime / "play" / "replay"
-    directory.mkdir(parents=True)
-    (runtime / "play" / "sim.lock").touch()
-    with Bus.of(directory) as bus:
+    with Bus.of(runtime) as bus:
         bus.subscribe("swarm/*/app/*/state", take)
-        process = processes.start("-m", "swarm.cli", "replay", str(recorded), "--speed", "2", "--run-dir",
-                                  str(runtime / "play"))  # fmt: skip
+        assert bus.wait_connected(20)
+        process = processes.start("-m", "swarm.cli", "replay", str(recorded), "--speed", "2", "--on", str(runtime))
         assert done.wait(20)
         assert process.wait(20) == 0
-    assert sorted(seen) == sorted([*range(11), *range(11)])
+    assert [k for robot, k in seen if robot == "r1"] == list(range(11))
+
+
+def test_on_a_bus_of_its_own_where_z_sub_looks(recorded, runtime, processes):
+    process = processes.start("-m", "swarm.cli", "replay", str(recorded), "--speed", "50",
+                              "--run-dir", str(runtime / "play"))  # fmt: skip
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert out == f"{sum(1 for _ in Run(recorded).samples())} messages\n"
+    assert f"playing on unixsock-stream/{runtime}/play/replay/bus.sock" in err
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])

@@ -134,7 +134,7 @@ class World:
             latest = {name: _taking(each) for name, each in channels.items()}
             inner = VirtualHost(app.name, runners, app.digest, place._replace(last=None), None, told, latest)
         return VirtualEventHost(
-            app.name, EventRunner(instance, app.source), app.digest, place, self.config.names, inner, told
+            app.name, EventRunner(instance, app.source), app.digest, place, self.config, inner, told
         )
 
     def _live(self, robot: str, bus: VirtualBus) -> Live:
