@@ -131,6 +131,8 @@ class Run:
         name = teller.robot
         self._last_progress = line.t
         if self._recorders:
+            if line.measurement is not None:
+                self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
             self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
         if teller.part:
             return
