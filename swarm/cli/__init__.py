@@ -35,6 +35,7 @@ HANDED_ON = {
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
     "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
+    "sweep": ("an app under virtual time over parameters, topologies and seeds", ("services.sim.sweep",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),

@@ -56,8 +56,13 @@ BAD = {
         "the same step gave two results",
         10,
     ),
+    "goes by the time": (
+        "        self.value = self.robot.clock.now()\n",
+        "the same step gave two results",
+        8,
+    ),
     "returns": ("        return mean\n", "it returned", 6),
-    "overflows": ("        self.value = 10.0 ** (200 * (self.k + 1))\n", "OverflowError", 8),
+    "overflows": ("        self.value = 10.0 ** (400 * (self.k + 1))\n", "OverflowError", 8),
 }
 
 

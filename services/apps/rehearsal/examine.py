@@ -197,7 +197,7 @@ def _one_step(
     before, around, measured = swarm.private[name], swarm.around(name), swarm.measured(name)
 
     def act(neighbours: dict[str, bytes] = around) -> tuple[bytes, bytes]:
-        runner.restore(k, own, before)
+        runner.restore(k, own, before, runner.app.robot.graph)
         return runner.step(k, own, neighbours, measured)
 
     begin = time.perf_counter()
