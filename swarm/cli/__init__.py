@@ -17,7 +17,7 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "bundle", "command", "config", "deploy", "estop", "export", "fetch", "import", "key", "kill", "lay",
+    "arm", "bundle", "command", "config", "deploy", "epoch", "estop", "export", "fetch", "import", "key", "kill", "lay",
     "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay", "restart", "run",
     "start", "status", "stop", "topology",
 )  # fmt: skip
