@@ -1,0 +1,47 @@
+"""`swarm view`: see a running swarm in the browser."""
+
+import argparse
+import asyncio
+import signal
+import webbrowser
+from pathlib import Path
+
+from swarm.errors import LocalError
+from swarm.simulations import default_run_dir
+
+HELP = "see the running swarm in the browser"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
+    parser.add_argument("--no-open", action="store_true", help="only print the address")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until interrupted."""
+    try:
+        from swarm.view import server
+    except ModuleNotFoundError as error:
+        raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+    from swarm.view.feed import Simulation
+
+    feed = Simulation((args.run_dir or default_run_dir()).absolute(), lambda: None)
+
+    def ready(address: str) -> None:
+        print(f"{address}\nend with Ctrl-C", flush=True)
+        if not args.no_open:
+            webbrowser.open(address)
+
+    async def main() -> None:
+        ended = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        await server.serve(feed, args.port, ready, ended)
+
+    try:
+        asyncio.run(main())
+    finally:
+        feed.close()
+    return 0

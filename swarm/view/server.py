@@ -1,0 +1,163 @@
+"""The page and its WebSocket, on this machine only.
+
+Who has the address has the page: it carries a token, made anew for each start. Pages of other origins are refused: a
+browser would send the token along. Each page is told of changes at most `RATE` times a second, and only when it has taken
+the last ones.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import json
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from swarm import clock
+from swarm.errors import LocalError
+from swarm.view.feed import Simulation
+
+HOST = "127.0.0.1"
+RATE = 25.0
+"""Steps a second that a page gets at most: bodies are told of at 25 Hz; the page draws the way between."""
+
+CROWD = 50
+"""Robots from which on a page gets a fifth as many steps."""
+
+TRAIL_S = 30.0
+PAGE = Path(__file__).with_name("page")
+_MAX_REQUEST = 4096
+
+_FEED: web.AppKey[Simulation] = web.AppKey("feed")
+_TOKEN: web.AppKey[str] = web.AppKey("token")
+
+
+def application(feed: Simulation, token: str) -> web.Application:
+    """The server; run it with `serve`."""
+    app = web.Application(middlewares=[_guard])
+    app[_FEED], app[_TOKEN] = feed, token
+    app.router.add_get("/", _index)
+    app.router.add_get("/live", _live)
+    app.router.add_static("/page", PAGE)
+    return app
+
+
+@web.middleware
+async def _guard(request: web.Request, handler: Callable[..., Any]) -> web.StreamResponse:
+    """Only this machine's browser, and only who has the token; the page's own parts hold no secrets."""
+    origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
+    if host.partition(":")[0] not in (HOST, "localhost") or origin not in (None, f"http://{host}"):
+        raise web.HTTPForbidden(text="this page is for the machine that it was started on\n")
+    if not request.path.startswith("/page/"):
+        given = request.query.get("token", "")
+        if not hmac.compare_digest(given.encode(), request.app[_TOKEN].encode()):
+            raise web.HTTPForbidden(text="open the address that `swarm view` has printed: the token in it is missing\n")
+    response: web.StreamResponse = await handler(request)
+    if not response.prepared:
+        response.headers["Cache-Control"] = "no-store"
+        response.headers["Content-Security-Policy"] = (
+            "default-src 'self'; img-src data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; frame-ancestors 'none'"
+        )
+        response.headers["Referrer-Policy"] = "no-referrer"
+        response.headers["X-Content-Type-Options"] = "nosniff"
+    return response
+
+
+async def _index(_: web.Request) -> web.StreamResponse:
+    return web.FileResponse(PAGE / "index.html")
+
+
+async def _live(request: web.Request) -> web.StreamResponse:
+    socket = web.WebSocketResponse(heartbeat=1.0, max_msg_size=_MAX_REQUEST)
+    await socket.prepare(request)
+    feed = request.app[_FEED]
+    steps = asyncio.create_task(_steps(feed, socket))
+    try:
+        async for message in socket:
+            if message.type == WSMsgType.TEXT:
+                await socket.send_str(_answer(feed, message.data))
+    finally:
+        steps.cancel()
+        with contextlib.suppress(asyncio.CancelledError, ConnectionError):
+            await steps
+    return socket
+
+
+async def _steps(feed: Simulation, socket: web.WebSocketResponse) -> None:
+    """Tell a page what there is, then what changes."""
+    known: dict[str, Any] = {}
+    version = number = 0
+    while not socket.closed:
+        step: dict[str, Any] = {"t": clock.now(), "live": feed.live}
+        swarm = _swarm(feed)
+        with feed.lock:
+            picture = feed.picture
+            robots = picture.since(version)
+            events = picture.events_since(number)
+            services = {robot: dict(each) for robot, each in picture.services().items()}
+            hops = picture.hops()
+            if version == 0:
+                trails = ((name, "sim/truth", "dwm/pose") for name in robots)
+                now = clock.now()
+                step["trails"] = {
+                    name: picture.trail(name, true, TRAIL_S, now) or picture.trail(name, pose, TRAIL_S, now)
+                    for name, true, pose in trails
+                }
+            version = picture.version
+        if robots:
+            step["robots"] = robots
+        if events:
+            step["events"] = [event._asdict() for event in events]
+            number = events[-1].number
+        for name, value in (("swarm", swarm), ("services", services), ("hops", hops)):
+            if known.get(name) != value:
+                step[name] = known[name] = value
+        await socket.send_str(json.dumps(step, allow_nan=False, separators=(",", ":")))
+        await asyncio.sleep((5.0 if len(services) >= CROWD else 1.0) / RATE)
+
+
+def _swarm(feed: Simulation) -> dict[str, Any] | None:
+    """What does not move: names, links that are to be, anchors."""
+    config = feed.config()
+    if config is None:
+        return None
+    return {
+        "kind": feed.kind,
+        "robots": list(config.names),
+        "edges": [list(edge) for edge in config.edges],
+        "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],
+    }
+
+
+def _answer(feed: Simulation, text: str) -> str:
+    """What a page asks: the history of a key."""
+    try:
+        asked = json.loads(text)
+        robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+    except (ValueError, KeyError, TypeError):
+        return json.dumps({"refused": "expected {history: {robot, topic}}"})
+    with feed.lock:
+        rows = feed.picture.history(robot, topic)
+    return json.dumps({"history": {"robot": robot, "topic": topic, "rows": rows}}, allow_nan=False)
+
+
+async def serve(feed: Simulation, port: int, ready: Callable[[str], None], ended: asyncio.Event) -> None:
+    """Serve until `ended`; `ready(address)` is called when the page can be opened. Raises `LocalError` where the port
+    is taken."""
+    token = secrets.token_urlsafe(16)
+    runner = web.AppRunner(application(feed, token), access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    try:
+        site = web.TCPSite(runner, HOST, port)
+        try:
+            await site.start()
+        except OSError as error:
+            raise LocalError(f"port {port} of {HOST}: {error.strerror}; --port names another one, 0 any") from None
+        _, taken, *_ = runner.addresses[0]
+        ready(f"http://{HOST}:{taken}/?token={token}")
+        await ended.wait()
+    finally:
+        await runner.cleanup()
