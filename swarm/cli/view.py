@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
     parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
+    parser.add_argument("--control", action="store_true", help="let the page act: stop, cut links, press buttons ...")
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
 
@@ -25,6 +26,7 @@ def run(args: argparse.Namespace) -> int:
         from swarm.view import server
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+    from swarm.view.control import Control
     from swarm.view.feed import Simulation
 
     feed = Simulation((args.run_dir or default_run_dir()).absolute(), lambda: None)
@@ -38,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         ended = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ended.set)
-        await server.serve(feed, args.port, ready, ended)
+        await server.serve(feed, Control(feed, allowed=args.control), args.port, ready, ended)
 
     try:
         asyncio.run(main())

@@ -32,7 +32,10 @@ class Simulation:
         """Around the picture."""
         self.directory = directory
         self._changed = changed
-        self._buses: dict[str, Bus] = {}
+        self.buses: dict[str, Bus] = {}
+        """Of each robot."""
+        self.began = clock.now()
+        """The page counts its seconds from here."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
         self._thread.start()
@@ -54,21 +57,22 @@ class Simulation:
         """Leave all buses."""
         self._closing.set()
         self._thread.join()
-        for bus in self._buses.values():
+        for bus in self.buses.values():
             bus.close()
 
     def _look(self) -> None:
-        while not self._closing.wait(_LOOK_EVERY if self._buses else 0.05):
+        while not self._closing.wait(_LOOK_EVERY if self.buses else 0.05):
             for name, runtime in robots(self.directory).items():
-                if name not in self._buses:
-                    bus = self._buses[name] = Bus(bus_endpoint(runtime))
+                if name not in self.buses:
+                    bus = Bus(bus_endpoint(runtime))
+                    self.buses = {**self.buses, name: bus}  # others may be going through it
                     bus.subscribe(EVERYTHING, self._taker(name))
                     bus.watch(f"swarm/{name}/**/alive", self._alive)
 
     def _taker(self, robot: str) -> Callable[[str, bytes], None]:
         def take(key: str, payload: bytes) -> None:
             with self.lock:
-                self.picture.take(robot, key, payload, clock.now())
+                self.picture.take(robot, key, payload, clock.now() - self.began)
             self._changed()
 
         return take
@@ -76,5 +80,5 @@ class Simulation:
     def _alive(self, key: str, there: bool) -> None:
         _, robot, *service, _ = key.split("/")
         with self.lock:
-            self.picture.alive(robot, "/".join(service), there, clock.now())
+            self.picture.alive(robot, "/".join(service), there, clock.now() - self.began)
         self._changed()

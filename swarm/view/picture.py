@@ -110,6 +110,10 @@ class Picture:
         """Which services have been there, by robot, and whether they are now."""
         return self._alive
 
+    def newest(self, robot: str, topic: str) -> object:
+        """The newest value of a key; None where there is none."""
+        return self._topics.get(robot, {}).get(topic, (0, None))[1]
+
     def since(self, version: int) -> dict[str, dict[str, object]]:
         """Samples newer than a version, by robot and topic."""
         found: dict[str, dict[str, object]] = {}

@@ -1,8 +1,8 @@
 """The page and its WebSocket, on this machine only.
 
 Who has the address has the page: it carries a token, made anew for each start. Pages of other origins are refused: a
-browser would send the token along. Each page is told of changes at most `RATE` times a second, and only when it has taken
-the last ones.
+browser would send the token along. Each page is told of changes at most `RATE` times a second, and only when it has
+taken the last ones.
 """
 
 import asyncio
@@ -18,6 +18,7 @@ from aiohttp import WSMsgType, web
 
 from swarm import clock
 from swarm.errors import LocalError
+from swarm.view.control import Control
 from swarm.view.feed import Simulation
 
 HOST = "127.0.0.1"
@@ -28,17 +29,26 @@ CROWD = 50
 """Robots from which on a page gets a fifth as many steps."""
 
 TRAIL_S = 30.0
+REPEAT_S = 0.2
+"""s between two looks whether robots have confirmed a stop."""
+
 PAGE = Path(__file__).with_name("page")
 _MAX_REQUEST = 4096
+_POLICY = (
+    "default-src 'self'; img-src data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; "
+    "frame-ancestors 'none'"
+)
+"""Nothing from the network at run time."""
 
 _FEED: web.AppKey[Simulation] = web.AppKey("feed")
 _TOKEN: web.AppKey[str] = web.AppKey("token")
+_CONTROL: web.AppKey[Control] = web.AppKey("control")
 
 
-def application(feed: Simulation, token: str) -> web.Application:
+def application(feed: Simulation, control: Control, token: str) -> web.Application:
     """The server; run it with `serve`."""
     app = web.Application(middlewares=[_guard])
-    app[_FEED], app[_TOKEN] = feed, token
+    app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
     app.router.add_get("/", _index)
     app.router.add_get("/live", _live)
     app.router.add_static("/page", PAGE)
@@ -58,9 +68,7 @@ async def _guard(request: web.Request, handler: Callable[..., Any]) -> web.Strea
     response: web.StreamResponse = await handler(request)
     if not response.prepared:
         response.headers["Cache-Control"] = "no-store"
-        response.headers["Content-Security-Policy"] = (
-            "default-src 'self'; img-src data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; frame-ancestors 'none'"
-        )
+        response.headers["Content-Security-Policy"] = _POLICY
         response.headers["Referrer-Policy"] = "no-referrer"
         response.headers["X-Content-Type-Options"] = "nosniff"
     return response
@@ -73,12 +81,12 @@ async def _index(_: web.Request) -> web.StreamResponse:
 async def _live(request: web.Request) -> web.StreamResponse:
     socket = web.WebSocketResponse(heartbeat=1.0, max_msg_size=_MAX_REQUEST)
     await socket.prepare(request)
-    feed = request.app[_FEED]
-    steps = asyncio.create_task(_steps(feed, socket))
+    feed, control = request.app[_FEED], request.app[_CONTROL]
+    steps = asyncio.create_task(_steps(feed, control, socket))
     try:
         async for message in socket:
             if message.type == WSMsgType.TEXT:
-                await socket.send_str(_answer(feed, message.data))
+                await socket.send_str(json.dumps(_answer(feed, control, message.data), allow_nan=False))
     finally:
         steps.cancel()
         with contextlib.suppress(asyncio.CancelledError, ConnectionError):
@@ -86,13 +94,14 @@ async def _live(request: web.Request) -> web.StreamResponse:
     return socket
 
 
-async def _steps(feed: Simulation, socket: web.WebSocketResponse) -> None:
+async def _steps(feed: Simulation, control: Control, socket: web.WebSocketResponse) -> None:
     """Tell a page what there is, then what changes."""
     known: dict[str, Any] = {}
     version = number = 0
     while not socket.closed:
-        step: dict[str, Any] = {"t": clock.now(), "live": feed.live}
-        swarm = _swarm(feed)
+        now = clock.now() - feed.began
+        step: dict[str, Any] = {"t": now, "live": feed.live}
+        swarm = _swarm(feed, control)
         with feed.lock:
             picture = feed.picture
             robots = picture.since(version)
@@ -101,7 +110,6 @@ async def _steps(feed: Simulation, socket: web.WebSocketResponse) -> None:
             hops = picture.hops()
             if version == 0:
                 trails = ((name, "sim/truth", "dwm/pose") for name in robots)
-                now = clock.now()
                 step["trails"] = {
                     name: picture.trail(name, true, TRAIL_S, now) or picture.trail(name, pose, TRAIL_S, now)
                     for name, true, pose in trails
@@ -119,36 +127,49 @@ async def _steps(feed: Simulation, socket: web.WebSocketResponse) -> None:
         await asyncio.sleep((5.0 if len(services) >= CROWD else 1.0) / RATE)
 
 
-def _swarm(feed: Simulation) -> dict[str, Any] | None:
+def _swarm(feed: Simulation, control: Control) -> dict[str, Any] | None:
     """What does not move: names, links that are to be, anchors."""
     config = feed.config()
     if config is None:
         return None
     return {
         "kind": feed.kind,
+        "control": control.allowed,
         "robots": list(config.names),
         "edges": [list(edge) for edge in config.edges],
         "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],
     }
 
 
-def _answer(feed: Simulation, text: str) -> str:
-    """What a page asks: the history of a key."""
+def _answer(feed: Simulation, control: Control, text: str) -> dict[str, Any]:
+    """What a page asks: the history of a key, or an act."""
     try:
         asked = json.loads(text)
+        if "do" in asked:
+            return {"done": control.do(asked["do"])}
         robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+    except LocalError as error:
+        return {"refused": str(error)}
     except (ValueError, KeyError, TypeError):
-        return json.dumps({"refused": "expected {history: {robot, topic}}"})
+        return {"refused": "expected {history: {robot, topic}} or {do: {act, ...}}"}
     with feed.lock:
         rows = feed.picture.history(robot, topic)
-    return json.dumps({"history": {"robot": robot, "topic": topic, "rows": rows}}, allow_nan=False)
+    return {"history": {"robot": robot, "topic": topic, "rows": rows}}
 
 
-async def serve(feed: Simulation, port: int, ready: Callable[[str], None], ended: asyncio.Event) -> None:
+async def _repeat(control: Control) -> None:
+    while True:
+        await asyncio.sleep(REPEAT_S)
+        control.repeat()
+
+
+async def serve(
+    feed: Simulation, control: Control, port: int, ready: Callable[[str], None], ended: asyncio.Event
+) -> None:
     """Serve until `ended`; `ready(address)` is called when the page can be opened. Raises `LocalError` where the port
     is taken."""
     token = secrets.token_urlsafe(16)
-    runner = web.AppRunner(application(feed, token), access_log=None, shutdown_timeout=1.0)
+    runner = web.AppRunner(application(feed, control, token), access_log=None, shutdown_timeout=1.0)
     await runner.setup()
     try:
         site = web.TCPSite(runner, HOST, port)
@@ -157,7 +178,9 @@ async def serve(feed: Simulation, port: int, ready: Callable[[str], None], ended
         except OSError as error:
             raise LocalError(f"port {port} of {HOST}: {error.strerror}; --port names another one, 0 any") from None
         _, taken, *_ = runner.addresses[0]
+        repeating = asyncio.create_task(_repeat(control))
         ready(f"http://{HOST}:{taken}/?token={token}")
         await ended.wait()
+        repeating.cancel()
     finally:
         await runner.cleanup()

@@ -1,6 +1,7 @@
-// Joins the page's parts: the connection to the server, the store, map, table, events, keys, charts.
+// Joins the page's parts: the connection to the server, the store, map, table, events, keys, charts, hands.
 
 import { Charts } from "./charts.js";
+import { Hands } from "./hands.js";
 import { SwarmMap } from "./map.js";
 import { Events, Keys, Robots } from "./panels.js";
 import { Store } from "./store.js";
@@ -20,6 +21,8 @@ const robots = new Robots(find("#robots tbody"), store, select);
 const events = new Events(find("#events ol"));
 const keys = new Keys(find("#keys"), store, (topic, path) => charts.open(topic, path));
 
+const hands = new Hands(find("header"), find("#hands"), store, ask);
+
 function select(name) {
   selected = name === selected ? null : name;
   map.selected = selected;
@@ -33,7 +36,7 @@ function connect() {
     heard = performance.now();
     const step = JSON.parse(data);
     if (step.history) return charts.history(step.history);
-    if (step.refused) return console.warn(step.refused);
+    if (step.refused || step.done) return hands.tell(step.refused ?? step.done, Boolean(step.refused));
     if (first) {
       store.clear();
       events.clear();
@@ -55,6 +58,7 @@ setInterval(() => {
   robots.draw(selected);
   events.draw(store.events);
   keys.draw();
+  hands.draw(selected);
   charts.draw(performance.now());
 }, PANELS_MS);
 
