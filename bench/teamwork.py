@@ -14,6 +14,7 @@ from bench.rows import Row
 from bench.simulation import simulate
 from services.sim.options import parse
 from services.sim.scenario import build
+from services.sim.scene import CONTACT_M
 from services.sim.virtual.run import PLACE, Run
 
 LINKS = ("--robots", "6", "--topology", "line", "--latency", "30ms", "--jitter", "10ms")
@@ -28,7 +29,7 @@ MISFIT_M, FORMED_S = 0.05, 60.0
 STARTS = 10
 """Formations in virtual time."""
 
-CONTACT_M = 0.15
+
 CROSSINGS = 100
 CROSSING_S = 60.0
 RADIUS, SPREAD, CENTRE = 0.8, 0.08, 0.97

@@ -52,6 +52,19 @@ def decode(kind: type[T], payload: bytes, key: str) -> T:
         raise PayloadError(f"{key}: {error}") from None
 
 
+def as_value(value: object) -> Value:
+    """What an author gives, as a free-form map carries it: lists as tuples of floats. `LocalError` where it cannot."""
+    if isinstance(value, bool | str):
+        return value
+    if isinstance(value, int) and -(1 << 63) <= value < 1 << 63:
+        return int(value)
+    if isinstance(value, float) and math.isfinite(value):
+        return float(value)
+    if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
+        return tuple(float(x) for x in value)
+    raise LocalError(f"expected a finite number, bool, text or vector, got {_shortened(repr(value))}")
+
+
 def limit_of(kind: type) -> int:
     """Bytes that a packed message of a type may have: its `LIMIT`, for those that carry what apps send, or the usual
     bound."""

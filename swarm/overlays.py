@@ -137,6 +137,8 @@ class Overlays:
         self._count = 0
         self._lock = threading.Lock()
         self._handles: dict[str, Handle[Any]] = {}
+        self.asked: Callable[[FloodRequest | SendRequest], None] = lambda request: None
+        """Called with each request that is made: for a recording."""
         self._collected: deque[Message] = deque()
         self._collected_bytes = 0
         self._flood_key = key(robot, "mesh", "set", "flood")
@@ -223,6 +225,7 @@ class Overlays:
     def _open(self, request: FloodRequest | SendRequest, key: str) -> Handle[Any]:
         small = len(request.payload) <= SMALL
         encode(request)  # what is too large is refused here and now
+        self.asked(request)
         # The bus has room for large ones in its ordinary queue alone.
         ask = partial(self._bus.publish, key, request, urgent=small)
         remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)

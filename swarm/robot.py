@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from swarm import clock
-from swarm.codec import Value
+from swarm.codec import Value, as_value
 from swarm.config.types import Anchor
 from swarm.core.graph import Graph
-from swarm.errors import AppError
+from swarm.errors import AppError, LocalError
 from swarm.keys import key
 from swarm.messages import AppOutput, Flooded, Measurement, Range, Sent
 
@@ -217,7 +217,11 @@ class Robot:
         """Tell a value, or several by name, to whoever watches: on the key `swarm/<robot>/app/<app>/out/<topic>`."""
         if self.bus is None:
             raise AppError("robot.publish needs a bus: it is there when the app runs on a robot")
-        values = dict(value) if isinstance(value, Mapping) else {"value": value}
+        given = dict(value) if isinstance(value, Mapping) else {"value": value}
+        try:
+            values = {name: as_value(item) for name, item in given.items()}
+        except LocalError as error:
+            raise AppError(f"robot.publish({topic!r}): {error}") from None
         self.bus.publish(key(self.name, f"app/{self.app}", "out", topic), AppOutput(self.now, values))
 
     def record(self, name: str, value: Value) -> None:

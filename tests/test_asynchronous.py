@@ -111,6 +111,21 @@ def test_robots_with_another_version_are_named_until_they_have_ours() -> None:
     assert each.known(0.0) == [Known("r0", b"ab", 0.0)]
 
 
+def test_neighbours_may_change_and_the_new_ones_are_told_at_once() -> None:
+    each = started(handled=())
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab"), 0.0)
+    each.receive("r2", Channel(7, 0, 1, 1), frame(b"cd"), 0.0)
+    each.handle_timer(0.5)
+    each.actions()
+    each.set_neighbours(("r2", "r5"), 0.6)
+    each.handle_timer(0.6)
+    assert len(frames(each)) == 1
+    each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab", 2), 0.7)
+    each.receive("r5", Channel(7, 0, 1, 1), frame(b"ef"), 0.7)
+    assert [(known.name, known.data) for known in each.known(0.7)] == [("r2", b"cd"), ("r5", b"ef")]
+    assert each.counters == {"not_a_neighbour": 1}
+
+
 # When the state is told
 
 

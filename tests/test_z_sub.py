@@ -200,7 +200,7 @@ def test_what_it_refuses(processes: Processes, runtime: Path) -> None:
     no_robot = "no simulation is running here (looked in "
     assert no_robot in refused(processes, SWARM_RUNTIME="") or Path("/run/swarm").is_dir()
     assert f"no simulation is running in {runtime}/x" in refused(processes, "--run-dir", f"{runtime}/x")
-    assert "no simulation is running" in refused(processes, "--robot", "r0")
+    assert "r99 is no robot of" in refused(processes, "--robot", "r99")  # it would be reached by ssh
     assert "expected unixsock-stream/PATH" in refused(processes, "-e", "tcp/localhost:7447")
     assert "key 'swarm//x'" in refused(processes, "swarm//x")
     assert "use one of them" in refused(processes, "-e", "unixsock-stream//x", "--robot", "r0")
@@ -220,12 +220,14 @@ def show(key: str, payload: bytes) -> str:
     return as_text(Sample(0.25, "", key, payload)).split(maxsplit=1)[1]
 
 
-def test_frames_of_synchronous_apps() -> None:
+def test_frames_of_apps() -> None:
     key = "swarm/r0/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
     step = b"\x01\x07\x00\x00\x00" + bytes(16)
     assert show(key, step) == f"{key} STEP k=7 21 bytes 0x{step.hex()}"
     assert show(key + "/r1", b"\x02\x07\x00\x00\x00") == f"{key}/r1 WANT k=7 5 bytes 0x0207000000"
     assert show(key, b"\x09\x07\x00\x00\x00") == f"{key} kind 9 k=7 5 bytes 0x0907000000"
+    latest = key.replace("sync", "latest")
+    assert show(latest, b"\x01\x07\x00\x00\x00\xff") == f"{latest} STATE sequence=7 6 bytes 0x0107000000ff"
     data = json.loads(as_json(Sample(0.25, "r0", key, step)))
     assert (data["frame"], data["k"], data["bytes"], data["hex"]) == ("STEP", 7, 21, step.hex())
 

@@ -1,4 +1,4 @@
-"""One app on one robot: `python -m services.apps NAME_OR_FILE [--iterations K] [--run HEX]`.
+"""One app on one robot: `python -m services.apps NAME_OR_FILE [--iterations K] [--run HEX] [--set NAME=VALUE]`.
 
 Exit codes: 0 stopped by SIGTERM, 2 a wrong app, parameter, config or command, 3 stopped after a fault of the
 app (it raised, gave a wrong state, or its trajectory would have forked); neither 2 nor 3 is mended by a
@@ -19,12 +19,13 @@ from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.devices import Devices
-from swarm.errors import LocalError
+from swarm.errors import AppError, LocalError
 from swarm.event_app import EventApp
 from swarm.mesh_clock import MeshClock
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
 from swarm.service import Service, run
+from swarm.settings import Setting, parse, with_settings
 
 FAULT = 3
 """Exit code of a host whose app is in fault."""
@@ -41,7 +42,8 @@ def main() -> int:
             host.nudge()
 
     with Service(f"app/{app.name}", on_bus=on_bus) as service:
-        number = options.run if options.run is not None else _default_run(app, service.config)
+        service.config = with_settings(service.config, app.name, options.settings)
+        number = options.run if options.run is not None else _default_run(app, service.config, options.settings)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
         instance = app.make(service.config, service.robot, seed)  # what is wrong with it is said at once
         measured = isinstance(instance, SyncApp) and instance.measured
@@ -59,7 +61,9 @@ def main() -> int:
         place = place_of(app.name, number, wanted=options.record)
         recording = Recording(service, app, number, seed, place) if place is not None else None
         recorder = recording.recorder if recording is not None else None
-        instance.robot.recording = recorder.value if recorder is not None else None
+        if recording is not None:
+            instance.robot.recording = recording.recorder.value
+            overlays.asked = recording.watch.asked
         code = (app.source, app.digest)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
@@ -90,6 +94,10 @@ def _options() -> argparse.Namespace:
         help="number of the run, the same on all robots (SWARM_RUN; default: by app and config)",
     )
     parser.add_argument(
+        "--set", dest="settings", action="append", type=_setting, default=[], metavar="[ROBOT.]NAME=VALUE",
+        help="a parameter, above swarm.toml; the same ones on all robots",
+    )  # fmt: skip
+    parser.add_argument(
         "--record", action="store_true", help="keep what it does (without: only where SWARM_RECORD names a folder)"
     )
     options = parser.parse_args()
@@ -105,6 +113,13 @@ def _iterations(text: str) -> int:
     return number
 
 
+def _setting(text: str) -> Setting:
+    try:
+        return parse(text)
+    except AppError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def _number(name: str, text: str, base: int) -> int:
     try:
         number = int(text, base)
@@ -116,9 +131,9 @@ def _number(name: str, text: str, base: int) -> int:
     return number
 
 
-def _default_run(app: loader.App, config: Config) -> int:
-    """By the sources of app and config: robots that differ in either are not in one run."""
-    text = app.digest + config.path.read_bytes()
+def _default_run(app: loader.App, config: Config, settings: list[Setting]) -> int:
+    """By the sources of app and config, and by what is set: robots that differ in these are not in one run."""
+    text = app.digest + config.path.read_bytes() + "".join(map(repr, settings)).encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
 
 

@@ -89,7 +89,8 @@ class EventHost:
         self._recorder = recorder
         self._recorded = -1
         self._hold = Hold(devices)
-        self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
+        self._hung = False
+        self._edges = links.config.edges
         kept = (service.runtime / f"app.{name}.parameters", run)
         self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse, kept=kept)
         runner.change(self._changes.kept())
@@ -111,7 +112,7 @@ class EventHost:
     @property
     def failed(self) -> bool:
         """Whether the app has stopped for a fault."""
-        return self._core.failure != "" or (self._channels is not None and self._channels.failed)
+        return self._core.failure != "" or self._hung or (self._channels is not None and self._channels.failed)
 
     def nudge(self) -> None:
         """The bus or a link came up."""
@@ -135,8 +136,8 @@ class EventHost:
 
     def _subscribe(self) -> None:
         bus, robot, name = self._service.bus, self._service.robot, self._name
-        for peer in self._core.neighbours:
-            bus.subscribe(key(peer, f"app/{name}", "latest", "*"), self._on_latest)
+        # Of whomever the mesh brings: neighbours may change.
+        bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
         bus.subscribe(key(robot, "mesh", "topology"), self._on_topology)
         bus.serve(key(robot, f"app/{name}", "state"), self._answer)
         bus.serve(key(robot, f"app/{name}", "progress"), lambda *_: encode(self._progress()))
@@ -187,8 +188,11 @@ class EventHost:
         except PayloadError as error:
             self._refuse(error)
             return
-        with self._changed:
-            self._watch.take(in_force)
+        links = topology.of_edges(self._service.config, in_force.edges)
+        if links.config.edges != self._edges:
+            self._edges = links.config.edges
+            self._runner.move(links.config.graph)
+            self._feed(partial(self._core.set_neighbours, links.neighbours(self._service.robot)))
 
     def _change(self, values: Mapping[str, Value]) -> None:
         with self._changed:
@@ -265,6 +269,7 @@ class EventHost:
                 self._perform()
                 news = self._report(now)
             self._hold.look(well=self._core.phase not in ("fault", "done") and not self._core.hangs(now))
+            self._look_for_hang(now)
             if now - reminded_at >= REMIND:
                 reminded_at = now
                 self._overlays.remind()
@@ -284,6 +289,16 @@ class EventHost:
                 if self._recorder is not None and changed:
                     self._recorder.progress(progress)
                 self._publish("progress", progress)
+
+    def _look_for_hang(self, now: float) -> None:
+        if self._core.hangs(now) == self._hung:
+            return
+        self._hung = not self._hung
+        if self._hung:
+            self._service.log.error("%s", self._hanging())
+            self._service.degraded(self._hanging())
+        elif not self._core.failure:
+            self._service.ready()
 
     def _pause(self, looked_at: float) -> float:
         now = clock.now()
@@ -328,8 +343,6 @@ class EventHost:
             reason = "; ".join(f"channel {name}: {why}" for name, why in self._channels.faults.items())
         elif core.phase == "done":
             reason = self._runner.app.finished or ""
-        elif core.missing:
-            reason = self._watch.reason(core.missing)
         return core.phase, core.missing, reason
 
     def _hanging(self) -> str:

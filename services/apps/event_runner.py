@@ -11,6 +11,7 @@ from typing import Any
 from services.apps.runner import AppRunner
 from swarm.codec import Value
 from swarm.core.asynchronous import Call, Known
+from swarm.core.graph import Graph
 from swarm.errors import AppError, FrameError
 from swarm.event_app import EventApp, PeriodicApp
 
@@ -32,6 +33,7 @@ class EventRunner(AppRunner):
         self.unreadable = 0
         """States of neighbours that could not be unpacked."""
         self._changes: dict[str, Value] = {}
+        self._graph: Graph | None = None
         self._calls = 0
 
     @property
@@ -51,6 +53,10 @@ class EventRunner(AppRunner):
         self._changes = {**self._changes, **found}
         return list(found)
 
+    def move(self, graph: Graph) -> None:
+        """Other links are in force, from the next handler on: neighbours and weights follow from them."""
+        self._graph = graph
+
     def call(self, call: Call, k: int, known: Sequence[Known]) -> bytes:
         """Let the app handle an event at step `k`; returns its state, packed. Takes as long as the author's code does.
 
@@ -61,8 +67,11 @@ class EventRunner(AppRunner):
         where = f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}"
         self._calls += 1
         app.robot.prepare(f"{self._calls}", None)
+        graph, self._graph = self._graph, None
+        if graph is not None:
+            app.robot.graph = graph
         changes, self._changes = self._changes, {}
-        if changes:
+        if changes or graph is not None:
             self._call(where, lambda: app.change(changes))
         views = self._views(known)
         object.__setattr__(app, "neighbours", tuple(views.values()))

@@ -18,8 +18,8 @@ WAKE_M = 0.035
 class Formation(DrivingApp):
     """Consensus on the shape's origin, p_i' = (g / n) sum_j ((p_j - d_j) - (p_i - d_i)), d_i the place in the shape."""
 
-    shape: str = parameter("circle", choices=formation.SHAPES)
-    size: float = parameter(0.6, unit="m", low=0.1, high=10.0)
+    shape: str = parameter(formation.SHAPES[0], choices=formation.SHAPES)
+    size: float = parameter(formation.SIZE, unit="m", low=0.1, high=10.0)
     """Radius of the circle; distance between neighbours in a line or wedge."""
     gain: float = parameter(1.0, unit="1/s", low=0.05, high=3.0)
     _off: float = 0.0

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from swarm.codec import Value
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState
+from swarm.messages import AppProgress, AppState, Measurement
 
 
 class Sink(Protocol):
@@ -40,6 +40,11 @@ class Recorder:
         self._sink.write(topic, progress.t, progress)
         if progress.phase in ("done", "fault"):
             self._sink.flush()
+
+    def measurement(self, k: int, t: float, it: Measurement) -> None:
+        """Record what step k computed with, which gives state k + 1."""
+        fields = {"t": t, "k": k, "distance": it.distance, "x": it.x, "y": it.y}
+        self._sink.write(f"{self._prefix}/measurement", t, fields, "swarm.Measurement")
 
     def value(self, name: str, t: float, value: object) -> None:
         """Record what the app's author wants kept (`robot.record`)."""

@@ -5,13 +5,16 @@ from pathlib import Path
 
 from services.apps import loader
 from services.apps.recorder import Recorder
+from swarm import clock
 from swarm.recording import folder
 from swarm.recording.file import RecordingFile
 from swarm.recording.reader import CLOCK, EPOCH, RUN, SUFFIX, run_of
+from swarm.recording.watch import Watch
 from swarm.service import Service
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-"""Names the machine's clock: it began when the machine did."""
+"""Names the machine's clock, which began when the machine did. Robots' services do not see it (ProcSubset of
+systemd)."""
 
 
 class Recording:
@@ -34,10 +37,14 @@ class Recording:
             append=run_of(path) == entries["run"],
             journal=service.runtime / f"app.{app.name}.journal",
         )
-        own = {"robot": service.robot, EPOCH: str(self._file.epoch_ns), CLOCK: BOOT_ID.read_text().strip()}
+        epoch_ns = self._file.epoch_ns
+        own = {"robot": service.robot, EPOCH: str(epoch_ns), CLOCK: _clock(service.robot, epoch_ns)}
         self._file.metadata(RUN, entries | own)
         self._file.flush()  # whatever comes now: the next process finds which run this is of
         self.recorder = Recorder(self._file, service.robot, app.name)
+        self.watch = Watch(service.bus, service.robot, app.name, self._file, clock.now)
+        """What the robot's other services say meanwhile."""
+        self._file.feed = self.watch.drain
 
     def close(self) -> None:
         """End the file."""
@@ -50,3 +57,11 @@ def place_of(app: str, run: int, *, wanted: bool) -> Path | None:
     if place:
         return Path(place)
     return folder.of_robot(app, run) if wanted else None
+
+
+def _clock(robot: str, epoch_ns: int) -> str:
+    """A name for this process' clock: other processes of the machine give the same one, or one of their own."""
+    try:
+        return BOOT_ID.read_text().strip()
+    except OSError:
+        return f"{robot}-{epoch_ns // 1_000_000_000}"

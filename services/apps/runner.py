@@ -4,15 +4,14 @@ No IO and no clock. Whatever the author's code raises comes out as one `AppError
 file, line and fault.
 """
 
-import math
 import traceback
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 from swarm.app import App, SyncApp
-from swarm.codec import Value
+from swarm.codec import Value, as_value
 from swarm.core.state import pack_private, unpack_private
-from swarm.errors import AppError
+from swarm.errors import AppError, LocalError
 from swarm.messages import Measurement
 
 T = TypeVar("T")
@@ -57,15 +56,10 @@ class AppRunner:
             setattr(self.app, name, value)
 
     def _value(self, where: str, name: str, value: object) -> Value:
-        if isinstance(value, bool | str):
-            return value
-        if isinstance(value, int) and -(1 << 63) <= value < 1 << 63:
-            return int(value)
-        if isinstance(value, float) and math.isfinite(value):
-            return float(value)
-        if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
-            return tuple(float(x) for x in value)
-        raise AppError(f"{self._where(where)}: {name}: expected a finite number, bool, text or vector, got {value!r}")
+        try:
+            return as_value(value)
+        except LocalError as error:
+            raise AppError(f"{self._where(where)}: {name}: {error}") from None
 
     def _call(self, where: str, function: Callable[[], T]) -> T:
         try:

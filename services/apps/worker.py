@@ -163,6 +163,8 @@ class Worker:
             measurement = self._measure(todo.k)
             if self._closing or self.failed:
                 return
+            if measurement is not None and self._recorder is not None:
+                self._recorder.measurement(todo.k, clock.now(), measurement)
             with self._app_lock:
                 self._step_began = clock.now()
                 answer = self._strand.compute(todo, measurement)

@@ -73,6 +73,8 @@ class Balancer:
         self.duty = (0.0, 0.0)
         self.battery: float | None = None
         """V."""
+        self.firmware: tuple[int, int] | None = None
+        """Layout and revision of the ATmega's; None before it was found."""
         self.motion = balboa.Motion(0, 0, 0, False)
         """Counters and buttons of the last tick."""
         self._bus_errors = 0
@@ -316,7 +318,7 @@ class Balancer:
             _log.info("the robot's devices answer again")
         reset = balboa.describe_reset(found.reset_cause)
         _log.info("ATmega firmware=%d last_reset=%s battery=%.2f V", found.revision, reset, found.battery)
-        self.battery = found.battery
+        self.battery, self.firmware = found.battery, (balboa.LAYOUT_VERSION, found.revision)
         self._connected, self._unreachable, self._leds = True, None, None
         self._errors_in_row = 0
         if self._estimator is not None:

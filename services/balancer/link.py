@@ -16,6 +16,7 @@ from swarm.messages import (
     Battery,
     Buttons,
     Display,
+    Firmware,
     I2CRates,
     ImuRequest,
     ImuSample,
@@ -49,6 +50,7 @@ Told = (
     | ImuSample
     | Display
     | I2CRates
+    | Firmware
 )
 """By the loop."""
 Command = (

@@ -26,7 +26,7 @@ from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
 from swarm import clock, log
 from swarm.config import Config, load, who_am_i
-from swarm.messages import BalancerState, Leds
+from swarm.messages import BalancerState, Firmware, Leds
 from swarm.paths import runtime_dir
 from swarm.process import die_with_parent, notify
 
@@ -154,6 +154,8 @@ class Loop:
     def _tell_again(self) -> None:
         """For whoever came to the bus meanwhile."""
         self._tell_leds()
+        if self._balancer.firmware is not None:
+            self._bridge.send(Firmware(clock.now(), *self._balancer.firmware))
         if self._balancer.fault is not None:
             self._bridge.send(self._telemetry.fault())
         if self.ticks % PARAMETERS_TICKS == 49:

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.sim.core.noise import ERRORS
 from services.sim.virtual.body import MODELS
-from swarm.codec import Value
+from swarm import settings
 from swarm.errors import AppError, ConfigError
-from swarm.parameters import value_of
+from swarm.settings import Setting
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
@@ -42,15 +43,6 @@ class Press:
 
 
 @dataclass(frozen=True)
-class Setting:
-    """A parameter of the app; `robot` is None where it holds for all."""
-
-    robot: str | None
-    name: str
-    value: Value
-
-
-@dataclass(frozen=True)
 class Options:
     """What `swarm sim` was asked for. Lengths in m, times in s, rates in bytes/s."""
 
@@ -73,6 +65,8 @@ class Options:
     iterations: int | None
     seed: int
     replay: Path | None
+    noise: str | None
+    """Of `core.noise.ERRORS`: how measurements err; None: as the simulated modules do."""
     json: bool
     plot: Path | None
     run_dir: Path | None
@@ -126,16 +120,8 @@ def press(text: str) -> Press:
 
 def setting(text: str) -> Setting:
     """A parameter `value=0.5` or, of one robot, `r2.value=3`."""
-    name, equals, value = text.partition("=")
-    robot, dot, parameter = name.rpartition(".")
-    if not equals or not (parameter or name).isidentifier():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a setting such as value=0.5 or r2.value=3")
-    return Setting(robot if dot else None, parameter, _value(value))
-
-
-def _value(text: str) -> Value:
     try:
-        return value_of(text)
+        return settings.parse(text)
     except AppError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 
@@ -188,6 +174,12 @@ def parser() -> argparse.ArgumentParser:
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
     )
+    app.add_argument(
+        "--noise",
+        choices=list(ERRORS),
+        metavar="MODEL",
+        help="measurements of a simulation study: none, bias (5 %%), thesis (5 %% and 2 %% every 5 iterations)",
+    )
     radio = p.add_argument_group("the radio")
     radio.add_argument("--latency", type=duration, default=0.03, metavar="30ms", help="one way (30ms)")
     radio.add_argument(
@@ -231,11 +223,14 @@ def parse(arguments: list[str]) -> Options:
     options = Options(**vars(_tuples(parser().parse_args(arguments))))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
+    if options.noise is not None and options.replay is not None:
+        raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
     if options.app is None:
         for given, name in (
             (options.algorithm, "--algorithm"),
             (options.settings, "--set"),
             (options.replay, "--replay"),
+            (options.noise, "--noise"),
             (options.plot, "--plot"),
         ):
             if given:

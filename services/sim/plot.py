@@ -3,15 +3,16 @@
 import math
 from pathlib import Path
 
-from services.sim import report
+from services.sim import report, scene, scene_plot
+from services.sim.palette import COLOURS
 from services.sim.report import Json, Outcome
-
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Okabe and Ito's palette: told apart by colour-blind readers too."""
 
 
 def draw(outcome: Outcome, summary: Json, path: Path) -> None:
     """Write the picture of `outcome` to `path`; the ending says in which format."""
+    if outcome.witness is not None and outcome.scenario.app in scene.WATCHED:
+        scene_plot.draw(outcome.scenario, outcome.witness, outcome.began, path)
+        return
     # Slow to import and only wanted here. Agg: no display is needed.
     import matplotlib as mpl
 
@@ -80,7 +81,7 @@ def _errors(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
         ks = sorted(path.rows)
         errors = [100 * math.dist(report.estimate(path, k), target) for k in ks]
         axes.plot(ks, errors, color=COLOURS[index % len(COLOURS)], linewidth=1, label=name)
-    for index, (name, recording) in enumerate(outcome.scenario.recordings.items()):
+    for index, (name, recording) in enumerate(outcome.scenario.recorded.items()):
         errors = [100 * math.dist(place, target) for place in recording.estimates]
         label = "recorded" if index == 0 else None
         axes.plot(errors, color=COLOURS[index % len(COLOURS)], linewidth=1, linestyle=":", label=label)

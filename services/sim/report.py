@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from services.sim import scene
+from services.sim.core.witness import Witness
 from services.sim.scenario import Scenario
 from swarm.messages import BalancerState
 from swarm.recording import trajectory
@@ -37,6 +38,10 @@ class Outcome:
     """s that a run under virtual time took to compute; None of one in real time."""
     scene: Mapping[str, object] = field(default_factory=dict)
     """What the world saw of it (services/sim/scene.py)."""
+    witness: Witness | None = None
+    """The world's own eyes, where somebody looked."""
+    began: float = 0.0
+    """When the run began, by the witness' clock, s."""
 
 
 def summary(outcome: Outcome) -> Json:
@@ -75,10 +80,8 @@ def summary(outcome: Outcome) -> Json:
         report["error"] = consensus_error(scenario, paths)
     if scenario.app == "localization":
         report["error_cm"] = target_error_cm(scenario, {name: estimate(path) for name, path in paths.items()})
-    if scenario.recordings:
-        last = {
-            name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recordings.items()
-        }
+    if scenario.recorded:
+        last = {name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recorded.items()}
         report["recorded_error_cm"] = target_error_cm(scenario, last)
         if scenario.algorithm == "thesis":  # another algorithm is not meant to follow the recorded one
             report["replay_deviation_cm"] = replay_deviation_cm(scenario, paths)
@@ -144,7 +147,7 @@ def replay_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> 
     distances = [
         math.dist(estimate(path, k), recorded)
         for name, path in paths.items()
-        for k, recorded in enumerate(scenario.recordings[name].estimates)
+        for k, recorded in enumerate(scenario.recorded[name].estimates)
         if k in path.rows
     ]
     if not distances or any(math.isnan(distance) for distance in distances):
@@ -205,7 +208,7 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
     if outcome.scenario.app == "consensus":
         lines.append(f"error       {_short(report['error'])} from the mean {_short(report['mean'])}")
     if outcome.scenario.app == "localization":
-        recorded = f" (recorded: {_short(report['recorded_error_cm'])} cm)" if outcome.scenario.recordings else ""
+        recorded = f" (recorded: {_short(report['recorded_error_cm'])} cm)" if outcome.scenario.recorded else ""
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
     if "replay_deviation_cm" in report:
         lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")

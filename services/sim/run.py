@@ -220,6 +220,8 @@ class Run:
             restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
             problems=tuple(self._problems),
             scene=found,
+            witness=self._world.look(lambda witness: witness),
+            began=self._commanded,
         )
 
 

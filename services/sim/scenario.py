@@ -5,6 +5,7 @@ its three places. The simulated modules read as its modules did, so the thesis' 
 """
 
 import math
+import random
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 
 from services.apps import loader
 from services.apps.localization.guard import check_step_size, limit_step_size
+from services.sim.core import noise
 from services.sim.core.module_line import SOURCE
 from services.sim.module import module_address
 from services.sim.options import Options
@@ -25,6 +27,7 @@ from swarm.errors import AppError, ConfigError, LocalError
 from swarm.event_app import EventApp, PeriodicApp
 from swarm.paths import socket_path
 from swarm.recordings import Recording, read_folder
+from swarm.settings import on_top
 
 TARGET = "C933"
 ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
@@ -51,6 +54,12 @@ BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
 ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
 """Of apps that want others; those of goto are the most it may take, it ends when all have arrived."""
 
+NOISE = "noise"
+"""Folder of a run in which measurements that were made up are."""
+
+SHORTEST_ITERATION = 1e-3
+"""s: a run that ends by its time does no more iterations than these."""
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -66,7 +75,9 @@ class Scenario:
     topology: str
     iterations: int | None
     recordings: dict[str, Recording]
-    """By robot; empty without --replay."""
+    """By robot; what --noise makes up, too."""
+    synthetic: bool
+    """Whether they were made up: then there are no estimates to compare with."""
 
     steps: bool
     """Whether the app has iterations; one that only reacts to events has none."""
@@ -76,6 +87,11 @@ class Scenario:
 
     notes: tuple[str, ...]
     """What to tell before it starts."""
+
+    @property
+    def recorded(self) -> dict[str, Recording]:
+        """The recordings of real robots, with their estimates."""
+        return {} if self.synthetic else self.recordings
 
     @property
     def parameters(self) -> dict[str, dict[str, Value]]:
@@ -120,6 +136,9 @@ def build(options: Options, run_dir: Path) -> Scenario:
         rows = min(len(recording.rows) for recording in recordings)
         iterations = rows if options.iterations is None else min(rows, options.iterations)
     recorded = dict(zip(config.names, recordings, strict=False))
+    if options.noise is not None:
+        recorded = _study(config, options, iterations, run_dir)
+        config = replace(config, dwm=replace(config.dwm, source=f"replay:{run_dir / NOISE}"))
     return Scenario(
         config=config,
         app=app.name if app is not None else None,
@@ -128,10 +147,26 @@ def build(options: Options, run_dir: Path) -> Scenario:
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
         recordings=recorded,
+        synthetic=options.noise is not None,
         steps=app is not None and not _reacts_only(app),
         lying=options.lying or (STANDING_UP_FROM if app is not None and app.name == "stand_up" else None),
-        notes=(*_step_size(config, app, recorded), *_buttons(app, options)) if app is not None else (),
+        notes=(*_step_size(config, app, {} if options.noise else recorded), *_buttons(app, options)) if app else (),
     )
+
+
+def _study(config: Config, options: Options, iterations: int | None, run_dir: Path) -> dict[str, Recording]:
+    """The measurements of a simulation study, by robot; also as files, where there is a run directory to replay them
+    from."""
+    assert options.noise is not None
+    rows = iterations or math.ceil((options.seconds or 0.0) / SHORTEST_ITERATION)
+    places = {name: config.simulation.places[name][:2] for name in config.names}
+    numbers = random.Random(f"{options.seed} noise")
+    made = noise.scene(options.noise, places, config.simulation.target, rows, numbers)
+    if run_dir.is_dir():
+        (run_dir / NOISE).mkdir()
+        for index, recording in enumerate(made.values()):
+            (run_dir / NOISE / f"{index}.csv").write_text(noise.as_csv(recording))
+    return made
 
 
 def _reacts_only(app: loader.App) -> bool:
@@ -259,13 +294,4 @@ def _parameters(config: Config, wanted: loader.App, options: Options) -> App:
         starts = START_VALUES.get(len(config.names), tuple(float(index) for index in range(len(config.names))))
         for robot, value in zip(config.names, starts, strict=True):
             robots.setdefault(robot, {}).setdefault("value", value)
-    for setting in options.settings:
-        if setting.robot is None:
-            common[setting.name] = setting.value
-            for values in robots.values():
-                values.pop(setting.name, None)
-        elif setting.robot in config.names:
-            robots.setdefault(setting.robot, {})[setting.name] = setting.value
-        else:
-            raise ConfigError(f"--set {setting.robot}.{setting.name}: the robots are {', '.join(config.names)}")
-    return App(common, robots)
+    return on_top(App(common, robots), options.settings, config.names)

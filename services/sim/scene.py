@@ -11,6 +11,8 @@ Json = dict[str, object]
 WATCHED = ("led_sync", "stand_up", "formation", "goto")
 """Apps of which there is something to see."""
 
+CONTACT_M = 0.15
+"""Distance between axles at which two robots touch."""
 FORMED_M = 0.05
 """A formation with a smaller root mean square error is one."""
 
@@ -61,16 +63,18 @@ def _wave(scenario: Scenario, witness: Witness, began: float) -> Json:
     }
 
 
-def _formation(scenario: Scenario, witness: Witness, began: float) -> Json:
+def offsets_of(scenario: Scenario) -> dict[str, tuple[float, float]]:
+    """Each robot's place in the shape that the app `formation` was told, m."""
     names = scenario.config.names
-    shape, size = (scenario.config.app("formation").of(names[0]).get(name) for name in ("shape", "size"))
-    offsets = {
-        name: formation.offset(
-            str(shape or formation.SHAPES[0]), i, len(names), float(size) if isinstance(size, int | float) else 0.6
-        )
-        for i, name in enumerate(names)
-    }
-    misfits = witness.misfits(offsets)
+    told = scenario.config.app("formation").of(names[0])
+    shape, size = told.get("shape", formation.SHAPES[0]), told.get("size", formation.SIZE)
+    assert isinstance(shape, str)
+    assert isinstance(size, int | float)
+    return {name: formation.offset(shape, i, len(names), float(size)) for i, name in enumerate(names)}
+
+
+def _formation(scenario: Scenario, witness: Witness, began: float) -> Json:
+    misfits = witness.misfits(offsets_of(scenario))
     formed = None
     for t, misfit in reversed(misfits):
         if misfit > FORMED_M:

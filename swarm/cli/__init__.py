@@ -18,7 +18,8 @@ from swarm.errors import LocalError, SwarmError
 
 VERBS = (
     "arm", "bundle", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh",
-    "pair", "param", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology", "view",
+    "pair", "param", "plot", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
+    "view",
 )  # fmt: skip
 """Modules of this package."""
 

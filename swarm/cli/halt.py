@@ -3,19 +3,23 @@
 The command goes to every bus that can be reached, so that these robots obey even where their meshes are dead; the mesh
 carries it to the others. It is given again until it is confirmed, since a bus may lose it. A robot confirms by its
 `mesh/stopped`, its own or what it floods; where its balancer's state can be seen, the motors must be off, too.
+
+From a laptop each robot is told by ssh, too, at the same time (halt_ssh.py): it is confirmed by any of these.
 """
 
 import argparse
 import contextlib
 import json
+import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from swarm import clock
 from swarm.bus import Bus
-from swarm.cli import buses
+from swarm.cli import buses, halt_ssh
 from swarm.cli.survey import AWAY, Views, opened
-from swarm.errors import PayloadError
+from swarm.errors import LocalError, PayloadError
 from swarm.keys import STOP, key, parse
 from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
 
@@ -47,19 +51,80 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What both verbs take."""
     parser.add_argument("--timeout", type=_seconds, default=5.0, metavar="S", help="seconds to wait (5)")
     parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.add_argument("--no-ssh", action="store_true", help="over bus and mesh only")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the robots to reach by ssh")
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
     buses.add_arguments(parser)
 
 
 def run(args: argparse.Namespace, *, stop: bool, reason: str) -> int:
-    """Stop or arm; `LocalError` where no bus can be reached."""
-    with opened(buses.find(args)) as opened_buses:
-        rows = _command(opened_buses, stop=stop, reason=reason, timeout=args.timeout)
-    done = all(row.confirmed for row in rows if row.state not in (*AWAY, "no bus"))
+    """Stop or arm over every path there is; `LocalError` where there is none."""
+    far = halt_ssh.robots_of(args)
+    try:
+        found = buses.find(args)
+    except LocalError:
+        if far is None:
+            raise
+        found = {}
+    answers = halt_ssh.Answers()
+    thread = None
+    if far is not None:
+        reachable, ssh = far
+
+        def by_ssh() -> None:
+            nonlocal answers
+            answers = halt_ssh.command(reachable, ssh, stop=stop, reason=reason)
+
+        thread = threading.Thread(target=by_ssh, name="ssh")
+        thread.start()
+    rows: list[Row] = []
+    if found:
+        with opened(found) as opened_buses:
+            rows = _command(opened_buses, stop=stop, reason=reason, timeout=args.timeout)
+    if thread is not None:
+        thread.join()
+    by_robot = {row.robot: row for row in rows}
+    reached = [row for row in rows if row.state not in (*AWAY, "no bus") and row.robot not in answers.outcomes]
+    done = all(row.confirmed for row in reached) and all(_how(name, by_robot, answers) for name in answers.outcomes)
     if args.json:
-        print(json.dumps({"stop": stop, "confirmed": done, "robots": [asdict(row) for row in rows]}))
+        report: dict[str, object] = {"stop": stop, "confirmed": done, "robots": [asdict(row) for row in rows]}
+        if far is not None:
+            report["ssh"] = {
+                name: {"confirmed": outcome.ok, "text": outcome.text} for name, outcome in answers.outcomes.items()
+            }
+        print(json.dumps(report))
     else:
-        print("\n".join(table(rows, stop=stop)))
+        if rows:
+            print("\n".join(table(rows, stop=stop)))
+        if far is not None:
+            print("\n".join(ssh_table(by_robot, answers, stop=stop)))
     return 0 if done else 1
+
+
+def _how(name: str, rows: Mapping[str, Row], answers: halt_ssh.Answers) -> str:
+    """By which path a robot is confirmed; empty where by none."""
+    paths = []
+    if name in rows and rows[name].confirmed:
+        paths.append("bus or mesh")
+    if name in answers.outcomes and answers.outcomes[name].ok:
+        paths.append("ssh")
+    if name in answers.seen:
+        paths.append(f"mesh (seen by {answers.seen[name]})")
+    return ", ".join(paths)
+
+
+def ssh_table(rows: Mapping[str, Row], answers: halt_ssh.Answers, *, stop: bool) -> list[str]:
+    """What people read of the robots that ssh was to reach."""
+    what = "stopped" if stop else "armed"
+    lines = [("robot", what, "confirmed by", "ssh says")]
+    for name, outcome in answers.outcomes.items():
+        how = _how(name, rows, answers)
+        lines.append((name, "yes" if how else "NOT CONFIRMED", how or "-", outcome.text))
+    widths = [max(len(line[column]) for line in lines) for column in range(3)]
+    text = ["  ".join([*(cell.ljust(n) for cell, n in zip(line, widths, strict=False)), line[3]]) for line in lines]
+    missing = [name for name in answers.outcomes if not _how(name, rows, answers)]
+    summary = f"{what}: {len(answers.outcomes) - len(missing)} of {len(answers.outcomes)} robots"
+    return [*text, "", summary + (f"; NOT CONFIRMED: {' '.join(missing)}" if missing else "")]
 
 
 def rows_of(

@@ -96,6 +96,7 @@ class Hosts:
                     bus.ask(key(robot, self._service, "parameters"), take)
 
         self._until(lambda: len(self.known) == len(self._there), ask)
+        self.known = {robot: self.known[robot] for robot in sorted(self.known)}
 
     def change(self, wanted: Mapping[str, Mapping[str, Value]]) -> dict[str, str]:
         """Set values, those under "" on all robots; why not, by robot."""

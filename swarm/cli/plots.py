@@ -9,9 +9,9 @@ from swarm.errors import LocalError
 
 
 @contextlib.contextmanager
-def figure(path: Path, **options: Any) -> Iterator[Any]:
-    """A matplotlib figure that is written to `path` in the end; its ending says in which format. Raises `LocalError`
-    where that cannot be done."""
+def figure(path: Path, *, settings: Any = None, **options: Any) -> Iterator[Any]:
+    """A matplotlib figure that is written to `path` in the end; its ending says in which format. `settings` are
+    matplotlib's own. Raises `LocalError` where that cannot be done."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -19,11 +19,12 @@ def figure(path: Path, **options: Any) -> Iterator[Any]:
     mpl.use("Agg")  # no display is needed
     from matplotlib import pyplot as plt
 
-    made = plt.figure(**options)
-    try:
-        yield made
-        made.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        raise LocalError(f"{path}: {error}") from None
-    finally:
-        plt.close(made)
+    with plt.rc_context(settings or {}):
+        made = plt.figure(**options)
+        try:
+            yield made
+            made.savefig(path, dpi=130)
+        except (OSError, ValueError) as error:
+            raise LocalError(f"{path}: {error}") from None
+        finally:
+            plt.close(made)

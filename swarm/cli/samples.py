@@ -44,7 +44,7 @@ def as_json(sample: Sample) -> str:
     """One JSON object: `value` is the decoded payload, or `hex` the raw one beside `error` or a frame's head."""
     data: dict[str, object] = {"time": round(sample.time, 6), "robot": sample.robot, "key": sample.key}
     if (frame := _frame(sample)) is not None:
-        data |= {"frame": frame[0], "k": frame[1], "bytes": len(sample.payload), "hex": sample.payload.hex()}
+        data |= {"frame": frame[0], frame[1]: frame[2], "bytes": len(sample.payload), "hex": sample.payload.hex()}
     else:
         try:
             data["value"] = _plain(unpack(sample.payload))
@@ -74,7 +74,7 @@ def clock_text(seconds: float) -> str:
 
 def _payload_text(sample: Sample) -> str:
     if (frame := _frame(sample)) is not None:
-        return f"{frame[0]} k={frame[1]} {_raw(sample.payload)}"
+        return f"{frame[0]} {frame[1]}={frame[2]} {_raw(sample.payload)}"
     try:
         value = unpack(sample.payload)
     except PayloadError as error:
@@ -83,17 +83,20 @@ def _payload_text(sample: Sample) -> str:
     return value_text(value) + (f" (! {fault})" if fault is not None else "")
 
 
-def _frame(sample: Sample) -> tuple[str, int] | None:
-    """Kind and iteration of an app-to-app frame (docs/lockstep.md), None for everything else."""
+def _frame(sample: Sample) -> tuple[str, str, int] | None:
+    """Kind and iteration, or sequence, of an app-to-app frame (docs/lockstep.md, docs/events.md), None for everything
+    else."""
     try:
         _, service, topic = parse(sample.key)
     except PayloadError:
         return None
     chunks = topic.split("/")
-    if service != "app" or len(chunks) < 3 or chunks[1] != "sync" or len(sample.payload) < _FRAME.size:
+    if service != "app" or len(chunks) < 3 or len(sample.payload) < _FRAME.size:
         return None
-    kind, k = _FRAME.unpack_from(sample.payload)
-    return _FRAME_KINDS.get(kind, f"kind {kind}"), k
+    kind, number = _FRAME.unpack_from(sample.payload)
+    if chunks[1] == "sync":
+        return _FRAME_KINDS.get(kind, f"kind {kind}"), "k", number
+    return ("STATE", "sequence", number) if chunks[1] == "latest" else None
 
 
 def _fault(sample: Sample) -> str | None:

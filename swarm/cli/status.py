@@ -1,4 +1,4 @@
-"""`swarm status [--watch]`: one row a robot: services, battery, links, pose, app, release."""
+"""`swarm status [--watch]`: one row a robot: services, battery, links, pose, app, release, firmware."""
 
 import argparse
 import asyncio
@@ -12,7 +12,7 @@ from swarm.fleet.everyone import Outcome, Tell
 from swarm.fleet.ssh import Host, Ssh
 from swarm.fleet.units import SERVICES
 
-HELP = "services, battery, links, pose, app and release of all robots, over ssh"
+HELP = "services, battery, links, pose, app and versions of all robots, over ssh"
 
 WATCH_EVERY_S = 2.0
 LISTEN_S = 1.3
@@ -26,6 +26,8 @@ class Row:
     """What one robot says of itself; None where it says nothing."""
 
     release: str
+    firmware: str | None
+    """Of the ATmega."""
     failed: list[str]
     """Services and apps that do not run."""
     battery_v: float | None
@@ -100,16 +102,17 @@ def parse(robot: str, text: str) -> Row:
         if state != "active":
             failed.append(short)
     failed += [name for name in SERVICES if name not in running]
-    body, power = newest.get("balancer/state", {}), newest.get("balancer/battery", {})
+    body, atmega = newest.get("balancer/state", {}), newest.get("balancer/firmware", {})
     pose = newest.get("dwm/pose", {})
     progress = {
         key.split("/")[1]: value for key, value in newest.items() if key.startswith("app/") and "phase" in value
     }
     return Row(
         release=parts.get("release", "").strip().rpartition("/")[2],
+        firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega else None,
         failed=sorted(failed),
-        battery_v=power.get("volts", body.get("battery")),
-        battery_left_s=power.get("time_left"),
+        battery_v=body.get("battery"),
+        battery_left_s=body.get("battery_left"),
         mode=body.get("mode"),
         fault=body.get("fault") or None,
         links={link["peer"]: link["state"] for link in newest.get("mesh/links", {}).get("links", ())},
@@ -118,15 +121,20 @@ def parse(robot: str, text: str) -> Row:
     )
 
 
+def _time(seconds: float) -> str:
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
+
+
 def table(outcomes: list[Outcome], rows: dict[str, Row]) -> str:
     """For a terminal."""
-    cells = [("robot", "services", "battery", "body", "links", "pose", "apps", "release")]
+    cells = [("robot", "services", "battery", "body", "links", "pose", "apps", "release", "firmware")]
     for outcome in outcomes:
         row = rows.get(outcome.robot)
         if row is None:
-            cells.append((outcome.robot, outcome.text, "", "", "", "", "", ""))
+            cells.append((outcome.robot, outcome.text, "", "", "", "", "", "", ""))
             continue
-        left = "" if row.battery_left_s is None else f" {row.battery_left_s / 60:.0f} min"
+        left = "" if row.battery_left_s is None else f" {_time(row.battery_left_s)}"
         up = sum(state == "up" for state in row.links.values())
         cells.append(
             (
@@ -137,10 +145,11 @@ def table(outcomes: list[Outcome], rows: dict[str, Row]) -> str:
                 f"{up} of {len(row.links)}",
                 "-" if row.pose is None else f"{row.pose[0]:.2f} {row.pose[1]:.2f}",
                 " ".join(f"{app}:{value['phase']}@{value['k']}" for app, value in row.apps.items()) or "-",
-                row.release,
+                row.release or "-",
+                row.firmware or "-",
             )
         )
-    width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(8)]
+    width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(9)]
     return "".join(
         "  ".join(cell.ljust(n) for cell, n in zip(row, width, strict=True)).rstrip() + "\n" for row in cells
     )

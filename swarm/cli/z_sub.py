@@ -1,6 +1,7 @@
 """`z_sub KEY...`: watch the bus of a robot, or of all simulated robots, decoded.
 
 On a robot it watches the bus of /run/swarm (or SWARM_RUNTIME); while a simulation runs, the buses of all its robots.
+From a laptop `--robot NAME` watches a real robot's, through ssh (z_sub_ssh.py).
 """
 
 import argparse
@@ -41,7 +42,12 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     code = 0
     try:
         options = _parse(argv)
-        _Watch(options).run()
+        if _is_far(options):
+            from swarm.cli import z_sub_ssh  # a robot has no use for it
+
+            code = z_sub_ssh.watch(options)
+        else:
+            _Watch(options).run()
         sys.stdout.flush()
     except SwarmError as error:
         _tell(str(error))
@@ -60,19 +66,24 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="z_sub", description="Watch the bus of a robot, or of all simulated robots, decoded."
+        prog="z_sub",
+        usage="z_sub [options] [KEY ...]",
+        description="Watch the bus of a robot, or of all simulated robots, decoded.",
     )
     parser.add_argument("keys", nargs="*", metavar="KEY", help=f"key expressions, default {EVERYTHING}")
     parser.add_argument("-k", "--key", action="append", default=[], metavar="KEY", help="the same as an option")
     where = parser.add_argument_group("which bus")
-    where.add_argument("--robot", action="append", metavar="NAME", help="only this simulated robot's")
+    where.add_argument("--robot", action="append", metavar="NAME", help="only this robot's: a simulated one, or by ssh")
     where.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
     where.add_argument("-e", "--endpoint", help="this one: unixsock-stream/PATH")
+    where.add_argument("--config", type=Path, metavar="FILE", help="by ssh: where the robots' hosts are (swarm.toml)")
+    where.add_argument("--ssh-config", type=Path, metavar="FILE", help="by ssh: in place of ~/.ssh/config")
     output = parser.add_argument_group("output")
     output.add_argument("--rate", action="store_true", help="rates by key, once a second, in place of samples")
     output.add_argument("--json", action="store_true", help="one JSON object a line")
     output.add_argument("--count", type=_count, metavar="N", help="end after N samples")
     output.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
+    output.add_argument("--while-input", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
     if options.endpoint and (options.robot or options.run_dir):
         parser.error("--endpoint names one bus, --robot and --run-dir a simulation: use one of them")
@@ -90,6 +101,13 @@ def _count(text: str) -> int:
     if text.isdecimal() and int(text) > 0:
         return int(text)
     raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number above 0")
+
+
+def _is_far(options: argparse.Namespace) -> bool:
+    """Whether a real robot is meant that is not this one."""
+    if not options.robot or options.run_dir:
+        return False
+    return bool(options.config or options.ssh_config) or not is_live(default_run_dir().absolute())
 
 
 def _source(options: argparse.Namespace) -> Source:
@@ -130,6 +148,7 @@ class _Watch:
         self._json: bool = options.json
         self._rates = _Rates(json_lines=options.json) if options.rate else None
         self._left: int | None = options.count
+        self._while_input: bool = options.while_input
         self._end = clock.now() + options.seconds if options.seconds else None
         self._source = _source(options)
         self._queue: queue.Queue[Sample] = queue.Queue(_QUEUE)
@@ -181,7 +200,7 @@ class _Watch:
                 self._buses[name] = _Watched(bus, endpoint)
         for watched in self._buses.values():
             watched.tell_changes()
-        return not _nobody_reads()
+        return not (_nobody_reads() or (self._while_input and _input_has_ended()))
 
     def _receiver(self, robot: str) -> Callable[[str, bytes], None]:
         def receive(key: str, payload: bytes) -> None:
@@ -251,9 +270,16 @@ def _nobody_reads() -> bool:
     try:
         poll = select.poll()
         poll.register(sys.stdout.fileno(), 0)
-        return any(event & select.POLLERR for _, event in poll.poll(0))
+        return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
     except (OSError, ValueError):
         return False
+
+
+def _input_has_ended() -> bool:
+    """Whether whoever started us by ssh is gone: what comes in says nothing, its end does."""
+    if not select.select([sys.stdin], [], [], 0)[0]:
+        return False
+    return not os.read(sys.stdin.fileno(), 4096)
 
 
 def _tell(text: str) -> None:

@@ -208,6 +208,12 @@ class Asynchronous:
         """Call `on_timer(name)` in so many seconds; said again, it is moved."""
         self._timers[name] = now + seconds
 
+    def set_neighbours(self, names: Sequence[str], now: float) -> None:
+        """There are other neighbours now. Those that stay keep what they have told, the new ones are told at once."""
+        self.neighbours = tuple(names)
+        self._peers = {name: self._peers.get(name) or _Peer() for name in self.neighbours}
+        self._tell_soon(now)
+
     def set_period(self, period: float, now: float) -> None:
         """Step this often from now on."""
         self.period = period

@@ -82,6 +82,17 @@ class Battery:
 
 
 @dataclass(frozen=True, slots=True)
+class Firmware:
+    """On `balancer/firmware` at 1 Hz: what the ATmega runs."""
+
+    t: float
+    layout: int
+    """Version of what it offers at the I2C bus."""
+    revision: int
+    """Release of the firmware."""
+
+
+@dataclass(frozen=True, slots=True)
 class Buttons:
     """On `balancer/buttons`: on each change, and once a second."""
 
@@ -197,6 +208,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "module"): ModuleAnswer,
     ("balancer", "set/module"): ModuleRequest,
     ("balancer", "battery"): Battery,
+    ("balancer", "firmware"): Firmware,
     ("balancer", "buttons"): Buttons,
     ("balancer", "imu"): ImuSample,
     ("balancer", "set/imu"): ImuRequest,

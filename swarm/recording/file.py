@@ -10,7 +10,7 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from swarm import __version__
@@ -78,6 +78,8 @@ class RecordingFile:
         keep = self._journal.add if self._journal is not None else _forget
         self._writer = Writer(LIBRARY, epoch_ns=self.epoch_ns, known=known, keep=keep)
         self._restore(left)
+        self.feed: Callable[[], None] = lambda: None
+        """Called before each write to the file: puts in what waits elsewhere."""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="recording", daemon=True)
         self._thread.start()
@@ -98,6 +100,7 @@ class RecordingFile:
     def flush(self) -> None:
         """Put into the file what was written so far."""
         with self._disk:
+            self.feed()
             with self._lock:
                 self._writer.cut()
                 self._unwritten += self._writer.take()

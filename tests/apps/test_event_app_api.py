@@ -13,6 +13,7 @@ from swarm import EventApp, Matrix, PeriodicApp, SyncApp, channel, parameter
 from swarm.core.asynchronous import Call, Known
 from swarm.core.graph import Graph
 from swarm.errors import AppError
+from swarm.messages import AppOutput
 from swarm.overlays import Message
 from swarm.robot import Robot
 
@@ -285,3 +286,34 @@ def test_the_version_is_over_source_state_and_swarm() -> None:
     assert version(app, b"a") == version(make(gain=0.1), b"a") != version(app, b"b")
     other = Dancer(Robot("r1", Graph.of_shape("line", ["r0", "r1", "r3"])))
     assert version(app, b"a") != version(other, b"a")
+
+
+def test_what_is_published_is_checked() -> None:
+    app = make()
+    with pytest.raises(AppError, match=r"robot\.publish needs a bus"):
+        app.robot.publish("x", 1)
+    published: list[tuple[str, Any]] = []
+
+    class Bus:
+        def publish(self, key: str, message: object) -> None:
+            published.append((key, message))
+
+    app.robot.bus, app.robot.app, app.robot.time = Bus(), "dancer", lambda: 2.5
+    app.robot.publish("place", {"x": 1, "path": [1, 2.5]})
+    app.robot.publish("done", True)
+    assert published == [
+        ("swarm/r1/app/dancer/out/place", AppOutput(2.5, {"x": 1, "path": (1.0, 2.5)})),
+        ("swarm/r1/app/dancer/out/done", AppOutput(2.5, {"value": True})),
+    ]
+    for wrong in (math.nan, None, {"x": object()}, [math.inf]):
+        with pytest.raises(AppError, match=r"robot\.publish\('x'\): expected a finite number, bool, text or vector"):
+            app.robot.publish("x", wrong)
+
+
+def test_what_is_recorded_goes_to_the_recording_and_else_nowhere() -> None:
+    app = make()
+    app.robot.record("x", 1.0)
+    found: list[tuple[str, float, object]] = []
+    app.robot.recording, app.robot.time = lambda *row: found.append(row), lambda: 2.5
+    app.robot.record("x", 1.0)
+    assert found == [("x", 2.5, 1.0)]

@@ -110,6 +110,15 @@ def test_a_periodic_app_starts_with_all_and_survives_a_kill(make_rig: MakeRig) -
     assert {rig.stop(name) for name in NAMES} == {0}
 
 
+def test_neighbours_follow_the_topology_in_force(make_rig: MakeRig) -> None:
+    rig, app = make_rig("counter", COUNTER.replace("sum(n.count for n in neighbours)", "len(self.robot.neighbours)"))
+    rig.start_all(app)
+    rig.until(lambda: "r1" in rig.state and rig.state["r1"].state["heard"] == 2, "two neighbours")
+    rig.set_topology(("r0", "r1"), ("r0", "r2"))
+    rig.until(lambda: rig.state["r1"].state["heard"] == 1, "one neighbour")
+    rig.until(lambda: rig.state["r0"].state["heard"] == 2, "two neighbours of r0")
+
+
 def test_robots_with_another_version_are_named(make_rig: MakeRig) -> None:
     rig, app = make_rig("counter", COUNTER, ("r0", "r1"))
     other = rig.directory / "other"
@@ -229,6 +238,30 @@ def test_a_wrong_state_is_named_and_sigterm_gives_back_what_was_taken(make_rig: 
     rig.until_phase("fault", "r0")
     wrong = "Hands on r0, on_button() at k = 0: presses: expected an integer of 64 bits, got 'many'"
     assert rig.progress["r0"].reason == wrong
+
+
+HANGS = """
+import time
+from swarm import PeriodicApp
+class Hangs(PeriodicApp):
+    period = 0.1
+    def step(self, neighbours):
+        self.robot.drive(0.1, 0.0)
+        if self.k == 3:
+            while True:
+                pass
+"""
+
+
+@pytest.mark.slow
+def test_a_handler_that_hangs_is_named_and_lets_go_of_the_drive(make_rig: MakeRig) -> None:
+    rig, app = make_rig("hangs", HANGS, ("r0",))
+    drive = Watch(rig, "r0", "swarm/r0/balancer/set/velocity", SetVelocity)
+    rig.start("r0", "apps", app)
+    rig.until_phase("fault", "r0")
+    assert rig.progress["r0"].reason == "Hangs on r0, step 3: has not returned for 5 s"
+    drive.until(lambda message: message.speed == 0.0)
+    assert rig.stop("r0") == 3
 
 
 CHANNELS = """

@@ -1,6 +1,7 @@
 """Finding apps, and what is said of files that are none; the examples are found and run here, too."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,7 @@ APP = (
 def test_built_in_apps_are_found_with_their_algorithms() -> None:
     consensus, localization = loader.load("consensus").algorithms, loader.load("localization").algorithms
     assert list(consensus) == ["metropolis", "thesis", "second_order", "chebyshev", "flood"]
-    assert list(localization) == ["info", "nids", "flood", "diging", "thesis"]
+    assert list(localization) == ["info", "nids", "flood", "diging", "thesis", "moving"]
 
 
 def test_a_file_is_an_app_named_as_the_file(tmp_path: Path) -> None:
@@ -165,3 +166,18 @@ def test_example_follow_leds() -> None:
         assert unit.core.phase == "running"
         lit[name] = next(time for time, leds in unit.bus.sent(SetLeds) if leds.green)
     assert lit["r0"] < lit["r1"] < lit["r2"] < lit["r3"] < 3.0
+
+
+# The documentation
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/apps.md", "docs/events.md"])
+def test_the_apps_of_the_documentation_are_apps(tmp_path: Path, page: str) -> None:
+    text = (EXAMPLES.parent / page).read_text()
+    blocks = [block for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL) if "class " in block]
+    assert blocks
+    for number, block in enumerate(blocks):
+        lines = block if "import" in block else f"from swarm import SyncApp\n{block}"
+        name = f"page{number}"
+        app = loader.load(write(tmp_path, lines, f"{name}.py"))
+        app.check(config_of(3, app=name))

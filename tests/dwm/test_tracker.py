@@ -4,7 +4,7 @@ import random
 import pytest
 
 from services.dwm.core.motion import KEPT, Increments, Motion
-from services.dwm.core.tracker import LATENCY, SILENCE, Tracker
+from services.dwm.core.tracker import LATENCY, SILENCE, START_REPORTS, Tracker
 from swarm.messages import Odometry
 
 ANCHORS = {"D001": (0.0, 0.0, 0.0), "D002": (1.94, 0.0, 0.0), "D003": (1.0, 1.94, 0.0), "C933": (0.5, 1.0, 0.0)}
@@ -133,7 +133,9 @@ def test_what_is_missing_is_said():
     tracker.ranges(1.2, [("D001", 1.0), ("D002", 1.0)])
     assert tracker.problem == "2 ranges, three are needed"
     assert tracker.estimate(1.2) is None
-    tracker.ranges(1.3, [(name, 1.0) for name in ANCHORS])
+    for report in range(START_REPORTS - 1):  # the one of 1.2 counts, too
+        assert report == 0 or tracker.problem == "the first ranges are being compared"
+        tracker.ranges(1.3 + 0.1 * report, [(name, 1.0) for name in ANCHORS])
     assert tracker.problem == ""
     assert tracker.estimate(1.3) is not None
     assert tracker.has_odometry(1.0 + SILENCE)
@@ -173,3 +175,20 @@ def test_increments_of_sums():
     assert increments.take(odometry(1.1, 13, 5.2, 2.1)) == pytest.approx((1.1, 0.2, 0.1, 0.1))  # two were lost
     assert increments.take(odometry(1.2, 1, 0.0, 0.0)) == (1.2, 0.0, 0.0, 0.1)  # the balancer began anew
     assert increments.take(odometry(1.3, 2, -0.1, 0.3)) == pytest.approx((1.3, -0.1, 0.3, 0.1))
+
+
+@pytest.mark.parametrize("late", range(START_REPORTS))
+def test_a_detour_in_one_of_the_first_reports_does_not_put_it_behind_the_anchors(late: int) -> None:
+    """With three anchors a range that is 0.7 m too long fits the mirror image beyond two of them."""
+    anchors = {name: ANCHORS[name] for name in ("D001", "D002", "D003")}
+    place = (1.48, 0.36, 0.0)
+    tracker = Tracker(anchors)
+    tracker.odometry(0.0, 0.0, 0.0)
+    for report in range(START_REPORTS):
+        ranges = [(name, math.dist(place, anchor)) for name, anchor in anchors.items()]
+        if report == late:
+            ranges[2] = ("D003", ranges[2][1] + 0.7)
+        tracker.odometry(0.1 * (report + 1), 0.0, 0.0)
+        tracker.ranges(0.1 * (report + 1), ranges)
+    estimate = tracker.estimate(0.5)
+    assert math.dist((estimate.x, estimate.y), place[:2]) < 0.05

@@ -9,6 +9,7 @@ from fake_robots import FakeRobots, Run, needs_ssh, outcomes
 
 from swarm.fleet import collect
 
+pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
 
 DIES = """[ -e "$HOME/well" ] || { /usr/bin/head -c 1000000; kill -9 $SESSION; exit; }

@@ -9,6 +9,7 @@ from fake_robots import FakeRobots, needs_ssh, outcomes
 from services.balancer import flash
 from services.balancer.core import balboa, image
 
+pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
 
 

@@ -10,7 +10,9 @@ import pytest
 from fake_robots import FakeRobots, Run, needs_ssh, outcomes
 
 from swarm.cli import status
+from swarm.fleet.everyone import Outcome
 
+pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
 
 
@@ -173,43 +175,118 @@ def test_an_install_that_fails_says_why(robots: FakeRobots, run: Run, capsys: py
 
 # -- run ---------------------------------------------------------------------------------------------------------
 
+PATHS = "s#/etc/swarm#etc#g; s#/var/lib/swarm#lib#g"
 
-def add_writes(home: Path, release: str) -> None:
-    """A robot with this release, whose sudo only tells what it was to do."""
-    for name, text in (
-        ("readlink", f"echo /opt/swarm/releases/{release}"),
-        ("sudo", 'printf "%s\\n" "$*" >> $HOME/log; cat >> $HOME/log'),
-    ):
-        (home / "bin" / name).write_text(f"#!/bin/sh\n{text}\n")
-        (home / "bin" / name).chmod(0o755)
+
+def add_robot(robots: FakeRobots, name: str, release: str = "1-a", revision: int = 1, config: bytes = b"") -> Path:
+    """A robot that says what it runs, with the system's folders in its home."""
+    home = robots.add(name)
+    (home / "etc/apps").mkdir(parents=True)
+    (home / "lib/apps").mkdir(parents=True)
+    (home / "config").write_bytes(config)
+    robots.script(name, "readlink", f"echo /opt/swarm/releases/{release}")
+    # The config of the others is the one here, which is complete when all robots are added.
+    robots.script(name, "sha256sum", f"[ -s $HOME/config ] || exec /usr/bin/sha256sum {robots.config}; echo {'0' * 64}")
+    firmware = f'{{"key": "k", "value": {{"layout": 1, "revision": {revision}}}}}'
+    text = f"shift; case $1 in */z_sub) echo '{firmware}' ;; "
+    text += f'*) exec "$1" "$2" "$(printf \'%s\\n\' "$3" | sed \'{PATHS}\')" ;; esac'
+    robots.script(name, "sudo", text)
+    return home
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_an_app_is_started_with_one_number_for_all(robots: FakeRobots, run: Run) -> None:
-    homes = [robots.add(name) for name in ("r0", "r1")]
-    for home in homes:
-        add_writes(home, "1-a")
+    homes = [add_robot(robots, name) for name in ("r0", "r1")]
     app = robots.folder / "mine.py"
     app.write_text("class Mine: ...\n")
-    assert run("run", str(app), "--iterations", "50") == 0
-    first, second = ((home / "log").read_text() for home in homes)
-    assert first == second
-    assert first.startswith("-n sh -c cat > /var/lib/swarm/apps/mine.py.new && mv")
-    assert "class Mine: ...\n" in first
-    assert re.search(r"^APP=/var/lib/swarm/apps/mine.py\nARGUMENTS=--run [0-9a-f]{16} --iterations 50$", first, re.M)
-    assert first.endswith("-n systemctl restart --no-block swarm-app@mine.service\n")
+    assert run("run", str(app), "--iterations", "50", "--set", "gain=0.5", "--set", "r1.value=3") == 0
+    (code,) = files(homes[0] / "lib")
+    assert re.fullmatch(r"apps/mine-[0-9a-f]{12}/mine\.py", code)
+    assert files(homes[0] / "lib") == files(homes[1] / "lib") == {code: "class Mine: ...\n"}
+    assert files(homes[0] / "etc") == files(homes[1] / "etc")
+    said = files(homes[0] / "etc")["apps/mine.env"]
+    assert said.startswith(f"APP=/var/lib/swarm/{code.removeprefix('lib/')}\nARGUMENTS=--run ")
+    arguments = r"^ARGUMENTS=--run [0-9a-f]{16} --record --iterations 50 --set gain=0.5 --set r1.value=3$"
+    assert re.search(arguments, said, re.M)
+    assert (homes[0] / "systemctl.log").read_text() == "restart --no-block swarm-app@mine.service\n"
+
+    app.write_text("class Other: ...\n")
+    assert run("run", str(app)) == 0
+    assert list(files(homes[0] / "lib").values()) == ["class Other: ...\n"]
+    assert run("run", "consensus", "--no-record") == 0
+    said = files(homes[0] / "etc")["apps/consensus.env"]
+    assert re.fullmatch(r"APP=consensus\nARGUMENTS=--run [0-9a-f]{16}\n", said)
 
 
-def test_robots_with_different_releases_run_nothing(
-    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    """The disk is full when the app comes; what ran before is still what would run again."""
+    homes = [add_robot(robots, name) for name in ("r0", "r1")]
+    app = robots.folder / "mine.py"
+    app.write_text("# first\n")
+    assert run("run", str(app)) == 0
+    before = files(homes[0] / "lib"), files(homes[0] / "etc")
+    robots.script("r0", "head", "echo 'head: write error: No space left on device' >&2; exit 1")
+    app.write_text("# second\n" * 1000)
+    capsys.readouterr()
+    assert run("run", str(app), "--json") == 1
+    found = outcomes(capsys)
+    assert (found["r0"]["ok"], found["r1"]["ok"]) == (False, True)
+    assert "No space left on device" in str(found["r0"]["text"])
+    now = {name: text for name, text in files(homes[0] / "lib").items() if not name.endswith("/new")}
+    assert (now, files(homes[0] / "etc")) == before
+    assert (homes[0] / "systemctl.log").read_text().count("restart") == 1
+
+
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [
+        ({"release": "1-b"}, "different releases (r0 1-a, r1 1-b): swarm deploy the same"),
+        ({"revision": 2}, "different firmware (r0 revision 1 (layout 1), r1 revision 2 (layout 1)): swarm flash"),
+        ({"config": b"other"}, "another swarm.toml than here (r1): swarm deploy brings this one"),
+    ],
+)
+def test_robots_that_differ_run_nothing(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], odd: dict[str, object], said: str
 ) -> None:
-    homes = [robots.add(name) for name in ("r0", "r1")]
-    add_writes(homes[0], "1-a")
-    add_writes(homes[1], "1-b")
+    homes = [add_robot(robots, "r0"), add_robot(robots, "r1", **odd)]
     assert run("run", "consensus") == 2
-    assert "different releases (r0 1-a, r1 1-b)" in capsys.readouterr().err
-    assert not any((home / "log").exists() for home in homes)
-    assert run("run", "mesh") == 2
-    assert run("run", "missing.py") == 2
+    assert said in capsys.readouterr().err
+    assert not any(files(home / "etc") for home in homes)
+    assert run("run", "consensus", "--force") == 0
+    assert all(files(home / "etc") for home in homes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["mesh"], "expected the name of an app"),
+        (["missing.py"], "the app cannot be read: No such file"),
+        (["consensus", "--iterations", "-1"], "expected 0 or more"),
+        (["consensus", "--set", "value"], "'value' is not a setting"),
+        (["consensus", "--set", "r9.value=1"], "the robots are r0"),
+        (["consensus", "--set", "text=a b"], "no spaces and quotes"),
+    ],
+)
+def test_what_cannot_be_run_reaches_no_robot(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], arguments: list[str], problem: str
+) -> None:
+    home = add_robot(robots, "r0")
+    assert run("run", *arguments) == 2
+    assert problem in capsys.readouterr().err
+    assert files(home / "etc") == {}
+
+
+def test_a_robot_without_a_release_says_so(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    add_robot(robots, "r0")
+    add_robot(robots, "r1")
+    robots.script("r1", "readlink", "exit 1")
+    robots.script("r1", "sudo", "echo 'sh: 1: cannot create /etc/swarm/apps/x: No such file' >&2; exit 1")
+    assert run("run", "consensus", "--json") == 1
+    found = outcomes(capsys)
+    assert (found["r0"]["ok"], found["r1"]["ok"]) == (True, False)
 
 
 # -- status ------------------------------------------------------------------------------------------------------
@@ -222,7 +299,8 @@ swarm-balancer.service loaded active running Balboa Swarm: the balancer
 swarm-bus.service loaded active running Balboa Swarm: the bus
 swarm-mesh.service loaded failed failed Balboa Swarm: the mesh
 == bus
-{"key": "swarm/r0/balancer/state", "value": {"mode": "balancing", "battery": 7.4, "fault": ""}}
+{"key": "swarm/r0/balancer/state", "value": {"mode": "balancing", "battery": 7.4, "battery_left": 9000, "fault": ""}}
+{"key": "swarm/r0/balancer/firmware", "value": {"layout": 1, "revision": 4}}
 {"key": "swarm/r0/mesh/links", "value": {"links": [{"peer": "r1", "state": "up"}, {"peer": "r2", "state": "down"}]}}
 {"key": "swarm/r0/dwm/pose", "value": {"x": 1.5, "y": 2.0, "quality": 90}}
 {"key": "swarm/r0/app/consensus/progress", "value": {"phase": "running", "k": 12}}
@@ -235,14 +313,25 @@ def test_the_status_of_a_robot_is_read() -> None:
     row = status.parse("r0", ANSWER)
     assert row == status.Row(
         release="0.1.0-abc",
+        firmware="1.4",
         failed=["dwm", "mesh"],
         battery_v=7.4,
-        battery_left_s=None,
+        battery_left_s=9000,
         mode="balancing",
         fault=None,
         links={"r1": "up", "r2": "down"},
         pose=[1.5, 2.0],
         apps={"consensus": {"phase": "running", "k": 12}},
+    )
+
+
+def test_a_row_for_people() -> None:
+    rows = {"r0": status.parse("r0", ANSWER)}
+    head, row = status.table([Outcome("r0", True, "", 1.0)], rows).splitlines()
+    assert head.split() == ["robot", "services", "battery", "body", "links", "pose", "apps", "release", "firmware"]
+    assert row == (
+        "r0     not running: dwm mesh  7.4 V 2 h 30 min  balancing  1 of 2  1.50 2.00  "
+        "consensus:running@12  0.1.0-abc  1.4"
     )
 
 

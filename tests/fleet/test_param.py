@@ -3,6 +3,8 @@
 import pytest
 from fake_robots import FakeRobots, Run, needs_ssh, outcomes
 
+pytest_plugins = ["fleet_fixtures"]
+
 HOOK = """
 case "$SSH_ORIGINAL_COMMAND" in
   *"/swarm param consensus gain=0.5") echo done; exit 0 ;;

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections import Counter
 
 import pytest
@@ -172,9 +173,10 @@ def test_killed_it_has_lost_no_more_than_what_was_not_yet_written(tmp_path):
         process.stdin.write("\n")
         process.stdin.flush()
         assert process.stdout.readline() == "1000\n"
-        from conftest import wait_until
-
-        wait_until(lambda: path.exists() and path.stat().st_size and len(numbers(path)[0]) == 1000, 20)
+        end = time.monotonic() + 20
+        while not path.exists() or not path.stat().st_size or len(numbers(path)[0]) < 1000:
+            assert time.monotonic() < end
+            time.sleep(0.02)
     finally:
         process.send_signal(signal.SIGKILL)
         process.communicate()

@@ -15,6 +15,9 @@ from collections.abc import Iterable
 from services.apps.core.avoidance import Point
 
 SHAPES = ("circle", "line", "wedge")
+"""The default first."""
+SIZE = 0.6
+"""m."""
 
 
 def offset(shape: str, number: int, count: int, size: float) -> Point:

@@ -6,7 +6,8 @@ Every robot measures its range to the target and its own place; together they fi
 from services.apps.localization.diging import Diging
 from services.apps.localization.flood import Flood
 from services.apps.localization.info import Info
+from services.apps.localization.moving import Moving
 from services.apps.localization.nids import Nids
 from services.apps.localization.thesis import Thesis
 
-ALGORITHMS = {"info": Info, "nids": Nids, "flood": Flood, "diging": Diging, "thesis": Thesis}
+ALGORITHMS = {"info": Info, "nids": Nids, "flood": Flood, "diging": Diging, "thesis": Thesis, "moving": Moving}

@@ -6,6 +6,7 @@ A robot that somebody carried away, or a heading that was believed in error, sho
 second: then everything begins anew.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, exp, hypot, log, pi, sin
@@ -19,6 +20,10 @@ LATENCY = 0.060
 
 SILENCE = 0.5
 """s without odometry until there counts as none."""
+
+START_REPORTS = 5
+"""The first place is made of the medians of so many reports: one range in twenty is a detour by decimetres, and with
+three anchors one of them puts the robot at its mirror image behind two of them, which the biases then explain."""
 
 HYPOTHESES = 8
 _APART = 10.0
@@ -89,6 +94,7 @@ class Tracker:
         self._noise = noise or Noise()
         self._motion: Motion | None = None
         self._filters: list[_Hypothesis] = []
+        self._first: deque[Mapping[int, float]] = deque(maxlen=START_REPORTS)  # reports before there are filters
         self._stood: Node | None = None  # where it stands; None once it has moved and hypotheses run
         self._known = False  # the heading
         self._rolled = 0.0  # m since hypotheses run
@@ -136,7 +142,7 @@ class Tracker:
             return []
         if self._doubt > _DOUBT:
             self.restarts += 1
-            self._filters = []
+            self._filters, self._doubt = [], 0.0
         if not self._filters:
             self._start(heard)
             return []
@@ -168,15 +174,26 @@ class Tracker:
 
     def _start(self, heard: Sequence[tuple[int, float]]) -> None:
         assert self._motion is not None
+        self._first.append(dict(heard))
+        medians = {index: self._median(index) for index in sorted(set().union(*self._first))}
         fix = multilaterate(
-            [self._anchors[index] for index, _ in heard], [d for _, d in heard], self._height, self._noise.range
+            [self._anchors[index] for index in medians], list(medians.values()), self._height, self._noise.range
         )
         if isinstance(fix, NoFix):
             self.problem = fix.reason
             return
+        if len(self._first) < START_REPORTS:
+            self.problem = "the first ranges are being compared"
+            return
         self.problem = ""
+        self._first.clear()
         self._filters = [_Hypothesis(Ekf(self._anchors, self._height, (fix.x, fix.y), 0.0, 0.0, self._noise))]
         self._stood, self._known, self._doubt = self._motion.newest, False, 0.0
+
+    def _median(self, index: int) -> float:
+        """Of the first reports' ranges to an anchor; of an even number the lower one, for detours are longer."""
+        ranges = sorted(report[index] for report in self._first if index in report)
+        return ranges[(len(ranges) - 1) // 2]
 
     def _branch(self, ekf: Ekf) -> None:
         """One filter for each heading there may be."""

@@ -14,6 +14,7 @@ from services.sim.options import PRESS_S, Options
 from services.sim.options import parse as arguments_of
 from services.sim.report import Json, Outcome, summary
 from services.sim.scenario import Scenario, build
+from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.host import VirtualHost
 from services.sim.virtual.strand import Line, Teller, Told
@@ -25,6 +26,7 @@ from swarm.errors import LocalError
 from swarm.recording import folder
 from swarm.recording.plain import PlainRecording
 from swarm.recording.reader import SUFFIX
+from swarm.recording.watch import Watch
 
 STALLED = 60.0
 """s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
@@ -130,6 +132,11 @@ class Run:
         folder.begin(place, run, {folder.CONFIG_FILE: dump(self._scenario.config).encode()})
         self._recording = recording = PlainRecording(place / f"{app.name}{SUFFIX}", run)
         self._recorders = {name: Recorder(recording, name, app.name) for name in self._scenario.config.names}
+        for name, robot in self.world.robots.items():
+            bus = VirtualBus(robot.router)
+            watch = Watch(bus, name, app.name, recording, lambda: self.world.time.now)
+            watch.on_sample = watch.drain
+            watch.hear_requests(bus, name)
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
@@ -167,6 +174,7 @@ class Run:
             restarts=dict.fromkeys(names, 0),
             problems=tuple(self._problems),
             computed_s=self.computed,
+            witness=self._witness,
             scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
         )
 

@@ -1,4 +1,7 @@
-"""Robots that are ssh servers, and the command line that speaks to them."""
+"""Robots that are ssh servers, and the command line that speaks to them.
+
+A plugin that the tests name: a second `conftest` would hide the one that other tests import from.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path

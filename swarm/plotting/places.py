@@ -1,0 +1,205 @@
+"""Where things are: the map of robots, paths, estimates and their uncertainty, and the mesh with its links' quality."""
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from swarm import config
+from swarm.config import Config
+from swarm.errors import ConfigError, LocalError
+from swarm.plotting import style
+from swarm.recording.folder import CONFIG_FILE
+from swarm.recording.run import Run
+
+Place = tuple[float, float]
+
+SIGMAS = 2.0
+"""Standard deviations of the ellipses drawn: 86 % of a plane's normal distribution."""
+
+
+def scene(figure: Any, run: Run) -> None:
+    """Anchors, robots, their paths, and what they think where the target is, with ellipses of two standard
+    deviations."""
+    figure.set_size_inches(5.4, 4.8)
+    axes = figure.add_subplot()
+    swarm = _config(run.path)
+    marks: set[str] = set()
+    seen: list[Place] = []
+    if swarm is not None:
+        for anchor in swarm.anchors:
+            seen.append((anchor.x, anchor.y))
+            axes.plot(anchor.x, anchor.y, "^", color=style.GREY, markersize=8, **_once(marks, "anchor"))
+        target = swarm.simulation.target
+        if "localization" in run.apps:
+            seen.append(target)
+            axes.plot(*target, "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
+    paths = _paths(run)
+    estimates = _estimates(run)
+    robots = list(run.robots)
+    for index, name in enumerate(robots):
+        colour = style.colour(index, len(robots))
+        if name in paths:
+            _path(axes, paths[name], colour, name, marks)
+            seen += [place for place, _ in paths[name]]
+        if track := estimates.get(name):
+            axes.plot(*zip(*(place for place, _ in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
+            place, spread = track[-1]
+            axes.plot(
+                *place, "x", color=colour, markersize=7, markeredgewidth=1.6, zorder=6, **_once(marks, "estimate")
+            )
+            _ellipse(axes, place, spread, colour)
+            seen += [place for place, _ in track[len(track) // 4 :]]
+    if not seen:
+        raise LocalError(f"{run.path}: no place is recorded: neither poses nor a target")
+    _frame(axes, seen)
+    axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
+    legend = axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    for handle in legend.legend_handles:
+        handle.set_color("black" if handle.get_label() == "target" else style.GREY)
+
+
+def mesh(figure: Any, run: Run) -> None:
+    """The links between the robots as they were at the end: width and colour tell the round-trip time, dashed =
+    down."""
+    links: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for sample in run.samples("swarm/*/mesh/links"):
+        robot = sample.topic.split("/")[1]
+        for link in sample.message["links"]:
+            pair = min(robot, link["peer"]), max(robot, link["peer"])
+            links.setdefault(pair, []).append(link)
+    if not links:
+        raise LocalError(f"{run.path}: no state of the mesh's links is recorded")
+    names = sorted({name for pair in links for name in pair})
+    places = _layout(run, names)
+    rtts = {pair: _mean(link["rtt"] for link in each if link.get("rtt") is not None) for pair, each in links.items()}
+    known = [rtt for rtt in rtts.values() if rtt is not None]
+    figure.set_size_inches(5.6, 4.6)
+    axes = figure.add_subplot()
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = Normalize(0.0, 1e3 * max(known, default=1.0) * 1.05)
+    ramp = colormaps["cividis_r"]
+    for (a, b), each in links.items():
+        rtt = rtts[a, b]
+        (xa, ya), (xb, yb) = places[a], places[b]
+        up = each[-1]["state"] in ("up", "suspect")
+        colour = style.GREY if rtt is None else ramp(scale(1e3 * rtt))
+        axes.plot(
+            (xa, xb), (ya, yb), color=colour, linewidth=3.0 if up else 1.2, linestyle="-" if up else "--", zorder=1
+        )
+        lost = sum(link.get("dropped", 0) for link in (each[-1],))
+        text = "down" if not up else "" if rtt is None else f"{1e3 * rtt:.0f} ms"
+        text += f"\n{lost} lost" if lost else ""
+        axes.annotate(text, ((xa + xb) / 2, (ya + yb) / 2), ha="center", va="center", fontsize=7.5,
+                      bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85})  # fmt: skip
+    for name, (x, y) in places.items():
+        axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=21, zorder=2)
+        axes.annotate(name, (x, y), ha="center", va="center", fontsize=8.5, zorder=3)
+    if known:
+        bar = figure.colorbar(ScalarMappable(scale, ramp), ax=axes, shrink=0.75, pad=0.02)
+        bar.set_label("mean round-trip time / ms")
+        bar.outline.set_visible(False)
+    _frame(axes, list(places.values()))
+    axes.set(aspect="equal")
+    axes.axis("off")
+
+
+def _config(path: Path) -> Config | None:
+    file = path / CONFIG_FILE
+    try:
+        return config.parse(file.read_text(), file) if file.is_file() else None
+    except ConfigError:
+        return None  # of another version: the picture does without anchors
+
+
+def _once(marks: set[str], label: str) -> dict[str, str]:
+    """A label for the legend, the first time only."""
+    if label in marks:
+        return {}
+    marks.add(label)
+    return {"label": label}
+
+
+def _paths(run: Run) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
+    """Where each robot was: by its own poses, and where there are none (or no fix) by the simulation's truth."""
+    found: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
+    for topic in ("swarm/*/dwm/pose", "swarm/*/sim/truth"):
+        fresh: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
+        for sample in run.samples(topic):
+            message = sample.message
+            if message.get("quality", 1) > 0:
+                fresh.setdefault(sample.topic.split("/")[1], []).append(((message["x"], message["y"]), message))
+        found = {**fresh, **found}
+    return found
+
+
+def _estimates(run: Run) -> dict[str, list[tuple[Place, tuple[float, float, float] | None]]]:
+    """Each robot's estimates of the target, with variances and covariance where it tells them."""
+    found: dict[str, list[tuple[Place, tuple[float, float, float] | None]]] = {}
+    if "localization" not in run.apps:
+        return found
+    for name, path in run.trajectories("localization").items():
+        if {"result.x", "result.y"} - set(path.columns):
+            continue
+        spread = ("result.var_x", "result.cov_xy", "result.var_y")
+        track = []
+        for k in sorted(path.rows):
+            place = path.value(k, "result.x"), path.value(k, "result.y")
+            if all(map(math.isfinite, place)):
+                values = tuple(path.value(k, column) for column in spread) if set(spread) <= set(path.columns) else None
+                track.append((place, values))
+        if track:
+            found[name] = track  # type: ignore[assignment]
+    return found
+
+
+def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name: str, marks: set[str]) -> None:
+    xs, ys = zip(*(place for place, _ in path), strict=True)
+    axes.plot(xs, ys, "-", color=colour, linewidth=1.0, alpha=0.9, **_once(marks, "path"))
+    place, last = path[-1]
+    axes.plot(*place, "o", color=colour, markersize=7, zorder=4, **_once(marks, "robot"))
+    axes.annotate(name, place, textcoords="offset points", xytext=(6, 6), color=colour, fontsize=8.5)
+    if (heading := last.get("heading")) is not None:
+        axes.annotate("", (place[0] + 0.12 * math.cos(heading), place[1] + 0.12 * math.sin(heading)), place,
+                      arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2})  # fmt: skip
+    if (dx := last.get("deviation_x")) is not None and (dy := last.get("deviation_y")) is not None:
+        _ellipse(axes, place, (dx * dx, last.get("correlation", 0.0) * dx * dy, dy * dy), colour)
+
+
+def _ellipse(axes: Any, place: Place, spread: tuple[float, float, float] | None, colour: Any) -> None:
+    """Of two standard deviations, from variances and covariance."""
+    if spread is None or not all(map(math.isfinite, spread)):
+        return
+    from matplotlib.patches import Ellipse
+
+    xx, xy, yy = spread
+    middle, radius = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+    width, height = (2 * SIGMAS * math.sqrt(max(0.0, middle + sign * radius)) for sign in (1, -1))
+    angle = math.degrees(0.5 * math.atan2(2 * xy, xx - yy))
+    axes.add_patch(Ellipse(place, width, height, angle=angle, facecolor=colour, alpha=0.18, linewidth=0, zorder=2))
+    axes.add_patch(Ellipse(place, width, height, angle=angle, fill=False, edgecolor=colour, linewidth=0.9, zorder=3))
+
+
+def _layout(run: Run, names: list[str]) -> dict[str, Place]:
+    """Robots where they are, if they are apart; else on a circle."""
+    paths = _paths(run)
+    places = {name: paths[name][-1][0] for name in names if name in paths}
+    apart = [math.dist(places[a], places[b]) for a in places for b in places if a < b]
+    if len(places) == len(names) and (not apart or min(apart) > 0.15):
+        return places
+    turn = 2 * math.pi / len(names)
+    return {name: (math.sin(index * turn), math.cos(index * turn)) for index, name in enumerate(names)}
+
+
+def _frame(axes: Any, places: list[Place]) -> None:
+    xs, ys = zip(*places, strict=True)
+    margin = 0.08 * max(max(xs) - min(xs), max(ys) - min(ys), 0.5) + 0.1
+    axes.set(xlim=(min(xs) - margin, max(xs) + margin), ylim=(min(ys) - margin, max(ys) + margin))
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    found = list(values)
+    return sum(found) / len(found) if found else None

@@ -1,0 +1,56 @@
+"""How all pictures look: colours that colour-blind readers tell apart, light grid, legible at a column's width."""
+
+from collections.abc import Sequence
+from typing import Any
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999933")
+"""Okabe and Ito's palette and one more."""
+MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
+
+GREY = "0.45"
+FEW = len(COLOURS)
+"""Robots up to which each has a colour of its own and a line in the legend."""
+
+RC = {
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "0.88",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+}
+"""matplotlib's settings. Text stays text in vector files."""
+
+
+def colour(index: int, count: int) -> Any:
+    """The colour of one of `count` robots: of the palette, or of a ramp where there are more."""
+    if count <= FEW:
+        return COLOURS[index]
+    from matplotlib import colormaps
+
+    return colormaps["viridis"](0.95 * index / (count - 1))
+
+
+def mark(index: int) -> str:
+    """A marker, for those who print in grey."""
+    return MARKS[index % len(MARKS)]
+
+
+def legend(axes: Any, count: int, **options: Any) -> None:
+    """A legend of robots; with too many it would hide the picture."""
+    if count <= FEW:
+        axes.legend(**{"ncols": 1 if count <= 4 else 2, "handlelength": 1.4, "columnspacing": 1.0, **options})
+
+
+def rows_of_robots(axes: Any, robots: Sequence[str]) -> None:
+    """The y axis has a row for each robot, the first one at the top."""
+    axes.set_yticks(range(len(robots)), robots)
+    axes.set_ylim(len(robots) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)

@@ -1,0 +1,93 @@
+"""`swarm estop` and `swarm arm` by ssh: robots that confirm, robots that do not, and robots that cannot be reached."""
+
+import json
+from pathlib import Path
+
+import pytest
+from fake_robots import FakeRobots, Run, needs_ssh
+
+from swarm.cli import halt_ssh
+
+pytest_plugins = ["fleet_fixtures"]
+pytestmark = needs_ssh
+
+
+@pytest.fixture(autouse=True)
+def _laptop(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("SWARM_RUNTIME", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # where no simulation runs
+    monkeypatch.setattr(halt_ssh, "DEFAULT_RUNTIME", tmp_path / "no-robot")
+
+
+def answer(*confirmed: str, silent: tuple[str, ...] = ()) -> str:
+    rows = [{"robot": name, "confirmed": True} for name in confirmed]
+    rows += [{"robot": name, "confirmed": False} for name in silent]
+    return json.dumps({"stop": True, "confirmed": not silent, "robots": rows})
+
+
+def add(robots: FakeRobots, name: str, said: str, code: int = 0) -> Path:
+    home = robots.add(name)
+    text = (
+        f"case $2 in env) shift; printf '%s\\n' \"$*\" > asked; echo '{said}'; exit {code} ;; *) shift; \"$@\" ;; esac"
+    )
+    robots.script(name, "sudo", text)
+    return home
+
+
+def test_every_robot_is_told_on_its_own_bus(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    homes = [add(robots, name, answer(name)) for name in ("r0", "r1")]
+    assert run("estop", "it's burning") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split() == ["r0", "yes", "ssh", "its", "own", "bus", "and", "balancer", "say", "so"]
+    assert lines[-1] == "stopped: 2 of 2 robots"
+    asked = (homes[1] / "asked").read_text().replace(str(robots.folder), "")
+    words = "/opt/swarm/current/bin/swarm estop it's burning --json --timeout 3.0\n"
+    assert asked == f"env SWARM_ROBOT=r1 SWARM_RUNTIME=/no-robot {words}"
+    assert not (homes[0] / "systemctl.log").exists()
+    assert run("arm") == 0
+    assert "/bin/swarm arm --json" in (homes[0] / "asked").read_text()
+
+
+def test_a_robot_that_does_not_confirm_has_its_balancer_stopped(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quiet = add(robots, "r0", answer(silent=("r0",)), 1)
+    broken = add(robots, "r1", "no swarm here", 127)
+    assert run("estop", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["confirmed"] is True
+    assert found["ssh"]["r0"]["text"].startswith("its balancer was stopped (its bus does not confirm it)")
+    assert all((home / "systemctl.log").read_text() == "stop swarm-balancer.service\n" for home in (quiet, broken))
+    # Nothing of that for taking a stop back.
+    assert run("arm") == 1
+    assert (quiet / "systemctl.log").read_text().count("\n") == 1
+
+
+def test_one_that_cannot_be_reached_is_confirmed_by_what_others_see(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add(robots, "r0", answer("r0", "r1"))
+    robots.add("r1", up=False)
+    robots.add("r2", up=False)
+    assert run("estop") == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].split("  ")[0] == "r1"
+    assert "mesh (seen by r0)" in lines[2]
+    assert "NOT CONFIRMED" in lines[3]
+    assert "it runs no ssh server" in lines[3]
+    assert lines[-1] == "stopped: 2 of 3 robots; NOT CONFIRMED: r2"
+
+
+def test_without_any_path_it_says_so(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robots.add("r0")
+    assert run("estop", "--no-ssh") == 2
+    assert "no simulation is running" in capsys.readouterr().err
+    robots.ready()
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert run("estop") == 1
+    assert "there is no ssh here" in capsys.readouterr().out
+    robots.config.write_text("network = 3")
+    assert run("estop") == 2
+    assert "swarm.toml" in capsys.readouterr().err

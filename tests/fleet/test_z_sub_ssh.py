@@ -1,0 +1,138 @@
+"""`z_sub --robot NAME` through real ssh servers, to real buses; nothing stays behind on a robot."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from fake_robots import FakeRobots, needs_ssh
+
+from swarm.bus import Bus, Router
+from swarm.messages import Leds
+from swarm.paths import bus_endpoint
+
+pytest_plugins = ["fleet_fixtures"]
+pytestmark = needs_ssh
+
+RED = Leds(1.0, red=True, yellow=False, green=False)
+FAR = """shift; shift; echo $$ >> $HOME/started
+SWARM_RUNTIME=$HOME exec {python} -m swarm.cli.z_sub "$@"
+"""
+
+
+@pytest.fixture
+def add(robots: FakeRobots) -> Iterator[Callable[[str], Path]]:
+    """A robot with a bus, on which its LEDs are told all the time."""
+    opened: list[Router | Bus] = []
+
+    def one(name: str) -> Path:
+        hook = f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}"  # noqa: PTH109
+        home = robots.add(name, hook=hook)
+        robots.script(name, "sudo", FAR.format(python=sys.executable))
+        opened.append(Router(bus_endpoint(home)))
+        return home
+
+    yield one
+    for each in opened:
+        each.close()
+
+
+def start(robots: FakeRobots, *arguments: str) -> subprocess.Popen[str]:
+    robots.ready()
+    command = [sys.executable, "-m", "swarm.cli.z_sub", *arguments]
+    command += ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen[str], *homes: Path) -> tuple[int, str, str]:
+    """Publish on the robots' buses until it ends."""
+    buses = [Bus.of(home) for home in homes]
+    try:
+        while process.poll() is None:
+            for home, bus in zip(homes, buses, strict=True):
+                bus.publish(f"swarm/{home.name}/balancer/leds", RED)
+            time.sleep(0.05)
+    finally:
+        for bus in buses:
+            bus.close()
+    output, errors = process.communicate()
+    return process.returncode, output, errors
+
+
+def gone(home: Path) -> bool:
+    """Whether all z_sub processes of a robot have ended."""
+    return not any(Path(f"/proc/{pid}/cwd").exists() for pid in (home / "started").read_text().split())
+
+
+def wait_gone(home: Path) -> None:
+    end = time.monotonic() + 20
+    while not gone(home):
+        assert time.monotonic() < end, "its z_sub goes on"
+        time.sleep(0.05)
+
+
+def test_one_robot(robots: FakeRobots, add: Callable[[str], Path]) -> None:
+    home = add("r0")
+    process = start(robots, "--robot", "r0", "swarm/*/balancer/**", "--count", "2")
+    code, output, errors = finish(process, home)
+    assert (code, errors) == (0, "")
+    assert [line.split()[1] for line in output.splitlines()] == ["swarm/r0/balancer/leds"] * 2
+
+
+def test_several_robots_one_of_them_away(robots: FakeRobots, add: Callable[[str], Path]) -> None:
+    homes = [add("r0"), add("r1")]
+    robots.add("r2", up=False)
+    process = start(robots, "--robot", "r0", "--robot", "r1", "--robot", "r2", "--json", "--count", "3")
+    code, output, errors = finish(process, *homes)
+    assert (code, errors) == (2, "z_sub: r2: it runs no ssh server (or another port)\n")
+    lines = [json.loads(line) for line in output.splitlines()]
+    assert sorted(line["robot"] for line in lines) == ["r0"] * 3 + ["r1"] * 3
+    process = start(robots, "--robot", "r0", "--robot", "r1", "--count", "1")
+    _, output, _ = finish(process, *homes)
+    assert sorted(line[:5] for line in output.splitlines()) == ["[r0] ", "[r1] "]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_nothing_stays_behind(robots: FakeRobots, add: Callable[[str], Path], number: signal.Signals) -> None:
+    """Ctrl-C, or a laptop that dies, while there is nothing to be told."""
+    home = add("r0")
+    process = start(robots, "--robot", "r0")
+    bus = Bus.of(home)
+    assert process.stdout is not None
+    end = time.monotonic() + 20
+    while not (home / "started").exists():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    bus.publish("swarm/r0/balancer/leds", RED)
+    bus.close()
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=10)
+    assert errors == ""
+    wait_gone(home)
+
+
+def test_a_bus_that_is_not_there_is_told(robots: FakeRobots) -> None:
+    home = robots.add("r0", hook=f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}")  # noqa: PTH109
+    robots.script("r0", "sudo", FAR.format(python=sys.executable))
+    process = start(robots, "--robot", "r0", "--seconds", "2")
+    code, output, errors = finish(process)
+    assert (code, output) == (0, "")
+    assert errors == f"z_sub: r0: unixsock-stream/{home}/bus.sock is not there, waiting for it\n"
+
+
+def test_what_is_wrong_is_said(robots: FakeRobots) -> None:
+    robots.add("r0", known=False)
+    code, output, errors = finish(start(robots, "--robot", "r0"))
+    assert (code, output) == (2, "")
+    assert errors == "z_sub: r0: its host key has changed; if set up anew: ssh-keygen -R r0\n"
+    code, _, errors = finish(start(robots, "--robot", "r7"))
+    assert (code, errors) == (2, f"z_sub: r7 is no robot of {robots.config}; there are r0\n")
+    robots.add("r1")
+    robots.script("r1", "sudo", "echo 'sudo: a password is required' >&2; exit 1")
+    code, _, errors = finish(start(robots, "--robot", "r1"))
+    assert (code, errors) == (2, "z_sub: r1: sudo: a password is required\n")
