@@ -17,13 +17,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
     parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
     parser.add_argument("--control", action="store_true", help="let the page act: stop, cut links, press buttons ...")
+    parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     try:
-        from swarm.view import server
+        from swarm.view import screenshot, server
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from swarm.view.control import Control
@@ -31,13 +32,19 @@ def run(args: argparse.Namespace) -> int:
 
     feed = Simulation((args.run_dir or default_run_dir()).absolute(), lambda: None)
 
-    def ready(address: str) -> None:
-        print(f"{address}\nend with Ctrl-C", flush=True)
-        if not args.no_open:
-            webbrowser.open(address)
-
     async def main() -> None:
         ended = asyncio.Event()
+
+        async def ready(address: str) -> None:
+            if args.screenshot is not None:
+                await screenshot.take(address, args.screenshot)
+                print(args.screenshot)
+                ended.set()
+                return
+            print(f"{address}\nend with Ctrl-C", flush=True)
+            if not args.no_open:
+                webbrowser.open(address)
+
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ended.set)
         await server.serve(feed, Control(feed, allowed=args.control), args.port, ready, ended)

@@ -10,7 +10,7 @@ import contextlib
 import hmac
 import json
 import secrets
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +29,16 @@ CROWD = 50
 """Robots from which on a page gets a fifth as many steps."""
 
 TRAIL_S = 30.0
+SETTLE_S = 4.0
+"""s that a page has before its picture is taken: to connect, and for trails to grow."""
+
 REPEAT_S = 0.2
 """s between two looks whether robots have confirmed a stop."""
 
 PAGE = Path(__file__).with_name("page")
 _MAX_REQUEST = 4096
 _POLICY = (
-    "default-src 'self'; img-src data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; "
+    "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; "
     "frame-ancestors 'none'"
 )
 """Nothing from the network at run time."""
@@ -51,6 +54,7 @@ def application(feed: Simulation, control: Control, token: str) -> web.Applicati
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
     app.router.add_get("/", _index)
     app.router.add_get("/live", _live)
+    app.router.add_get("/settled", _settled)
     app.router.add_static("/page", PAGE)
     return app
 
@@ -76,6 +80,12 @@ async def _guard(request: web.Request, handler: Callable[..., Any]) -> web.Strea
 
 async def _index(_: web.Request) -> web.StreamResponse:
     return web.FileResponse(PAGE / "index.html")
+
+
+async def _settled(_: web.Request) -> web.StreamResponse:
+    """Answers late, and so holds up the end of the page's loading, for which a screenshot waits."""
+    await asyncio.sleep(SETTLE_S)
+    return web.Response(status=204)
 
 
 async def _live(request: web.Request) -> web.StreamResponse:
@@ -164,9 +174,9 @@ async def _repeat(control: Control) -> None:
 
 
 async def serve(
-    feed: Simulation, control: Control, port: int, ready: Callable[[str], None], ended: asyncio.Event
+    feed: Simulation, control: Control, port: int, ready: Callable[[str], Awaitable[None]], ended: asyncio.Event
 ) -> None:
-    """Serve until `ended`; `ready(address)` is called when the page can be opened. Raises `LocalError` where the port
+    """Serve until `ended`; `ready(address)` is awaited when the page can be opened. Raises `LocalError` where the port
     is taken."""
     token = secrets.token_urlsafe(16)
     runner = web.AppRunner(application(feed, control, token), access_log=None, shutdown_timeout=1.0)
@@ -179,7 +189,7 @@ async def serve(
             raise LocalError(f"port {port} of {HOST}: {error.strerror}; --port names another one, 0 any") from None
         _, taken, *_ = runner.addresses[0]
         repeating = asyncio.create_task(_repeat(control))
-        ready(f"http://{HOST}:{taken}/?token={token}")
+        await ready(f"http://{HOST}:{taken}/?token={token}")
         await ended.wait()
         repeating.cancel()
     finally:

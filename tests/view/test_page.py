@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -150,3 +151,12 @@ def test_a_lost_server_is_shown_as_lost(page: Any) -> None:
     expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
     page.view.close()
     expect(page.locator("#connection")).to_have_text("server lost", timeout=LOST_WITHIN_MS)
+
+
+def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> None:
+    picture = tmp_path / "page.png"
+    command = [sys.executable, "-m", "swarm.cli", "view", "--run-dir", str(simulation.run_dir)]
+    subprocess.run([*command, "--screenshot", str(picture)], check=True, capture_output=True, timeout=100)
+    data = picture.read_bytes()
+    assert data.startswith(b"\x89PNG")
+    assert len(data) > 50_000  # an empty page has 15 kB

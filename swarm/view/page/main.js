@@ -72,3 +72,6 @@ find("#theme").addEventListener("click", () => theme(document.documentElement.da
 // For whoever measures: pictures drawn, and how old the newest sample is.
 window.swarmView = { store, map, get frames() { return map.frames; } };
 connect();
+
+// For a screenshot, which is taken when all has been loaded.
+if (new URLSearchParams(location.search).has("settle")) document.body.append(Object.assign(new Image(), { src: `settled${location.search}`, hidden: true }));
