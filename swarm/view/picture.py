@@ -162,7 +162,8 @@ def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
         for link in value.get("links") or ():
             if isinstance(link, dict):
                 state, reason = link.get("state"), link.get("reason")
-                level = {"up": "info", "connecting": "info"}.get(str(state), "warning")
+                begins = reason == "not connected yet"
+                level = "info" if begins else {"up": "info", "connecting": "info"}.get(str(state), "warning")
                 text = f"link to {link.get('peer')} {state}" + (f": {reason}" if reason and state == "down" else "")
                 if state != "connecting":
                     yield level, text, f"link {link.get('peer')}"

@@ -20,6 +20,7 @@ from swarm import clock
 from swarm.errors import LocalError
 from swarm.view.control import Control
 from swarm.view.feed import Simulation
+from swarm.view.recording import Recording
 
 HOST = "127.0.0.1"
 RATE = 25.0
@@ -43,13 +44,15 @@ _POLICY = (
 )
 """Nothing from the network at run time."""
 
-_FEED: web.AppKey[Simulation] = web.AppKey("feed")
+Feed = Simulation | Recording
+
+_FEED: web.AppKey[Feed] = web.AppKey("feed", Feed)  # type: ignore[arg-type]
 _TOKEN: web.AppKey[str] = web.AppKey("token")
-_CONTROL: web.AppKey[Control] = web.AppKey("control")
+_CONTROL: web.AppKey[Control | None] = web.AppKey("control")
 
 
-def application(feed: Simulation, control: Control, token: str) -> web.Application:
-    """The server; run it with `serve`."""
+def application(feed: Feed, control: Control | None, token: str) -> web.Application:
+    """The server; run it with `serve`. There is nothing to control in a recording."""
     app = web.Application(middlewares=[_guard])
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
     app.router.add_get("/", _index)
@@ -92,6 +95,10 @@ async def _live(request: web.Request) -> web.StreamResponse:
     socket = web.WebSocketResponse(heartbeat=1.0, max_msg_size=_MAX_REQUEST)
     await socket.prepare(request)
     feed, control = request.app[_FEED], request.app[_CONTROL]
+    if isinstance(feed, Recording):
+        await _play(feed, socket)
+        return socket
+    assert control is not None
     steps = asyncio.create_task(_steps(feed, control, socket))
     try:
         async for message in socket:
@@ -137,14 +144,37 @@ async def _steps(feed: Simulation, control: Control, socket: web.WebSocketRespon
         await asyncio.sleep((5.0 if len(services) >= CROWD else 1.0) / RATE)
 
 
-def _swarm(feed: Simulation, control: Control) -> dict[str, Any] | None:
+async def _play(recording: Recording, socket: web.WebSocketResponse) -> None:
+    """Answer a page that goes through a recording at its own pace."""
+    swarm = (_swarm(recording, None) or {"kind": recording.kind, "robots": list(recording.robots), "edges": []}) | {
+        "recording": {"first": recording.first, "last": recording.last, "damage": recording.damage}
+    }
+    await socket.send_json({"t": recording.first, "live": True, "swarm": swarm})
+    async for message in socket:
+        if message.type != WSMsgType.TEXT:
+            continue
+        try:
+            asked = json.loads(message.data)
+            if "seek" in asked:
+                since = asked["seek"].get("since")
+                answer = recording.step(None if since is None else float(since), float(asked["seek"]["t"]))
+            else:
+                robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+                rows = recording.history(robot, topic, float(asked["history"]["t"]))
+                answer = {"history": {"robot": robot, "topic": topic, "rows": rows}}
+        except (ValueError, KeyError, TypeError, AttributeError):
+            answer = {"refused": "expected {seek: {since, t}} or {history: {robot, topic, t}}"}
+        await socket.send_str(json.dumps(answer, allow_nan=False, separators=(",", ":")))
+
+
+def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
     """What does not move: names, links that are to be, anchors."""
     config = feed.config()
     if config is None:
         return None
     return {
         "kind": feed.kind,
-        "control": control.allowed,
+        "control": control is not None and control.allowed,
         "robots": list(config.names),
         "edges": [list(edge) for edge in config.edges],
         "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],
@@ -174,7 +204,7 @@ async def _repeat(control: Control) -> None:
 
 
 async def serve(
-    feed: Simulation, control: Control, port: int, ready: Callable[[str], Awaitable[None]], ended: asyncio.Event
+    feed: Feed, control: Control | None, port: int, ready: Callable[[str], Awaitable[None]], ended: asyncio.Event
 ) -> None:
     """Serve until `ended`; `ready(address)` is awaited when the page can be opened. Raises `LocalError` where the port
     is taken."""
@@ -188,9 +218,10 @@ async def serve(
         except OSError as error:
             raise LocalError(f"port {port} of {HOST}: {error.strerror}; --port names another one, 0 any") from None
         _, taken, *_ = runner.addresses[0]
-        repeating = asyncio.create_task(_repeat(control))
+        repeating = None if control is None else asyncio.create_task(_repeat(control))
         await ready(f"http://{HOST}:{taken}/?token={token}")
         await ended.wait()
-        repeating.cancel()
+        if repeating is not None:
+            repeating.cancel()
     finally:
         await runner.cleanup()

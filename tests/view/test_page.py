@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from virtual_run import recorded
 
 from bench.simulation import Simulation
 
@@ -160,3 +161,25 @@ def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> N
     data = picture.read_bytes()
     assert data.startswith(b"\x89PNG")
     assert len(data) > 50_000  # an empty page has 15 kB
+
+
+def test_a_recording_is_scrubbed_to_an_instant(browser: Any, tmp_path: Path) -> None:
+    recorded(tmp_path, "consensus", "--robots", "3", "--iterations", "200")
+    program = [sys.executable, "-m", "swarm.cli", "view", "--no-open", str(tmp_path)]
+    process = subprocess.Popen(program, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        page = browser.new_page()
+        page.goto(process.stdout.readline().strip())
+        expect(page.locator("#player")).to_be_visible(timeout=PATIENCE_MS)
+        page.locator("#time").fill("3")
+        page.wait_for_function("swarmView.store.t === 3", timeout=PATIENCE_MS)
+        k = page.evaluate("swarmView.store.get('r1', 'app/consensus/state').k")
+        assert k == pytest.approx(100, abs=2)  # 30 ms an iteration
+        page.locator("#time").fill("0.9")
+        page.wait_for_function("swarmView.store.t === 0.9", timeout=PATIENCE_MS)
+        assert page.evaluate("swarmView.store.get('r1', 'app/consensus/state').k") == pytest.approx(30, abs=2)
+        page.close()
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)

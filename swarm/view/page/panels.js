@@ -50,12 +50,12 @@ export class Robots {
     const left = body?.battery_left;
     return [
       title,
-      gone.length ? cell(`gone: ${gone.join(" ")}`, "bad") : degraded.length ? cell(`degraded: ${degraded.join(" ")}`, "warn") : cell(`${Object.keys(services).length} ok`, "good"),
+      gone.length ? cell(`gone: ${gone.join(" ")}`, "bad") : degraded.length ? cell(`degraded: ${degraded.join(" ")}`, "warn") : Object.keys(services).length ? cell(`${Object.keys(services).length} ok`, "good") : cell("-"),
       body ? cell(`${body.mode} ${((body.tilt * 180) / Math.PI).toFixed(1)}°`, body.mode === "fault" ? "bad" : "") : cell("-"),
       cell(body?.battery ? `${body.battery.toFixed(2)} V${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : battery?.voltage ? `${battery.voltage.toFixed(2)} V` : "-", { low: "warn", empty: "bad" }[body?.battery_level] ?? ""),
       cell(`${up}/${links.length}`, up < links.length ? "bad" : ""),
-      cell(progress ? `${app} ${progress.phase}` : "-", { fault: "bad", waiting: "warn" }[progress?.phase] ?? ""),
-      cell(progress ? String(this.k(name, app, progress)) : "-"),
+      cell(app ? `${app} ${progress?.phase ?? ""}` : "-", { fault: "bad", waiting: "warn" }[progress?.phase] ?? ""),
+      cell(app ? String(this.k(name, app, progress)) : "-"),
       cell(progress?.waiting_for?.join(" ") || "-", progress?.waiting_for?.length ? "warn" : ""),
       cell(typeof clock?.error === "number" ? `±${(clock.error * 1000).toFixed(1)} ms by ${clock.root}` : "-"),
       cell(progress?.phase === "fault" ? progress.reason : fault?.name ? `${fault.name}: ${fault.reason}` : "-", progress?.phase === "fault" || fault?.name ? "bad text" : "text"),
@@ -64,14 +64,15 @@ export class Robots {
 
   app(name) {
     for (const [topic, value] of this.store.robots.get(name) ?? []) {
-      const found = /^app\/([^/]+)\/progress$/.exec(topic);
-      if (found) return [found[1], value];
+      // A recording has no progress, only states.
+      const found = /^app\/([^/]+)\/(progress|state)$/.exec(topic);
+      if (found) return [found[1], found[2] === "progress" ? value : this.store.get(name, `app/${found[1]}/progress`)];
     }
     return [null, null];
   }
 
   k(name, app, progress) {
-    return Math.max(progress.k ?? 0, this.store.get(name, `app/${app}/state`)?.k ?? 0);
+    return Math.max(progress?.k ?? 0, this.store.get(name, `app/${app}/state`)?.k ?? 0);
   }
 }
 
