@@ -24,6 +24,8 @@ from services.sim.virtual.strand import Measurements, Told
 from services.sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app import SyncApp
 from swarm.config import Config
+from swarm.core.epoch_notes import Epoch, first
+from swarm.core.graph import Graph
 from swarm.core.hands import Act
 from swarm.devices import Devices
 from swarm.errors import AppError
@@ -75,6 +77,8 @@ class World:
         self._body = body
         self._lying = lying
         self._witness = witness
+        self._names = frozenset(config.names)
+        self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
         if settled:
@@ -107,7 +111,9 @@ class World:
             config, epoch = links.config, links.epoch
         instance = app.make(config, robot, self.seed)
         bus = VirtualBus(self.robots[robot].router)
-        place = Place(robot, config.graph.neighbours(robot), run, epoch, last, self.time, bus)
+        if epoch not in self._begin_with:
+            self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
+        place = Place(robot, self._names, *self._begin_with[epoch], run, last, self.time, bus)
         self._equip(instance.robot, bus, place.prefix)
         host: VirtualHost | VirtualEventHost
         if isinstance(instance, EventApp):
@@ -134,7 +140,7 @@ class World:
             latest = {name: _taking(each) for name, each in channels.items()}
             inner = VirtualHost(app.name, runners, app.digest, place._replace(last=None), None, told, latest)
         return VirtualEventHost(
-            app.name, EventRunner(instance, app.source), app.digest, place, self.config.names, inner, told
+            app.name, EventRunner(instance, app.source), app.digest, place, self.config, inner, told
         )
 
     def _live(self, robot: str, bus: VirtualBus) -> Live:
