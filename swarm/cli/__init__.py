@@ -17,9 +17,9 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "bundle", "command", "config", "deploy", "epoch", "estop", "export", "fetch", "import", "key", "kill", "lay",
-    "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay", "restart", "run",
-    "start", "status", "stop", "topology",
+    "arm", "bundle", "command", "config", "deploy", "doctor", "epoch", "estop", "export", "fetch", "import", "key",
+    "kill", "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay",
+    "restart", "run", "start", "status", "stop", "topology", "unplug", "view",
 )  # fmt: skip
 """Modules of this package."""
 
@@ -35,6 +35,7 @@ HANDED_ON = {
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
     "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
+    "sweep": ("an app under virtual time over parameters, topologies and seeds", ("services.sim.sweep",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
