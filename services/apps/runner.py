@@ -70,7 +70,7 @@ class AppRunner:
             return function()
         except AppError as error:
             raise AppError(f"{self._where(where)}: {error}") from None
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # an author's sys.exit() would end this thread alone
             raise AppError(f"{self._where(where)}: {describe(error, self._source)}") from error
 
     def _where(self, where: str) -> str:

@@ -72,13 +72,17 @@ class Run:
         return found
 
     def trajectories(self, app: str = "", channel: str = "") -> dict[str, Trajectory]:
-        """What each robot computed, with times from `origin` on. Raises `RecordingError` where an iteration stands
-        there twice with different values."""
+        """What each robot computed, with times from `origin` on. Of an iteration that stands there twice the
+        later one counts, and `damage` says so where they differ."""
         topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
-        found = {robot: Builder() for robot in topics.values()}
+        found = {robot: Builder(strict=False) for robot in topics.values()}
         for file in self.files:
             for sample in self._read(file, topics.__contains__):
                 found[topics[sample.topic]].add(sample.message | {"t": sample.t}, file)
+        for robot, builder in found.items():
+            if builder.forks:
+                note = f"{robot}: {len(builder.forks)} iterations stand there twice and differ (it began anew)"
+                self.damage += [] if note in self.damage else [note]
         return {robot: builder.known() for robot, builder in found.items()}
 
     def samples(self, *patterns: str) -> Iterator[Sample]:
