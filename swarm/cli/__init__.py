@@ -19,7 +19,7 @@ from swarm.errors import LocalError, SwarmError
 VERBS = (
     "arm", "bundle", "command", "config", "deploy", "doctor", "estop", "export", "fetch", "import", "key", "kill",
     "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay", "restart",
-    "run", "start", "status", "stop", "topology", "unplug",
+    "run", "start", "status", "stop", "topology", "unplug", "view",
 )  # fmt: skip
 """Modules of this package."""
 
