@@ -14,6 +14,7 @@ AREAS = {
     "balancer": "lateness of the 100 Hz loop under load, beside cyclictest (needs the package rt-tests)",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "localization": "the pose of a moving robot beside moving averages and multilateration, and what it costs",
+    "apps": "consensus and localization beside the thesis: table 4.1, rounds, errors, lines an author writes",
     "footprint": "proportional memory of one robot's processes",
     "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates",
     "dwm": "the UWB service: memory, and CPU time and allocations of an update",

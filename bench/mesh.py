@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from bench.rows import Row
-from services.sim import air
 from services.sim.processes import Child, Processes
-from swarm import clock
+from swarm import air, clock
 from swarm.bus import Bus
 from swarm.codec import decode
 from swarm.errors import SwarmError

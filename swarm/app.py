@@ -156,9 +156,26 @@ class SyncApp(App):
     Private fields are saved for a restart, so they are of types that msgpack holds.
     """
 
+    diverges_above: float = parameter(1e30, low=0.0)
+    """A shared number beyond it is a fault: the app diverges, and does so on every robot that goes on."""
     measured: ClassVar[bool] = False
     """True = before `start` and before each step there is a new `robot.measurement`."""
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Turn the own state k into k + 1, given all neighbours' states k, sorted by name."""
         raise NotImplementedError
+
+    def converged(self) -> bool | None:
+        """Called after each step where the run ends when all robots have converged: whether this one has. None: as
+        soon as its shared numbers hardly change any more. As pure as a step."""
+        return None
+
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """The members of the run, or their links, have changed: `robot.neighbours`, `robot.weights` and `robot.swarm`
+        are the new ones, and the state is that of the iteration at which all go over. It may be changed here, where
+        an algorithm has a history that must fit the members. As pure as a step. A robot that comes new to a run has
+        been through `start` before."""
+
+    def regraph(self) -> None:
+        """Called by the host when `robot.graph` is another one: the weights follow from it."""
+        self._weigh()

@@ -48,6 +48,22 @@ class EventApp(App):
     finished: str | None
     """What `finish` was called with; None = it was not."""
 
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if cls.__module__ == __name__:
+            return
+        known = [name for name in dir(EventApp) if name.startswith("on_")]
+        for name in vars(cls):
+            if name.startswith("on_") and name not in known:
+                raise AppError(f"class {cls.__name__}: there is no handler {name}, there are {', '.join(known)}")
+        if hasattr(cls, "step") and not issubclass(cls, PeriodicApp):
+            raise AppError(f"class {cls.__name__}: an EventApp has no steps; a PeriodicApp has")
+        if hasattr(cls, "measured"):
+            raise AppError(
+                f"class {cls.__name__}: measured: only a SyncApp is given a measurement for each step; "
+                "self.robot.pose and ranges are there at any time"
+            )
+
     def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
         """See `App`. Values named `CHANNEL_NAME` are parameters and first values of a channel."""
         rest, mine = dict(values or {}), {}

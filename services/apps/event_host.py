@@ -10,6 +10,7 @@ import math
 import queue
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 from services.apps import topology
@@ -17,7 +18,7 @@ from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.event_runner import EventRunner, version
 from services.apps.hold import Hold
-from services.apps.host import Host, Part
+from services.apps.host import Conduct, Host, Part
 from services.apps.recorder import Recorder
 from swarm import clock
 from swarm.codec import Value, decode, encode
@@ -52,7 +53,7 @@ class EventHost:
         code: tuple[str, bytes],
         run: int,
         links: topology.Links,
-        last: int | None,
+        conduct: Conduct,
         overlays: Overlays,
         devices: Devices,
         recorder: Recorder | None = None,
@@ -77,7 +78,7 @@ class EventHost:
             period=runner.period,
             barrier=app.barrier and runner.period is not None,
             handled=runner.handled,
-            last=last,
+            last=conduct.last,
         )
         self._latest = key(service.robot, f"app/{name}", "latest", channel.text)
         self._changed = threading.Condition()  # its lock is the core's
@@ -97,7 +98,7 @@ class EventHost:
         app.robot.timers = self._after
         self._views = {name: getattr(app, name) for name in channels_of(type(app))}
         self._channels: Host | None = None
-        self._open_channels = partial(self._host_channels, code, run, links)
+        self._open_channels = partial(self._host_channels, code, run, links, conduct)
         self._subscribe()
         # Daemons: a handler that never returns must not keep the process from ending.
         self._threads = [
@@ -221,7 +222,7 @@ class EventHost:
             self._feed(partial(self._returned, own))
             self._keep()
 
-    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links) -> None:
+    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links, conduct: Conduct) -> None:
         """Start the app's locksteps, with the first values that its `start` gave them."""
         mine = self._runner.app.robot
         for view in self._views.values():
@@ -231,7 +232,8 @@ class EventHost:
             view.begin()
         parts = [Part(name, view.app) for name, view in self._views.items()]
         links = links._replace(kept=True)  # saved already
-        self._channels = Host(self._service, self._name, parts, code, run, links, None, self._recorder, self._claim)
+        endless = replace(conduct, last=None, rule=None)
+        self._channels = Host(self._service, self._name, parts, code, run, links, endless, self._recorder, self._claim)
 
     def _take_channels(self) -> None:
         """Let the app see its channels' newest states: the same ones throughout a handler."""

@@ -7,30 +7,49 @@ steps, so that a slow channel holds up no other. A ticker runs the timers and pu
 
 import hashlib
 import threading
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
+from services.apps.core.strand import AFTER, Terms
 from services.apps.hold import Hold
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
-from services.apps.runner import Runner
+from services.apps.runner import TOLERANCE, Runner
 from services.apps.worker import CLOSE_WITHIN, Latest, Worker
 from swarm import clock
 from swarm.app import SyncApp
 from swarm.codec import decode
 from swarm.core.lockstep import Channel
+from swarm.core.stopping import Rule
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import key
-from swarm.messages import Links, Topology
+from swarm.messages import Links, SetAppEpoch, Topology
 from swarm.service import Service
 
 TICK = 0.1
 """s between two looks of the ticker: state goes out at 10 Hz at most, for people and programs that watch. The
 lockstep's timers are never late for it: when set they are at least as far away (`WANT_AFTER`). At 25 Hz the ticker and
 what it published took a fifth of the app's CPU time."""
+
+
+@dataclass(frozen=True)
+class Conduct:
+    """How a run goes, the same on all robots."""
+
+    last: int | None = None
+    """The last iteration, if there is one."""
+    rule: Rule | None = None
+    """Another reason to stop."""
+    drop: bool = False
+    """Whether robots that stay away are given up (`swarm.core.epochs`); else they are waited for."""
+    after: float = AFTER
+    """s after which they are."""
+    tolerance: float = TOLERANCE
+    """Change within one step up to which an app has converged, if it does not say so itself."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +75,12 @@ class Host:
         code: tuple[str, bytes],
         run: int,
         links: topology.Links,
-        last: int | None,
+        conduct: Conduct,
         recorder: Recorder | None,
         claim: Claim | None = None,
     ) -> None:
-        """`code`: path and digest of the app's source. `claim`: the app's lock where somebody else holds it, for the
+        """`code`: path and digest of the app's source. `conduct`: how long it runs, and what becomes of robots that are
+        away. `claim`: the app's lock where somebody else holds it, for the
         channels of an event-driven app. Raises `LocalError` where lock or snapshots cannot be had."""
         self._service = service
         self._run = run
@@ -73,15 +93,21 @@ class Host:
         self._connections: dict[str, int] = {}
         self._workers: dict[str, Worker] = {}
         self._by_schema: dict[int, Worker] = {}
+        self._notes: dict[str, Worker] = {}
+        self._orders: deque[str] = deque(maxlen=100)
         for part in parts:
-            runner = Runner(part.app, source)
+            runner = Runner(part.app, source, conduct.tolerance)
             schema = schema_of(runner, part.channel, digest)
-            channel = Channel(run, links.epoch, held.incarnation, schema)
+            terms = Terms(run, schema, conduct.last, conduct.rule, conduct.drop, conduct.after)
+            worker = Worker(
+                service, name, part.channel, runner, terms, held.incarnation, links, part.measurements, recorder
+            )
+            self._notes[terms.notes] = worker
             if not part.channel:
                 self._let_change(name, runner, run)
-            worker = Worker(service, name, part.channel, runner, channel, links, part.measurements, last, recorder)
             self._workers[part.channel] = self._by_schema[schema] = worker
         service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
+        service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
         service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
         self._hold = Hold(parts[0].app.robot.devices if claim is None else None)
@@ -127,6 +153,10 @@ class Host:
         _, sender, _, _, _, text, *receiver = name.split("/")
         if receiver and receiver != [self._service.robot]:
             return
+        if (told := self._notes.get(text)) is not None:
+            if sender != self._service.robot:
+                told.receive_note(sender, payload)
+            return
         try:
             channel = Channel.parse(text)
         except FrameError as error:
@@ -156,6 +186,17 @@ class Host:
                 worker.take_rtt(max(rtts))
             if renewed:
                 worker.nudge()
+
+    def _on_order(self, name: str, payload: bytes) -> None:
+        try:
+            order = decode(SetAppEpoch, payload, name)
+        except PayloadError as error:
+            self._refuse(error)
+            return
+        if order.ticket not in self._orders:
+            self._orders.append(order.ticket)
+            for worker in self._workers.values():
+                worker.order(order)
 
     def _on_topology(self, name: str, payload: bytes) -> None:
         try:

@@ -5,16 +5,20 @@ file, line and fault.
 """
 
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeVar
 
 from swarm.app import App, SyncApp
 from swarm.codec import Value, as_value
+from swarm.core.graph import Graph
 from swarm.core.state import pack_private, unpack_private
 from swarm.errors import AppError, LocalError
 from swarm.messages import Measurement
 
 T = TypeVar("T")
+
+TOLERANCE = 1e-6
+"""Change of a state within one step up to which an app has converged, in the state's unit."""
 
 
 class AppRunner:
@@ -66,7 +70,7 @@ class AppRunner:
             return function()
         except AppError as error:
             raise AppError(f"{self._where(where)}: {error}") from None
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # an author's sys.exit() would end this thread alone
             raise AppError(f"{self._where(where)}: {describe(error, self._source)}") from error
 
     def _where(self, where: str) -> str:
@@ -78,9 +82,12 @@ class Runner(AppRunner):
 
     app: SyncApp
 
-    def __init__(self, app: SyncApp, source: str) -> None:
-        """`source`: path of the app's file; a fault is reported with the line in it."""
+    def __init__(self, app: SyncApp, source: str, tolerance: float = TOLERANCE) -> None:
+        """`source`: path of the app's file; a fault is reported with the line in it. `tolerance`: an app that does not
+        say itself when it has converged has where no number of its shared state changes by more in a step."""
         super().__init__(app, source)
+        self._tolerance = tolerance
+        self._step = b"", b""
         self._changes: dict[str, Value] = {}
         self.changed: Callable[[], None] | None = None
         """Called when other parameters are in force."""
@@ -127,14 +134,34 @@ class Runner(AppRunner):
             raise AppError(f"{self._where(where)}: it returned {answer!r}; a step assigns to the state instead")
         packed = self._pack(where)
         self._be_at(k + 1)
+        self._step = own, packed[0]
         return packed
 
-    def restore(self, k: int, own: bytes, private: bytes) -> None:
-        """Be again where a snapshot was taken."""
+    def restore(self, k: int, own: bytes, private: bytes, graph: Graph) -> None:
+        """Be again where a snapshot was taken, among the robots of `graph`."""
         self._be_at(k)
         self._set(own)
         for name, value in unpack_private(private).items():
             setattr(self.app, name, value)
+        if graph != self.app.robot.graph:
+            self.app.robot.graph = graph
+            self._call(f"iteration {k}", self.app.regraph)
+
+    def renew(self, k: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
+        """Go over to other robots and links at iteration k; returns the state the app goes on with, packed."""
+        self.restore(k, own, private, graph)
+        where = f"on_epoch() at iteration {k}"
+        self.app.robot.prepare(f"epoch {k}", None)
+        self._call(where, lambda: self.app.on_epoch(graph.names))
+        return self._pack(where)
+
+    def content(self) -> bool:
+        """Whether the app says after its last step that it has converged, or has hardly moved."""
+        said: object = self._call(f"converged() at iteration {self.k}", self.app.converged)
+        if said is not None:
+            return bool(said)
+        before, after = (_numbers(self.schema.unpack(own)) for own in self._step)
+        return all(abs(a - b) <= self._tolerance for a, b in zip(before, after, strict=True))
 
     def _pack(self, where: str) -> tuple[bytes, bytes]:
         app, spec = self.app, type(self.app).spec
@@ -143,9 +170,24 @@ class Runner(AppRunner):
             private = pack_private({name: getattr(app, name) for name in spec.private if hasattr(app, name)})
         except AppError as error:
             raise AppError(f"{self._where(where)}: {error}") from None
+        bound = app.diverges_above
+        for name, value in zip(self.schema.names, self.schema.unpack(own), strict=True):
+            if not all(abs(number) <= bound for number in _numbers((value,))):
+                raise AppError(
+                    f"{self._where(where)}: {name}: {value!r} is beyond diverges_above = {bound:g}: the app diverges"
+                )
         # What others see is what we go on with: float32 rounds, numbers become floats, lists tuples.
         self._set(own)
         return own, private
+
+
+def _numbers(values: Iterable[object]) -> Iterator[float]:
+    """The numbers in field values, nested as they may be."""
+    for value in values:
+        if isinstance(value, tuple):
+            yield from _numbers(value)
+        elif isinstance(value, int | float):
+            yield value
 
 
 def describe(error: BaseException, source: str) -> str:

@@ -2,20 +2,24 @@
 
 import queue
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from services.apps import topology
-from services.apps.core.strand import ALONE, Strand
+from services.apps.ballots import BallotFile
+from services.apps.core.strand import ALONE, Action, Renew, Strand, Terms
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.snapshot import SnapshotFile
 from swarm import clock
 from swarm.codec import Value, encode
-from swarm.core.lockstep import Action, Advanced, Channel, Compute, Fault, Save, Send
+from swarm.core.epoch_notes import first
+from swarm.core.epochs import Keep, Order, Switch, Tell
+from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Save, Send
 from swarm.errors import AppError, SwarmError
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState, Measurement, Topology
+from swarm.messages import AppEpoch, AppProgress, AppState, Measurement, SetAppEpoch, Topology
 from swarm.service import Service
 
 EVERY = 1.0
@@ -24,7 +28,7 @@ reason."""
 CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
 STUCK = 10.0
-"""s after which a step that still runs no longer feeds systemd's watchdog."""
+"""s after which a step that still runs is a fault, and no longer feeds systemd's watchdog."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +50,14 @@ class Worker:
         app: str,
         part: str,
         runner: Runner,
-        channel: Channel,
+        terms: Terms,
+        incarnation: int,
         links: topology.Links,
         measurements: Measurements | None,
-        last: int | None,
         recorder: Recorder | None,
     ) -> None:
         """`part`: name of the channel within the app, empty for an app that is one lockstep. Raises `LocalError` where
-        the snapshot's file cannot be had."""
+        its files cannot be had."""
         self.latest: Latest | None = None
         self._service = service
         self._runner = runner
@@ -62,14 +66,20 @@ class Worker:
         self._file = f"{app}.{part}" if part else app
         self._keys = f"app/{app}/{part}" if part else f"app/{app}"
         self._counted = f"{part}_sync" if part else "sync"
-        self._channel = channel
-        self._sync = key(service.robot, f"app/{app}", "sync", channel.text)
-        self._snapshots = SnapshotFile(service.runtime / f"app.{self._file}.snapshot")
-        self._strand = Strand(service.robot, links.neighbours(service.robot), channel, runner, last)
+        names = service.config.names
+        self._snapshots = SnapshotFile(service.runtime / f"app.{self._file}.snapshot", len(names) + 1)
+        self._ballots = BallotFile(self._file)
+        begin = first(names, links.config.edges, links.epoch)
+        kept, graph = self._ballots.read(), links.config.graph
+        self._strand = Strand(service.robot, frozenset(names), terms, begin, graph, incarnation, runner, kept)
+        self._prefix = key(service.robot, f"app/{app}", "sync")
+        self._notes = f"{self._prefix}/{terms.notes}"
+        self._channel = self._strand.channel
+        self._sync = f"{self._prefix}/{self._channel.text}"
         self._measurements = measurements
         self._lock = threading.Lock()  # around the strand
         self._app_lock = threading.Lock()  # around the app, taken first: results are looked at between steps only
-        self._todo: queue.SimpleQueue[Compute | None] = queue.SimpleQueue()
+        self._todo: queue.SimpleQueue[Compute | Renew | None] = queue.SimpleQueue()
         self._closing = False
         self._step_began: float | None = None
         self._measuring: float | None = None
@@ -80,6 +90,7 @@ class Worker:
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
         service.bus.serve(key(service.robot, self._keys, "state"), self._answer)
         service.bus.serve(key(service.robot, self._keys, "progress"), lambda *_: encode(self._progress()))
+        service.bus.serve(key(service.robot, self._keys, "epoch"), lambda *_: encode(self._epoch()))
         # A daemon: a step that never returns must not keep the process from ending.
         self._thread = threading.Thread(target=self._guarded, name=f"steps {part}".strip(), daemon=True)
 
@@ -128,14 +139,26 @@ class Worker:
         """A frame of this run and this strand."""
         with self._lock:
             if sender != self._service.robot:
-                self._watch.heard(sender, channel, self._channel)
+                self._watch.heard(sender, channel, self._strand.channel)
             self._strand.receive(sender, channel, payload, clock.now())
             self._perform()
 
     def stranger(self, sender: str, channel: Channel) -> None:
         """A frame of something else that calls itself this app."""
         with self._lock:
-            self._watch.heard(sender, channel, self._channel)
+            self._watch.heard(sender, channel, self._strand.channel)
+
+    def receive_note(self, sender: str, payload: bytes) -> None:
+        """What a robot has to say about the members, passed on by `sender`."""
+        with self._lock:
+            self._strand.receive_note(sender, payload, clock.now())
+            self._perform()
+
+    def order(self, wish: SetAppEpoch) -> None:
+        """The operator wants other members."""
+        with self._lock:
+            self._strand.order(Order(wish.drop, wish.add, wish.force), clock.now())
+            self._perform()
 
     def nudge(self) -> None:
         """The bus or a link came up: ask now for what is missing."""
@@ -145,12 +168,13 @@ class Worker:
 
     def take_rtt(self, rtt: float) -> None:
         """The slowest link's round-trip time, s."""
-        self._strand.lockstep.rtt = rtt
+        self._strand.rtt = rtt
 
     def take(self, in_force: Topology) -> None:
         """The mesh's topology."""
         with self._lock:
             self._watch.take(in_force)
+            self._strand.epochs.take_links(in_force.edges)
 
     # On the worker's thread
 
@@ -158,35 +182,45 @@ class Worker:
         if not self._begin():
             return
         while (todo := self._todo.get()) is not None:
-            if not todo.values:
+            if isinstance(todo, Compute) and not todo.values:
                 self._service.stopping.wait(ALONE)
-            measurement = self._measure(todo.k)
+            k = todo.k if isinstance(todo, Compute) else todo.epoch.k
+            measurement = self._measure(k)
             if self._closing or self.failed:
                 return
             if measurement is not None and self._recorder is not None:
-                self._recorder.measurement(todo.k, clock.now(), measurement)
+                self._recorder.measurement(k, clock.now(), measurement)
             with self._app_lock:
                 self._step_began = clock.now()
-                answer = self._strand.compute(todo, measurement)
-                self._step_began = None
-                with self._lock:
-                    self._strand.computed(answer, clock.now())
-                    self._perform()
+                if isinstance(todo, Compute):
+                    answer = self._strand.compute(todo, measurement)
+                    self._step_began = None
+                    with self._lock:
+                        self._strand.computed(todo, answer, clock.now())
+                        self._perform()
+                else:
+                    renewed = self._strand.renew(todo.epoch, measurement)
+                    self._step_began = None
+                    with self._lock:
+                        self._strand.renewed(todo.epoch, renewed, clock.now())
+                        self._perform()
 
     def _begin(self) -> bool:
         """Go on from a snapshot of this run, or begin it; False when told to stop before there was a
         measurement."""
-        data = self._snapshots.read()
-        saved = self._strand.saved(data)
-        if data is not None and saved is None:
+        pages = self._snapshots.read()
+        saved = self._strand.saved(pages)
+        if pages and not saved:
             self._service.log.info("the snapshot is of another run, this one begins anew")
-        measurement = self._measure(0) if saved is None else None
+        measurement = None if saved else self._measure(0)
         if self._closing:
             return False
         with self._app_lock, self._lock:
             self._strand.begin(saved, measurement, clock.now())
-            if saved is not None:
-                self._service.log.info("goes on at iteration %d", saved.k)
+            if saved:
+                self._service.log.info("goes on at iteration %d", self._strand.k)
+            elif self._strand.lost:
+                self._service.log.warning("%s", self._strand.obstacle)
             self._perform()
         return True
 
@@ -214,20 +248,22 @@ class Worker:
     def next_deadline(self) -> float | None:
         """When `tick` is wanted at the latest."""
         with self._lock:
-            return self._strand.next_deadline()
+            return self._strand.next_deadline(clock.now())
 
     def tick(self) -> bool:
         """Run the timers, publish what is new; True where something was."""
         now = clock.now()
         with self._lock:
-            deadline = self._strand.next_deadline()
+            if self.stuck:
+                self._failed(f"the step of iteration {self._strand.k} has not ended within {STUCK:g} s")
+            deadline = self._strand.next_deadline(now)
             if deadline is not None and now >= deadline:
                 self._strand.handle_timer(now)
                 self._perform()
             news = self._report(now)
         repeat = now - self._told_at >= EVERY
         if repeat:
-            for name, count in self._strand.lockstep.counters.copy().items():
+            for name, count in self._strand.counters.items():
                 self._service.counters[f"{self._counted}_{name.replace(' ', '_')}"] = count
         self._show(repeat)
         if not repeat and news == self._told:
@@ -261,6 +297,8 @@ class Worker:
         strand, measuring = self._strand, self._measuring
         if strand.phase in ("starting", "running") and measuring is not None and now - measuring >= EVERY:
             return "waiting", (), "the dwm service gives no measurement"
+        if strand.phase == "running" and (reason := strand.obstacle):
+            return "waiting", strand.waiting, reason
         if strand.phase == "running" and strand.waiting:
             return "waiting", strand.waiting, self._watch.reason(strand.waiting)
         return strand.phase, (), strand.reason
@@ -269,6 +307,13 @@ class Worker:
         now = clock.now()
         phase, peers, reason = self._report(now)
         return AppProgress(now, phase, self._strand.k, peers, reason)
+
+    def _epoch(self) -> AppEpoch:
+        epoch = self._strand.epochs.epoch
+        return AppEpoch(
+            *(clock.now(), epoch.counter, epoch.k, epoch.members, epoch.edges, epoch.away, epoch.forced),
+            epoch.number,
+        )
 
     def _answer(self, *_: object) -> bytes | None:
         state = self._state
@@ -285,22 +330,37 @@ class Worker:
     def _do(self, action: Action) -> None:
         match action:
             case Save(data):
-                try:
-                    self._snapshots.write(data)
-                except SwarmError as error:
-                    # What was not written must never be sent (R5): the neighbours keep what they had of us.
-                    self._muted = True
-                    self._failed(str(error))
+                self._keep(lambda: self._snapshots.write(data))
+            case Keep(kept):
+                self._keep(lambda: self._ballots.write(kept))
+            case Tell(data):
+                self._service.bus.publish(self._notes, data, urgent=True)
+            case Switch(epoch):
+                self._service.log.info(
+                    "epoch %d from iteration %d on: %s", epoch.counter, epoch.k, " ".join(epoch.members)
+                )
+                self._publish("epoch", self._epoch())
             case Send(data, to):
+                if self._channel is not self._strand.channel:
+                    self._channel = self._strand.channel
+                    self._sync = f"{self._prefix}/{self._channel.text}"
                 self._service.bus.publish(self._sync if to is None else f"{self._sync}/{to}", data, urgent=True)
             case Advanced(k, _):
                 self.latest = Latest(k, self._strand.computed_at, self._runner.state())
                 if self._recorder is not None:
                     self._recorder.state(k, self.latest.t, self.latest.state, self._runner.result(), self._part)
-            case Compute():
+            case Compute() | Renew():
                 self._todo.put(action)
             case Fault(reason):
                 self._tell(reason)
+
+    def _keep(self, write: Callable[[], None]) -> None:
+        try:
+            write()
+        except SwarmError as error:
+            # What was not written must never be sent (R5): the neighbours keep what they had of us.
+            self._muted = True
+            self._failed(str(error))
 
     def _fail(self, reason: str) -> None:
         with self._lock:
@@ -308,7 +368,7 @@ class Worker:
 
     def _failed(self, reason: str) -> None:
         """Stop computing, say why, and stay; the lock is held."""
-        if self._strand.fail(reason):
+        if self._strand.fail(reason, clock.now()):
             self._tell(reason)
 
     def _tell(self, reason: str) -> None:

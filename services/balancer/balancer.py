@@ -344,5 +344,5 @@ class Balancer:
 
 def _described(error: OSError | RemoteError) -> Fault:
     if isinstance(error, OSError):
-        return Fault(faults.BUS, f"I2C: {error.strerror or error} (error {error.errno})")
+        return Fault(faults.BUS, f"I2C, {error.filename}: {error.strerror} (error {error.errno})")
     return Fault(faults.DEVICE, str(error))

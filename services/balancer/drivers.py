@@ -14,6 +14,9 @@ from services.balancer.core import balboa, imu
 from services.balancer.core.transfers import Transfer
 from services.balancer.i2c import I2CBus
 
+IMU, ATMEGA = "IMU", "ATmega"
+"""Whose transfer failed: an OSError's `filename`."""
+
 
 class Imu:
     """The LSM6DS33."""
@@ -27,10 +30,14 @@ class Imu:
 
     def set_up(self) -> None:
         """Check who it is, set ranges and rates, and check that they are set. Raises OSError or `RemoteError`."""
-        imu.check_identity(self._bus.write_read(imu.ADDRESS, bytes((imu.WHO_AM_I,)), 1)[0])
-        for register, value in imu.SETUP:
-            self._bus.write(imu.ADDRESS, bytes((register, value)))
-        imu.check_setup(self._bus.write_read(imu.ADDRESS, bytes((imu.CTRL1_XL,)), len(imu.SETUP)))
+        imu.check_identity(self._fetch(imu.WHO_AM_I, 1)[0])
+        try:
+            for register, value in imu.SETUP:
+                self._bus.write(imu.ADDRESS, bytes((register, value)))
+        except OSError as error:
+            error.filename = IMU
+            raise
+        imu.check_setup(self._fetch(imu.CTRL1_XL, len(imu.SETUP)))
 
     def read(self) -> imu.Reading:
         """One sample of both sensors, in one burst."""
@@ -43,7 +50,14 @@ class Imu:
         return imu.decode(self.block)
 
     def _read(self) -> bytes:
-        return self._bus.write_read(imu.ADDRESS, bytes((imu.OUTX_L_G,)), imu.BLOCK)
+        return self._fetch(imu.OUTX_L_G, imu.BLOCK)
+
+    def _fetch(self, register: int, count: int) -> bytes:
+        try:
+            return self._bus.write_read(imu.ADDRESS, bytes((register,)), count)
+        except OSError as error:
+            error.filename = IMU
+            raise
 
 
 class Balboa:
@@ -114,6 +128,9 @@ class Balboa:
         self._pause()
         try:
             self._bus.write(balboa.ADDRESS, data)
+        except OSError as error:
+            error.filename = ATMEGA
+            raise
         finally:
             self._deaf_until = self._clock() + balboa.PAUSE_S
 
@@ -121,6 +138,9 @@ class Balboa:
         self._pause()
         try:
             return self._bus.read(balboa.ADDRESS, count)
+        except OSError as error:
+            error.filename = ATMEGA
+            raise
         finally:
             self._deaf_until = self._clock() + balboa.PAUSE_S
 

@@ -28,6 +28,10 @@ class Cut:
     seconds: float
 
 
+FROM_START, SETTLED, DELAY = "start", "settled", "delay"
+MESHES = (FROM_START, SETTLED, DELAY)
+"""Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
+
 PRESS_S = 0.3
 """How long a button is held down."""
 
@@ -77,6 +81,8 @@ class Options:
     """In one process under a virtual clock."""
     body: str
     """Model of the bodies then."""
+    mesh: str | None
+    """How much of the mesh there is then; None: by the size of the swarm."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -214,6 +220,9 @@ def parser() -> argparse.ArgumentParser:
                    help="in one process under a virtual clock: reproducible, and as fast as it computes")  # fmt: skip
     p.add_argument("--body", choices=MODELS, default=MODELS[0],
                    help="how bodies move under virtual time: with ramps and errors, or as they are told")  # fmt: skip
+    p.add_argument("--mesh", choices=MESHES,
+                   help="under virtual time the whole mesh from its start, or settled (above 50 robots), "
+                   "or its delays alone")  # fmt: skip
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 

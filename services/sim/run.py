@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from services.sim import air, footprint, scene
+from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Cut, Options, Press
 from services.sim.processes import APP_FAULT, Processes
@@ -16,7 +16,7 @@ from services.sim.progress import Progress
 from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.world import World
-from swarm import clock
+from swarm import air, clock
 from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import LocalError

@@ -39,15 +39,17 @@ def draw(scenario: Scenario, witness: Witness, began: float, path: Path) -> None
 
 def _apart(axes: Any, witness: Witness, began: float) -> None:
     """Each robot's flashes beside the nearest of the first one's."""
-    first = witness.flashes[witness.names[0]]
+    first, farthest = witness.flashes[witness.names[0]], 0.0
     for index, name in enumerate(witness.names[1:] if first else (), 1):
         times = [t for t in witness.flashes[name] if first[0] <= t <= first[-1]]
         late = [1e3 * (t - _nearest(first, t)) for t in times]
         axes.plot([t - began for t in times], late, ".", color=_colour(index), markersize=4, label=name)
+        farthest = max([farthest, *map(abs, late)])
     for limit in (-20, 20):
         axes.axhline(limit, color="0.5", linestyle=":", linewidth=1)
-    axes.set(xlabel="time / s", ylabel=f"LED on after {witness.names[0]}'s / ms", yscale="symlog")
-    axes.set_yscale("symlog", linthresh=20)
+    axes.set(xlabel="time / s", ylabel=f"LED on after {witness.names[0]}'s / ms")
+    if farthest > 60.0:
+        axes.set_yscale("symlog", linthresh=20)
     axes.legend(fontsize="small", ncols=3)
     axes.grid(alpha=0.3)
 
@@ -72,8 +74,8 @@ def _standing(axes: Any, witness: Witness, began: float) -> None:
     end = max(track[-1][0] for track in witness.tracks.values())
     for index, name in enumerate(witness.names):
         at = witness.stood_at.get(name, end)
-        height = 0.8
-        axes.step([0.0, at - began, end - began], [-index, -index, -index + height * (at < end)], where="post",
+        height = 0.8 if name in witness.stood_at else 0.0
+        axes.step([0.0, at - began, end - began], [-index, height - index, height - index], where="post",
                   color=_colour(index), linewidth=2)  # fmt: skip
     axes.set(xlabel="time / s", title="standing")
     axes.set_yticks([-index for index in range(len(witness.names))], witness.names)
@@ -99,7 +101,9 @@ def _misfit(axes: Any, scenario: Scenario, witness: Witness, began: float) -> No
     axes.plot([t - began for t, _ in found], [100 * misfit for _, misfit in found], color=COLOURS[0])
     axes.axhline(100 * FORMED_M, color="0.5", linestyle=":", linewidth=1)
     axes.set(xlabel="time / s", ylabel="rms distance from the shape / cm", yscale="log")
-    axes.grid(alpha=0.3, which="both")
+    ticks = [1, 2, 5, 10, 20, 50, 100]
+    axes.set_yticks(ticks, map(str, ticks))
+    axes.grid(alpha=0.3)
 
 
 def _distances(axes: Any, witness: Witness, began: float) -> None:

@@ -17,10 +17,14 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "bundle", "command", "config", "deploy", "estop", "fetch", "key", "kill", "lay", "logs", "measure", "mesh",
-    "pair", "param", "plot", "press", "provision", "push", "restart", "run", "start", "status", "stop", "topology",
+    "arm", "bundle", "command", "config", "deploy", "doctor", "estop", "export", "fetch", "import", "key", "kill",
+    "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay", "restart",
+    "run", "start", "status", "stop", "topology", "unplug", "view",
 )  # fmt: skip
 """Modules of this package."""
+
+MODULES = {"import": "import_csv"}
+"""Modules of verbs whose names Python has for itself."""
 
 HANDED_ON = {
     "new": ("write a commented app and its test", ("services.apps.rehearsal.new",)),
@@ -31,6 +35,7 @@ HANDED_ON = {
     "calibrate": ("make and check the calibration of a robot's UWB module", ("services.dwm.calibrate",)),
     "flash": ("new firmware for the Balboas, over their USB cables and ssh", ("services.balancer.flash",)),
     "sim": ("simulate a swarm of real service processes (swarm sim --help)", ("services.sim",)),
+    "sweep": ("an app under virtual time over parameters, topologies and seeds", ("services.sim.sweep",)),
     "discover": ("Bluetooth devices in range, and which of them are robots", ("services.mesh.discover",)),
     "dwm": ("UWB modules: look, set up, find what is wrong (swarm dwm --help)", ("services.dwm.tool",)),
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
@@ -80,7 +85,7 @@ def _main(argv: list[str]) -> int:
     module = KINDS.get((verb, rest[0] if rest else ""), verb)
     if module != verb:
         verb, rest = f"{verb} {rest[0]}", rest[1:]
-    command = importlib.import_module(f"swarm.cli.{module}")
+    command = importlib.import_module(f"swarm.cli.{MODULES.get(module, module)}")
     parser = argparse.ArgumentParser(prog=f"swarm {verb}", description=command.HELP)
     command.add_arguments(parser)
     code: int = command.run(parser.parse_args(rest))
@@ -88,7 +93,7 @@ def _main(argv: list[str]) -> int:
 
 
 def _usage() -> str:
-    helps = {verb: importlib.import_module(f"swarm.cli.{verb}").HELP for verb in VERBS}
+    helps = {verb: importlib.import_module(f"swarm.cli.{MODULES.get(verb, verb)}").HELP for verb in VERBS}
     helps |= {verb: text for verb, (text, _) in HANDED_ON.items()}
     lines = [f"  {verb:<9} {text}" for verb, text in helps.items()]
     return "\n".join(["usage: swarm COMMAND ...   (swarm COMMAND --help, swarm --version)", "", *lines, ""])

@@ -30,13 +30,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Raises `LocalError` where there is no such simulation, robot or service."""
-    runtime = runtime_of(args.run_dir, args.robot)
-    service = _service(runtime, args.service)
-    pid = pid_of(runtime.parent, args.robot, service)
-    if pid is None or not _send(pid, runtime, getattr(signal, f"SIG{args.signal}")):
-        raise LocalError(f"{service} of {args.robot} is not running at this moment")
+    service, pid = end(runtime_of(args.run_dir, args.robot), args.service, args.signal)
     print(f"{service} of {args.robot} (pid {pid}): SIG{args.signal}")
     return 0
+
+
+def end(runtime: Path, wanted: str, name: str) -> tuple[str, int]:
+    """Send the signal `name` to a service of the robot with this runtime directory; the service's full name, and its
+    pid. Raises `LocalError` where there is none."""
+    service = _service(runtime, wanted)
+    pid = pid_of(runtime.parent, runtime.name, service)
+    if pid is None or not _send(pid, runtime, getattr(signal, f"SIG{name}")):
+        raise LocalError(f"{service} of {runtime.name} is not running at this moment")
+    return service, pid
 
 
 def _service(runtime: Path, wanted: str) -> str:

@@ -23,6 +23,9 @@ KINDS: dict[str, Callable[[Any, Run], None]] = {
     "standup": events.standup,
 }
 
+TIME = "time / s"
+"""How an axis of the run's time is labelled."""
+
 OF_APP = {
     "localization": "map",
     "formation": "map",
@@ -40,9 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
     parser.add_argument("--kind", choices=KINDS, help="what to draw (by the app)")
     parser.add_argument("--column", action="append", default=[], metavar="NAME", help="of the states, may be repeated")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="PNG, PDF or SVG by its ending (RUN-KIND.png)"
-    )
+    parser.add_argument("--between", nargs=2, type=float, metavar=("FROM", "TO"), help="only this time of the run, s")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="PNG, PDF or SVG (RUN-KIND.png)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,6 +55,9 @@ def run(args: argparse.Namespace) -> int:
     path = args.output or Path(f"{args.run.resolve().stem}-{kind}.png")
     with figure(path, settings=style.RC, layout="constrained") as made:
         draw(made, recorded)
+        for axes in made.axes if args.between else ():
+            if axes.get_xlabel() == TIME:
+                axes.set_xlim(*args.between)
     for damage in recorded.damage:
         print(f"note: {damage}")
     print(path)

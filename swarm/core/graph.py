@@ -50,6 +50,7 @@ class Graph:
             neighbours[a].append(b)
             neighbours[b].append(a)
         self._neighbours = {name: tuple(sorted(near)) for name, near in neighbours.items()}
+        self._span: int | None = None
 
     @classmethod
     def of_shape(cls, shape: str, names: Sequence[str]) -> "Graph":
@@ -151,6 +152,16 @@ class Graph:
         if not self.is_connected():
             raise LocalError("the graph is not connected, it has no diameter")
         return max((max(self.distances(name).values()) for name in self.names), default=0)
+
+    @property
+    def span(self) -> int:
+        """A bound of the diameter that is the same whoever asks and takes one search, not one for each robot: twice the
+        way from the first robot to the farthest, and never more than a line has."""
+        if self._span is None:
+            most = max(len(self.names) - 1, 0)
+            reached = self.distances(self.names[0]) if self.names else {}
+            self._span = min(2 * max(reached.values(), default=0), most) if len(reached) == len(self.names) else most
+        return self._span
 
     def metropolis_weights(self, name: str) -> dict[str, float]:
         """w_ij = 1 / (1 + max(d_i, d_j)) by neighbour: symmetric, so consensus ends on the mean.

@@ -12,6 +12,7 @@ DOOR = "body.sock"
 
 BUTTONS = ("A", "B", "C")
 SIDES = ("back", "front")
+DEVICES = ("imu", "atmega", "display")
 MAX_IMPULSE = 2.0
 """N s, either way: five times what throws the robot over."""
 MAX_HOLD_S = 60.0
@@ -43,6 +44,15 @@ class Lay:
 
 
 @dataclass(frozen=True, slots=True)
+class Unplug:
+    """Take a device off the I2C bus, where nobody answers for it from then on; or put it back."""
+
+    device: str
+    """imu, atmega or display."""
+    back: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Place:
     """Where the body had been when its process ended."""
 
@@ -56,8 +66,8 @@ class Place:
     """Still in the hand that held it at the start."""
 
 
-Act = Press | Push | Lay | Place
-_NAMES: dict[str, type[Act]] = {"press": Press, "push": Push, "lay": Lay, "place": Place}
+Act = Press | Push | Lay | Unplug | Place
+_NAMES: dict[str, type[Act]] = {"press": Press, "push": Push, "lay": Lay, "unplug": Unplug, "place": Place}
 _OF: dict[type[Act], bytes] = {kind: name.encode() for name, kind in _NAMES.items()}
 
 
@@ -89,4 +99,7 @@ def check(act: Act) -> Act:
         case Lay(side):
             if side not in SIDES:
                 raise LocalError(f"no side {side!r}, there are {' and '.join(SIDES)}")
+        case Unplug(device):
+            if device not in DEVICES:
+                raise LocalError(f"no device {device!r}, there are {', '.join(DEVICES)}")
     return act

@@ -129,17 +129,20 @@ class Lockstep:
 
     # What the host tells
 
-    def start(self, x0: bytes, now: float, private: bytes = b"") -> None:
-        """Begin at iteration 0 with the packed state `x0`; `private` comes back after a restart."""
+    def start(self, x0: bytes, now: float, private: bytes = b"", k: int = 0) -> None:
+        """Begin at iteration 0, or that of a change of epoch, with the packed state `x0`; `private` comes back after
+        a restart."""
         self._check_fresh()
         self._check_size(x0)
-        self._enter(0, x0, None, now)
+        # The frame has room for two states. Of this epoch nobody has one before the first, nor will ever ask for it.
+        self._enter(k, x0, x0 if k else None, now)
         self._actions.append(Save(self._snapshot(private)))
         self._broadcast()
         self._settle(now)
 
-    def resume(self, saved: bytes, now: float) -> bytes:
-        """Go on from the last `Save` of an earlier incarnation; returns the private bytes in it.
+    def resume(self, saved: bytes, now: float, *, last: bool = False) -> bytes:
+        """Go on from the last `Save` of an earlier incarnation; returns the private bytes in it. `last`: it was taken
+        where all robots stop.
 
         `LocalError` where the snapshot is not whole or belongs to another run, epoch, app or topology.
         """
@@ -157,20 +160,25 @@ class Lockstep:
         if snapshot.k > self._last:
             raise LocalError(f"snapshot: at iteration {snapshot.k}, beyond the last one, {self._last}")
         self._peers = snapshot.heard
+        if last:
+            self._last = snapshot.k
         self._enter(snapshot.k, snapshot.value, snapshot.previous, now)
         self._broadcast()
         self._ask(self._lacking(), now)
         self._settle(now)
         return snapshot.private
 
-    def computed(self, x_next: bytes, private: bytes, now: float) -> None:
-        """Answer a `Compute` with the packed x(k+1) and the private state that belongs to it."""
+    def computed(self, x_next: bytes, private: bytes, now: float, *, last: bool = False) -> None:
+        """Answer a `Compute` with the packed x(k+1) and the private state that belongs to it. `last`: all robots have
+        agreed to stop there."""
         self._check_size(x_next)
         if self.fault is not None:
             return  # The fault came while the step was running: its value must not get out.
         if not self._computing:
             raise LocalError("lockstep: computed() without a Compute to answer")
         self._computing = False
+        if last:
+            self._last = self.k + 1
         self._enter(self.k + 1, x_next, self._value, now)
         for peer in self._peers.values():
             peer.slots.pop(self.k - 2, None)

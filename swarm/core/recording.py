@@ -106,7 +106,17 @@ class Writer:
         data = foxglove.pose(message, log_time) if type(message) is Pose else jsontext.encode(message)
         channel = self._ids.get(topic)
         if channel is None:
-            channel = self._open(topic, message, name)
+            channel = self._open(topic, *self._shape(message, name))
+        self._message(channel, log_time, data)
+
+    def write_text(self, topic: str, t: float, data: bytes, schema: mcap.Schema) -> None:
+        """Record a message out of another recording: JSON text, with its schema there."""
+        channel = self._ids.get(topic)
+        if channel is None:
+            channel = self._open(topic, schema.name, schema.data)
+        self._message(channel, self.epoch_ns + round(t * 1e9), data)
+
+    def _message(self, channel: int, log_time: int, data: bytes) -> None:
         counts = self._known.counts
         sequence = counts[channel] = counts[channel] + 1
         head = mcap.MESSAGE_HEAD.pack(mcap.MESSAGE, 22 + len(data), channel, sequence & 0xFFFFFFFF, log_time, log_time)
@@ -198,17 +208,19 @@ class Writer:
         self._ready.clear()
         return data
 
-    def _open(self, topic: str, message: object, name: str) -> int:
+    def _shape(self, message: object, name: str) -> tuple[str, bytes]:
+        """Name and text of the schema of messages like this one."""
+        if type(message) is Pose:
+            return foxglove.POSE, foxglove.pose_schema()
+        name = name or f"swarm.{type(message).__name__}"
+        return name, jsontext.schema(message, name)
+
+    def _open(self, topic: str, name: str, shape: bytes) -> int:
         """A new channel, and its schema. It stands before the chunk that is open now, whose position moves."""
         known = self._known
         number = len(known.channels) + 1
         if number > MAX_CHANNELS:
             raise LocalError(f"{topic}: a recording has at most {MAX_CHANNELS} topics")
-        if type(message) is Pose:
-            name, shape = foxglove.POSE, foxglove.pose_schema()
-        else:
-            name = name or f"swarm.{type(message).__name__}"
-            shape = jsontext.schema(message, name)
         schema = next((it for it in known.schemas.values() if (it.name, it.data) == (name, shape)), None)
         if schema is None:
             schema = mcap.Schema(len(known.schemas) + 1, name, "jsonschema", shape)

@@ -9,6 +9,9 @@ from swarm.fleet.core.pairing import Bond, Edge, Schedule, ordered, plan
 from swarm.fleet.everyone import Tell
 from swarm.fleet.ssh import Host, HostError, Ssh
 
+INQUIRY_S = 25.0
+"""An inquiry of 10.24 s finds most devices, two of them find those that were missed."""
+
 LISTENS_S = 20.0
 """Until the called robot must have its agent and be found."""
 
@@ -99,7 +102,7 @@ class Pairing:
         return first, second
 
     async def _ask(self, me: str, do: str, peer: str) -> None:
-        request = {"do": do, "peer": self._looks[peer]["address"]}
+        request = {"do": do, "peer": self._looks[peer]["address"], "inquiry": INQUIRY_S}
         try:
             await ask(self._ssh, self._hosts[me], request)
         except HostError as error:
@@ -108,7 +111,7 @@ class Pairing:
     async def _pair(self, a: str, b: str) -> None:
         """`b` waits to be found, `a` finds it and pairs. If `a` fails, `b` is told to stop, by the end of its input."""
         listening, end = asyncio.Event(), asyncio.Event()
-        request = {"do": "listen", "peer": self._looks[a]["address"]}
+        request = {"do": "listen", "peer": self._looks[a]["address"], "inquiry": INQUIRY_S}
         called = asyncio.create_task(
             remote.call(self._ssh, self._hosts[b], "pairing", request, told=lambda _: listening.set(), until=end)
         )

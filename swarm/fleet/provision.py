@@ -5,6 +5,7 @@ What is decided is in `swarm.fleet.core.steps`; this asks, sends and reports.
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -54,7 +55,8 @@ class Provisioning:
         self._there: set[str] = set()
 
     async def look(self) -> dict[str, Any]:
-        """The robot's facts."""
+        """The robot's facts, and what time it is here at that moment."""
+        self._wish = replace(self._wish, now=time.time())
         request = {
             **steps.LOOK,
             "packages": [*self._wish.packages, FIRMWARE_PACKAGE, KERNEL_PACKAGE],

@@ -12,12 +12,14 @@ from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
 from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
 from swarm.messages.apps import (
+    AppEpoch,
     AppOutput,
     AppParameter,
     AppParameters,
     AppParametersSet,
     AppProgress,
     AppState,
+    SetAppEpoch,
     SetAppParameters,
 )
 from swarm.messages.balancer import (
@@ -79,6 +81,7 @@ from swarm.messages.sim import LedChange, Truth
 
 __all__ = [
     "TOPICS",
+    "AppEpoch",
     "AppOutput",
     "AppParameter",
     "AppParameters",
@@ -124,6 +127,7 @@ __all__ = [
     "Reminder",
     "SendRequest",
     "Sent",
+    "SetAppEpoch",
     "SetAppParameters",
     "SetDisplay",
     "SetLeds",

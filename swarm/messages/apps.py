@@ -34,6 +34,41 @@ class AppProgress:
 
 
 @dataclass(frozen=True, slots=True)
+class AppEpoch:
+    """Who is in a lockstep run, on `swarm/<robot>/app/<app>/epoch`: on change, and answered to queries. A channel of an
+    app has its name behind the app's."""
+
+    t: float
+    epoch: int
+    """How many there were before it in this run."""
+    k: int
+    """The iteration at which it began."""
+    members: tuple[str, ...]
+    links: tuple[tuple[str, ...], ...]
+    """Pairs of members."""
+    away: tuple[str, ...]
+    """Robots that an operator has sent away."""
+    forced: bool
+    """Whether an operator has ordered it without a majority."""
+    frames: int
+    """Its number in the frames' keys."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetAppEpoch:
+    """Command on `swarm/<robot>/app/<app>/set/epoch`: agree on other members, or on the links in force, now."""
+
+    ticket: str
+    """Names the request: a repetition is not done again."""
+    drop: tuple[str, ...]
+    """Robots that are to leave the run."""
+    add: tuple[str, ...]
+    """Robots that were sent away and may come back."""
+    force: bool
+    """Go on even without a majority: only where the others are known to have stopped."""
+
+
+@dataclass(frozen=True, slots=True)
 class AppOutput:
     """What an app tells by `robot.publish`, on `swarm/<robot>/app/<app>/out/<topic>`."""
 
@@ -87,6 +122,9 @@ TOPICS: dict[tuple[str, str], type] = {
     ("app", "*/progress"): AppProgress,
     ("app", "*/*/state"): AppState,
     ("app", "*/*/progress"): AppProgress,
+    ("app", "*/epoch"): AppEpoch,
+    ("app", "*/*/epoch"): AppEpoch,
+    ("app", "*/set/epoch"): SetAppEpoch,
     ("app", "*/out/*"): AppOutput,
     ("app", "*/parameters"): AppParameters,
     ("app", "*/set/parameters"): SetAppParameters,

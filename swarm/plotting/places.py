@@ -124,9 +124,9 @@ def _once(marks: set[str], label: str) -> dict[str, str]:
 
 
 def _paths(run: Run) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
-    """Where each robot was: by its own poses, and where there are none (or no fix) by the simulation's truth."""
+    """Where each robot was: by its poses, else by the simulation's truth, else by what its app measured."""
     found: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
-    for topic in ("swarm/*/dwm/pose", "swarm/*/sim/truth"):
+    for topic in ("swarm/*/dwm/pose", "swarm/*/sim/truth", "swarm/*/app/*/measurement"):
         fresh: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
         for sample in run.samples(topic):
             message = sample.message

@@ -31,6 +31,8 @@ class Clocks:
         self._relations: dict[str, list[Relation]] = {}
         self.notes: list[str] = []
         """What is doubtful about the common time; known after `axes`."""
+        self.epoch = 0.0
+        """The time of day at the zero of common time, s since 1970, as well as it is known; after `axes`."""
 
     def add(self, clock: str, epoch: float) -> None:
         """A clock was seen: the time of day, s since 1970, at its zero."""
@@ -43,6 +45,7 @@ class Clocks:
     def axes(self) -> dict[str, Axis]:
         """The way from each clock to common time."""
         if len(self._epochs) < 2:
+            self.epoch = next(iter(self._epochs.values()), 0.0)
             return dict.fromkeys(self._epochs, _same)
         counts = Counter(relation.root for each in self._relations.values() for relation in each)
         root = min(counts, key=lambda name: (-counts[name], name), default="")
@@ -53,6 +56,7 @@ class Clocks:
         # Time of day is related to common time by the clocks that have both.
         shifts = [axes[clock](0.0) - self._epochs[clock] for clock in axes if clock in self._epochs]
         shift = sorted(shifts)[len(shifts) // 2] if shifts else -min(self._epochs.values())
+        self.epoch = -shift
         for clock, epoch in self._epochs.items():
             if clock not in axes:
                 axes[clock] = _shifted(epoch + shift)

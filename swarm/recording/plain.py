@@ -15,15 +15,19 @@ VIRTUAL = "virtual"
 class PlainRecording:
     """One file for a whole run, robots told apart by the topics. Raises `LocalError` where it cannot be written."""
 
-    def __init__(self, path: Path, run: Mapping[str, str]) -> None:
-        """`run`: what is to be known of the run (`folder.describe`)."""
+    def __init__(self, path: Path, run: Mapping[str, str], clock: str = VIRTUAL) -> None:
+        """`run`: what is to be known of the run (`folder.describe`); `clock` names what its times are of."""
         self._path = path
         self._writer = Writer(LIBRARY, epoch_ns=0)
-        self._writer.metadata(RUN, {**run, EPOCH: "0", CLOCK: VIRTUAL})
+        self._writer.metadata(RUN, {**run, EPOCH: "0", CLOCK: clock})
         try:
             self._file = path.open("xb")
         except OSError as error:
             raise LocalError(f"{path}: cannot be written: {error.strerror}") from None
+
+    def metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Note something about the whole recording."""
+        self._writer.metadata(name, entries)
 
     def write(self, topic: str, t: float, message: object, name: str = "") -> None:
         """Record a message; see `Writer.write`."""

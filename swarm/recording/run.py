@@ -7,11 +7,14 @@ from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path
 
+from swarm.core.mcap import Schema
 from swarm.errors import RecordingError
 from swarm.recording import folder
 from swarm.recording.axis import Axis, Clocks, Relation
 from swarm.recording.reader import SUFFIX, Reader, Sample
 from swarm.recording.trajectory import Builder, Trajectory, is_state
+
+_NO_SCHEMA = Schema(0, "", "", b"{}")
 
 DISORDER_S = 5.0
 """s by which a message may stand in a file behind later ones: what came over the bus is written twice a second."""
@@ -30,6 +33,9 @@ class Run:
         """App, run, version, seed and digest."""
         self.topics: dict[str, list[Path]] = {}
         """Every topic, and the files that hold it."""
+        self.schemas: dict[str, Schema] = {}
+        """Of each topic."""
+        self._metadata: list[tuple[str, dict[str, str]]] = []
         self.damage: list[str] = []
         """What cannot be read of the files, and what is doubtful about their times."""
         self._begun: dict[bool, dict[str, float]] = {True: {}, False: {}}
@@ -38,6 +44,8 @@ class Run:
             self._look(file, clocks)
         self._axes = clocks.axes()
         self.damage += clocks.notes
+        self.epoch = clocks.epoch
+        """The time of day at the zero of common time, s since 1970, as well as it is known; 0 in virtual time."""
         self.robots = tuple(sorted({topic.split("/")[1] for topic in self.topics if topic.count("/") > 2}, key=natural))
         self.origin = self._origin()
         """Common time at which the first state was reached (without an app: of the first message); `samples` count from
@@ -47,6 +55,10 @@ class Run:
     def apps(self) -> tuple[str, ...]:
         """Names of the apps whose states are there."""
         return tuple(sorted({topic.split("/")[3] for topic in self.topics if is_state(topic)}))
+
+    def notes(self, name: str) -> list[dict[str, str]]:
+        """The metadata records of a name."""
+        return [entries for known, entries in self._metadata if known == name]
 
     def states(self, app: str = "") -> dict[str, dict[str, str]]:
         """The topics of an app's states (default: of the only or first app), by channel (the app itself is ``) and
@@ -60,13 +72,17 @@ class Run:
         return found
 
     def trajectories(self, app: str = "", channel: str = "") -> dict[str, Trajectory]:
-        """What each robot computed, with times from `origin` on. Raises `RecordingError` where an iteration stands
-        there twice with different values."""
+        """What each robot computed, with times from `origin` on. Of an iteration that stands there twice the
+        later one counts, and `damage` says so where they differ."""
         topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
-        found = {robot: Builder() for robot in topics.values()}
+        found = {robot: Builder(strict=False) for robot in topics.values()}
         for file in self.files:
             for sample in self._read(file, topics.__contains__):
                 found[topics[sample.topic]].add(sample.message | {"t": sample.t}, file)
+        for robot, builder in found.items():
+            if builder.forks:
+                note = f"{robot}: {len(builder.forks)} iterations stand there twice and differ (it began anew)"
+                self.damage += [] if note in self.damage else [note]
         return {robot: builder.known() for robot, builder in found.items()}
 
     def samples(self, *patterns: str) -> Iterator[Sample]:
@@ -94,7 +110,9 @@ class Run:
             clocks.add(clock, epoch_ns / 1e9)
         for channel in reader.channels.values():
             self.topics.setdefault(channel.topic, []).append(file)
+            self.schemas[channel.topic] = reader.schemas.get(channel.schema, _NO_SCHEMA)
         self.damage += reader.damage
+        self._metadata += reader.metadata
         for name, entries in reader.metadata:
             if name == "run":
                 self.info = {**{key: entries[key] for key in folder.KEYS if key in entries}, **self.info}

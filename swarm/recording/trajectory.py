@@ -51,7 +51,12 @@ EMPTY = Trajectory()
 class Builder:
     """Takes recorded states one by one."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, strict: bool = True) -> None:
+        """`strict`: an iteration that stands there twice with different values is an error; else the later one counts,
+        as where an app without snapshot, or a whole robot, began anew within a run."""
+        self._strict = strict
+        self.forks: set[int] = set()
+        """Iterations that stand there twice with different values."""
         self._columns: tuple[str, ...] = ()
         self._times: dict[int, float] = {}
         self._rows: dict[int, tuple[str, ...]] = {}
@@ -63,7 +68,7 @@ class Builder:
     def add(self, message: Mapping[str, Any], path: Path) -> None:
         """Take the state in a message of the file `path`.
 
-        Raises `RecordingError` where one iteration stands there twice with different values: a restart forked the run.
+        Raises `RecordingError` for what is no state, and for a fork of the run.
         """
         k, t = message.get("k"), message.get("t")
         state, result = message.get("state"), message.get("result")
@@ -77,7 +82,10 @@ class Builder:
             raise RecordingError(f"{path}: iteration {k} has other fields than the first: {', '.join(columns)}")
         row = tuple(text for _, text in cells)
         if self._rows.setdefault(k, row) != row:
-            raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
+            if self._strict:
+                raise RecordingError(f"{path}: iteration {k} stands there twice with different values")
+            self.forks.add(k)
+            self._rows[k], self._times[k] = row, t
         self._times.setdefault(k, t)
 
 

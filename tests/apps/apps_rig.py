@@ -14,7 +14,7 @@ import pytest
 
 from swarm.bus import Bus
 from swarm.codec import decode, encode
-from swarm.messages import AppProgress, AppState, Topology
+from swarm.messages import AppEpoch, AppProgress, AppState, Topology
 from swarm.recording import trajectory
 
 NAMES = ("r0", "r1", "r2")
@@ -45,6 +45,7 @@ class Rig:
         self.changed = threading.Condition()
         self.progress: dict[str, AppProgress] = {}
         self.state: dict[str, AppState] = {}
+        self.epochs: dict[str, AppEpoch] = {}
         self.told: dict[str, AppProgress] = {}
         """By key: what every app and channel has told last."""
         for name in names:
@@ -53,6 +54,7 @@ class Rig:
             bus = self.buses[name] = Bus.of(directory / name)
             bus.subscribe(f"swarm/{name}/app/*/progress", self._take(self.progress, name, AppProgress))
             bus.subscribe(f"swarm/{name}/app/**/progress", self._keep)
+            bus.subscribe(f"swarm/{name}/app/*/epoch", self._take(self.epochs, name, AppEpoch))
             bus.subscribe(f"swarm/{name}/app/*/state", self._take(self.state, name, AppState))
             bus.serve(f"swarm/{name}/mesh/topology", lambda *_, name=name: encode(self.topology(name)))  # type: ignore[misc]
         for here, there in itertools.pairwise(names):

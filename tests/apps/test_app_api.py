@@ -70,7 +70,7 @@ def test_fields_come_from_annotations_in_declared_order_base_first() -> None:
     assert Derived.spec.schema.names == ("b", "a", "c")
     assert Tracker.spec.schema.names == ("value", "coarse", "count", "on", "place")
     assert Tracker.spec.private == ("_last", "_seen", "_free")
-    assert set(Tracker.spec.parameters) == {"weights", "gain", "rounds", "shout", "mode"}
+    assert set(Tracker.spec.parameters) == {"weights", "diverges_above", "gain", "rounds", "shout", "mode"}
 
 
 def test_first_values() -> None:
@@ -160,7 +160,11 @@ def test_parameters_are_checked() -> None:
         ("weights", "best", "weights: expected 'metropolis' or 'row', got 'best'"),
         ("value", "x", "value: expected a number, got 'x'"),
         ("place", 1.0, "place: expected 2 numbers, got 1.0"),
-        ("gian", 1.0, "unknown parameter 'gian'; Tracker has weights, gain, rounds, shout, mode, value, coarse"),
+        (
+            "gian",
+            1.0,
+            "unknown parameter 'gian'; Tracker has weights, diverges_above, gain, rounds, shout, mode, value, coarse",
+        ),
         ("_last", 1.0, "unknown parameter '_last'"),
         ("LIMIT", 1, "unknown parameter 'LIMIT'"),
     ],
@@ -336,7 +340,7 @@ def test_a_restored_app_goes_on_bit_for_bit() -> None:
         again = do_step(broken, k)
         assert packed == again
         broken = run(step)
-        broken.restore(k + 1, *again)
+        broken.restore(k + 1, *again, broken.app.robot.graph)
         assert broken.result() == whole.result()
         assert broken.app._seen == list(range(k + 1))
 

@@ -2,13 +2,16 @@
 
 import statistics
 from itertools import groupby, pairwise
+from types import SimpleNamespace
 
 import pytest
 
 from services.apps.goto import read_waypoints
 from services.apps.stand_up import StandUp
 from services.sim.virtual.run import simulate
+from swarm.core.graph import Graph
 from swarm.errors import AppError
+from swarm.robot import Robot
 
 SIX = ("--robots", "6", "--topology", "line", "--jitter", "10ms")
 
@@ -76,6 +79,21 @@ def test_lying_robots_do_not_count_as_standing(side: str) -> None:
     assert report["scene"]["lies"] == ["r0", "r1", "r2"]
     assert results(report, "standing") == [False] * 3
     assert results(report, "posture") == [side] * 3
+
+
+@pytest.mark.parametrize(
+    ("posture", "fault", "rises"),
+    [("front", "", True), ("back", "", True), ("upright", "", True), ("front", "fell", False), ("standing", "", False),
+     ("standing_up", "", False), ("leaning", "", False), ("unknown", "", False)],
+)  # fmt: skip
+def test_who_stands_up_when_a_neighbour_does(posture: str, fault: str, *, rises: bool) -> None:
+    modes: list[str] = []
+    devices = SimpleNamespace(posture=posture, fault=fault, mode=modes.append)
+    app = StandUp(Robot("r0", Graph(("r0", "r1"), (("r0", "r1"),)), devices=devices))
+    app.step([SimpleNamespace(name="r1", standing=False)])
+    assert modes == []
+    app.step([SimpleNamespace(name="r1", standing=True)])
+    assert modes == ["stand"] * rises
 
 
 def test_the_state_takes_one_byte() -> None:

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from services.apps.core import algorithm3
@@ -40,9 +40,10 @@ def test_the_grid_is_near_and_takes_what_rounding_left(frequency: float) -> None
     assert on_grid(agreed) == agreed
 
 
-@given(st.lists(st.integers(1, 100), min_size=2, max_size=12))
-def test_means_of_chosen_frequencies_are_not_between_two_lines(tenths: list[int]) -> None:
-    mean = sum(tenths) / 10 / len(tenths)
+@given(st.lists(st.integers(10, 1000), min_size=2, max_size=12))
+@example([200, 201, 201, 201, 200, 201, 201, 200])
+def test_means_of_chosen_frequencies_are_not_between_two_lines(hundredths: list[int]) -> None:
+    mean = sum(hundredths) / 100 / len(hundredths)
     assert on_grid(mean * (1 + 1e-12)) == on_grid(mean * (1 - 1e-12))
 
 

@@ -3,14 +3,16 @@
 import signal
 
 from apps_rig import NAMES, Rig
-from test_host import MakeRig, consensus, make_rig
+from test_host import MakeRig, ask, consensus, make_rig
+
+from swarm.messages import AppState
 
 __all__ = ["make_rig"]
 
 PAIR = """
 import sys
 from services.apps import loader, topology
-from services.apps.host import Host, Part
+from services.apps.host import Conduct, Host, Part
 from swarm.service import Service, run
 
 def main():
@@ -18,7 +20,7 @@ def main():
     with Service("app/pair") as service:
         links = topology.of_run(service, "pair", 7)
         parts = [Part(name, app.make(service.config, service.robot)) for name, app in (("a", fast), ("b", slow))]
-        host = Host(service, "pair", parts, ("pair.py", b"1"), 7, links, 50, service.runtime.parent / "records")
+        host = Host(service, "pair", parts, ("pair.py", b"1"), 7, links, Conduct(50), None)
         service.stopping.wait()
         host.close()
         return 3 if host.failed else 0
@@ -64,11 +66,16 @@ def test_two_channels_of_one_app_never_mix(make_rig: MakeRig) -> None:
         phase(rig, name, "a", "done")
     phase(rig, "r1", "b", "waiting")
     assert rig.told["swarm/r1/app/pair/b/progress"].waiting_for == ("r2",)
-    assert rig.values("r0", "pair.a")[-1] == rig.values("r2", "pair.a")[-1]
-    assert len(rig.values("r1", "pair.a")) == 51
-    assert len(rig.values("r1", "pair.b")) == 7
-    assert rig.values("r1", "pair.b") == rig.values("r1", "pair.a")[:7]
+    ends = {name: ask(rig, name, "pair/a/state", AppState) for name in NAMES}
+    assert {state.k for state in ends.values()} == {50}
+    assert ends["r0"].state == ends["r2"].state != ends["r1"].state
+    assert ask(rig, "r1", "pair/b/state", AppState).k == 6
     assert [rig.stop(name) for name in NAMES] == [0, 0, 3]
+
+
+def told(rig: Rig, name: str, app: str) -> str:
+    progress = rig.told.get(f"swarm/{name}/app/{app}/progress")
+    return "" if progress is None else progress.phase
 
 
 def test_two_apps_on_one_robot(make_rig: MakeRig) -> None:
@@ -83,13 +90,13 @@ def test_two_apps_on_one_robot(make_rig: MakeRig) -> None:
     rig.kill("r1", "other")
     rig.processes["r2", "other"].send_signal(signal.SIGSTOP)
     rig.gate = 2**32
-    rig.until(lambda: all(rig.told[f"swarm/{n}/app/consensus/progress"].phase == "done" for n in NAMES), "one is done")
+    rig.until(lambda: all(told(rig, n, "consensus") == "done" for n in NAMES), "one is done")
     for name, rows in consensus(40).items():
         assert rig.values(name) == rows
-    assert rig.told["swarm/r0/app/other/progress"].phase != "done"
+    assert told(rig, "r0", "other") != "done"
     rig.launch("r1", "other", ["-m", "services.apps", str(rig.directory / "other.py"), "--iterations", "40"])
     rig.processes["r2", "other"].send_signal(signal.SIGCONT)
-    rig.until(lambda: all(rig.told[f"swarm/{n}/app/other/progress"].phase == "done" for n in NAMES), "the other too")
+    rig.until(lambda: all(told(rig, n, "other") == "done" for n in NAMES), "the other too")
     assert rig.values("r0", "other")[-1] == rig.values("r2", "other")[-1]
 
 

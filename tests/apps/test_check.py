@@ -28,9 +28,9 @@ def write(directory: Path, text: str, name: str = "bad.py") -> str:
 
 def findings(file: str, iterations: int = 60, graphs: tuple[str, ...] = ("line",)) -> list[dict]:
     """What one process finds out, here in this one."""
-    app = loader.load(file)
-    found = [examine.describe(app, {})]
-    found += [vars(one) for one in examine.examine(app, 6, iterations, {}) if one.graph in graphs]
+    task = examine.Task(loader.load(file), 6, iterations)
+    found = [examine.describe(task)]
+    found += [vars(one) for one in examine.examine(task) if one.graph in graphs]
     return json.loads(json.dumps(found))
 
 
@@ -56,8 +56,13 @@ BAD = {
         "the same step gave two results",
         10,
     ),
+    "goes by the time": (
+        "        self.value = self.robot.clock.now()\n",
+        "the same step gave two results",
+        8,
+    ),
     "returns": ("        return mean\n", "it returned", 6),
-    "overflows": ("        self.value = 10.0 ** (200 * (self.k + 1))\n", "OverflowError", 8),
+    "overflows": ("        self.value = 10.0 ** (400 * (self.k + 1))\n", "OverflowError", 8),
 }
 
 
@@ -190,6 +195,8 @@ def test_rehearse_takes_parameters_and_first_values() -> None:
     swarm = rehearse("localization", robots=3)
     swarm.run(60)
     assert swarm.result("r1")["x"] == pytest.approx(0.5)
+    with pytest.raises(AppError, match="values of r9: the robots are r0, r1"):
+        rehearse("consensus", robots=2, values={"r9": {"value": 1.0}})
     with pytest.raises(AppError, match="no app 'nothing'"):
         rehearse("nothing")
 

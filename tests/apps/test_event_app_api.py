@@ -3,6 +3,7 @@
 import enum
 import math
 import re
+import sys
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -57,6 +58,10 @@ class Dancer(PeriodicApp):
 
     def on_neighbour(self, neighbour: Any) -> None:
         self._partner = (neighbour.name, neighbour.mood, neighbour.age)
+
+
+def raises(*_: object) -> None:
+    raise ValueError("I will not")
 
 
 def make(kind: type[EventApp] = Dancer, **values: Any) -> Any:
@@ -129,6 +134,23 @@ def test_weights_of_ones_own() -> None:
         kind = type("Wrong", (Own,), {"neighbour_weights": lambda self, wrong=wrong: wrong})
         with pytest.raises(AppError, match="neighbour_weights: expected a finite number for each of r0, r2, got"):
             kind(Robot("r1", LINE))
+
+
+@pytest.mark.parametrize(
+    ("base", "body", "message"),
+    [
+        (
+            EventApp,
+            {"on_buton": raises},
+            "class Bad: there is no handler on_buton, there are on_ann",
+        ),
+        (EventApp, {"step": raises}, "class Bad: an EventApp has no steps; a PeriodicApp has"),
+        (PeriodicApp, {"measured": True}, "class Bad: measured: only a SyncApp is given a measurement for each step"),
+    ],
+)
+def test_what_would_never_be_called_is_refused(base: type, body: dict[str, Any], message: str) -> None:
+    with pytest.raises(AppError, match=message):
+        type("Bad", (base,), body)
 
 
 # Parameters while it runs
@@ -219,15 +241,12 @@ def test_a_state_that_no_program_of_ours_sends_is_left_out() -> None:
     each.call(Call("on_neighbour", ("r0",)), 1, [Known("r0", broken, 0.0)])
 
 
-def raises(*_: object) -> None:
-    raise ValueError("I will not")
-
-
 @pytest.mark.parametrize(
     ("handler", "function", "message"),
     [
         ("step", raises, r"Dancer on r1, step 4: .*test_event_app_api.py, line \d+: ValueError: I will not"),
         ("on_button", raises, r"Dancer on r1, on_button\(\) at k = 4: .*line \d+: ValueError: I will not"),
+        ("step", lambda *_: sys.exit("bye"), r"step 4: .*line \d+: SystemExit: bye"),
         ("step", lambda *_: 5, r"step 4: it returned 5; a handler assigns to the state instead"),
         ("step", lambda self, _: setattr(self, "turns", 1.5), "step 4: turns: expected an integer of 64 bits, got 1.5"),
         ("step", lambda self, _: setattr(self, "mood", "CALMER"), "step 4: mood: expected CALM or WILD, got 'CALMER'"),

@@ -40,19 +40,21 @@ def test_a_damaged_incarnation_is_not_guessed(tmp_path: Path) -> None:
 # Snapshot
 
 
-@given(st.lists(st.binary(max_size=300), max_size=5))
-def test_the_newest_snapshot_is_read(tmp_path_factory: pytest.TempPathFactory, written: list[bytes]) -> None:
+@given(st.lists(st.binary(max_size=300), max_size=9), st.integers(2, 5))
+def test_the_newest_snapshots_are_read(
+    tmp_path_factory: pytest.TempPathFactory, written: list[bytes], slots: int
+) -> None:
     path = tmp_path_factory.mktemp("s") / "app.x.snapshot"
-    file = SnapshotFile(path)
+    file = SnapshotFile(path, slots)
     for data in written:
         file.write(data)
     file.close()
-    file = SnapshotFile(path)
-    assert file.read() == (written[-1] if written else None)
+    file = SnapshotFile(path, slots)
+    assert file.read() == written[-slots:]
     file.write(b"next")
     file.close()
-    file = SnapshotFile(path)
-    assert file.read() == b"next"
+    file = SnapshotFile(path, slots)
+    assert file.read() == [*written, b"next"][-slots:]
     file.close()
 
 
@@ -69,7 +71,7 @@ def test_a_torn_write_leaves_the_one_before(tmp_path_factory: pytest.TempPathFac
     path.write_bytes(torn)
     file = SnapshotFile(path)
     expected = b"two" * 60 if torn[:204] == whole[:204] else b"one" * 60
-    assert file.read() == expected
+    assert file.read()[-1] == expected
     file.close()
 
 
@@ -78,7 +80,7 @@ def test_a_snapshot_has_a_largest_size(tmp_path: Path) -> None:
     file.write(bytes(MAX_SNAPSHOT))
     with pytest.raises(AppError, match=r"the private state makes a snapshot of \d+ bytes, at most \d+ can be kept"):
         file.write(bytes(MAX_SNAPSHOT + 1))
-    assert file.read() == bytes(MAX_SNAPSHOT)
+    assert file.read() == [bytes(MAX_SNAPSHOT)]
     file.close()
 
 
@@ -87,5 +89,5 @@ def test_a_disk_without_space_is_found_at_the_start(tmp_path: Path, monkeypatch:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(LocalError, match=r"app\.x\.snapshot: no space for a snapshot of 131072 bytes: No space left"):
+    with pytest.raises(LocalError, match=r"app\.x\.snapshot: no space for snapshots of 131072 bytes: No space left"):
         SnapshotFile(tmp_path / "app.x.snapshot")

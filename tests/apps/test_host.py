@@ -269,7 +269,7 @@ def test_an_app_that_raises_is_named_and_the_others_wait_for_it(make_rig: MakeRi
         (("consensus", "--iterations", "-1"), "expected 0 to 4294967295"),
         (("localization",), "[dwm] target: expected the address of the target's module, this app needs it"),
         (("wrong.py",), "wrong.py, line 1: ModuleNotFoundError: No module named 'nothing'"),
-        (("consensus",), "app consensus on r0: unknown parameter 'valeu'; Consensus has weights, value"),
+        (("consensus",), "app consensus on r0: unknown parameter 'valeu'; Consensus has weights, diverges_above,"),
     ],
 )
 def test_wrong_starts_are_one_line_and_exit_2(runtime: Path, arguments: tuple[str, ...], message: str) -> None:

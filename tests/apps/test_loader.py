@@ -94,7 +94,7 @@ def test_the_digest_is_of_the_source(tmp_path: Path) -> None:
 def test_wrong_parameters_name_app_and_robot() -> None:
     app = loader.load("consensus")
     config = config_of(3, parameters={}, robots={"r2": {"valeu": 1.0}})
-    with pytest.raises(AppError, match="app consensus on r2: unknown parameter 'valeu'; Consensus has weights, value"):
+    with pytest.raises(AppError, match="app consensus on r2: unknown parameter 'valeu'; Consensus has weights"):
         app.check(config)
     with pytest.raises(AppError, match=r"app consensus on r0: algorithm: expected 'metropolis' or .* got 'best'"):
         app.check(config_of(3, parameters={"algorithm": "best"}))

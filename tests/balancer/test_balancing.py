@@ -210,7 +210,7 @@ def test_a_dead_bus_is_a_fault_and_recovery_is_explicit() -> None:
     failing.left = 10**9
     rig.run(3)
     assert rig.balancer.mode == "fault"
-    assert rig.balancer.fault == ("bus", "I2C: Remote I/O error (error 110)")
+    assert rig.balancer.fault == ("bus", "I2C, ATmega: Remote I/O error (error 110)")
     failing.left = 0
     rig.run(2 * RETRY_S)
     assert rig.robot.atmega.motors == (0.0, 0.0)

@@ -91,7 +91,7 @@ def test_a_bus_that_cannot_be_freed_is_a_fault_with_the_motors_off(monkeypatch: 
     monkeypatch.setattr(rig.robot, "recover", lambda _now: None)
     rig.robot.sda_held = True
     rig.run(1.0)
-    assert rig.balancer.fault == ("bus", "I2C: Connection timed out (error 110)")
+    assert rig.balancer.fault == ("bus", "I2C, ATmega: Connection timed out (error 110)")
     rig.robot.atmega.advance(rig.now)
     assert rig.robot.atmega.motors == (0.0, 0.0), "by the ATmega's watchdog"
     rig.robot.sda_held = False
@@ -140,7 +140,8 @@ def test_an_absent_device_is_a_fault_until_it_is_there(address: int) -> None:
     rig = Rig(start_mode="rest")
     device = rig.robot.devices.pop(address)
     rig.run(2.0)
-    assert rig.balancer.fault == ("bus", "I2C: Remote I/O error (error 121)")
+    who = {imu.ADDRESS: "IMU", balboa.ADDRESS: "ATmega"}[address]
+    assert rig.balancer.fault == ("bus", f"I2C, {who}: Remote I/O error (error 121)")
     assert rig.body.held
     rig.robot.devices[address] = device
     rig.run(4.0)

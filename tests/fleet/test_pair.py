@@ -167,12 +167,12 @@ def test_a_robot_that_is_away_costs_its_own_links_only(air: Air, pair: Pair, mon
     air.add("r1", away=True)
     air.add("r2")
     air.add("r3", deaf=True)
-    # Robots run their own copy of the program: it is sent from the file.
     air.start(config("r0 r1 r2 r3"))
-    code, links, robots = pair("--timeout", "8")
+    monkeypatch.setattr("swarm.fleet.pair.INQUIRY_S", 2.0)
+    code, links, robots = pair()
     assert code == 1
     assert links["r0 r2"] == "paired"
-    assert links["r0 r1"] == "not done within 8 s (--timeout)"
+    assert links["r0 r1"] == "r0: B8:27:EB:00:00:11 was not found within 2 s: is it in range?"
     assert links["r2 r3"] == "r3 did not take part"
     assert robots == {"r3": "bluetoothd does not run: systemctl status bluetooth"}
 

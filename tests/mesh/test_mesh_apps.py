@@ -110,3 +110,46 @@ def test_apps_read_the_same_time_although_their_robots_clocks_differ(build: Buil
 def skewed(runtime: Path, name: str) -> dict[str, str]:
     path = os.pathsep.join(filter(None, (str(runtime / "site"), os.environ.get("PYTHONPATH"))))
     return {"PYTHONPATH": path, "SKEW": "{} {}".format(*SKEWS[name])}
+
+
+HERALD = """\
+from swarm import PeriodicApp
+
+class Herald(PeriodicApp):
+    count: int
+    heard: int
+    near: int
+    period = 0.1
+    _ticket: str = ""
+
+    def step(self, neighbours):
+        self.count += 1
+        self.near = sum(1 for n in neighbours if n.count > 0 and n.age < 2)
+        if self.robot.name == self.robot.swarm[0] and self.count == 5:
+            self._ticket = self.robot.flood(b"oyez").ticket
+
+    def on_message(self, message):
+        self.heard += 1
+        if message.flooded:
+            self.robot.send(message.sender, b"heard")
+
+    def on_answer(self, ticket, outcome):
+        if ticket == self._ticket:
+            self.heard += 100 * len(outcome.robots)
+"""
+
+
+def test_a_periodic_app_over_real_meshes(build: Build, runtime: Path) -> None:
+    """Its states reach the neighbours by the relay rule that is always there, its messages all robots."""
+    (runtime / "herald.py").write_text(HERALD)
+    swarm = build(edges=LINE, model="latency=0.005")
+    found = states(swarm, "herald")
+    swarm.start()
+    wait_here(swarm)
+    start_apps(swarm, runtime / "herald.py")
+    wanted = {"r0": (1, 303), "r1": (2, 1), "r2": (2, 1), "r3": (1, 1)}
+    wait_until(
+        lambda: {name: (each.state["near"], each.state["heard"]) for name, each in found.items()} == wanted,
+        timeout=30,
+        what="all have heard all",
+    )

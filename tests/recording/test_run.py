@@ -97,6 +97,16 @@ def test_a_single_file_is_a_run_too_and_none_is_an_error(tmp_path):
     assert "cut off" in Run(tmp_path).damage[0]
 
 
+def test_of_an_app_that_began_anew_the_later_states_count(tmp_path):
+    write(
+        tmp_path / "r0.x.mcap", "r0", "boot", 0.0, state(0, 1.0), state(1, 2.0, 1.0), state(0, 3.0), state(1, 4.0, 2.0)
+    )
+    run = Run(tmp_path)
+    assert run.trajectories()["r0"].rows == {0: ("0.5",), 1: ("2.0",)}
+    assert run.trajectories()["r0"].times[1] == 3.0
+    assert run.damage == ["r0: 1 iterations stand there twice and differ (it began anew)"]
+
+
 def test_channels_are_told_apart(tmp_path):
     inner = "app/x/frequency/state", 1.0, AppState(1.0, 0, {"f": 2.0}, {})
     write(tmp_path / "r0.x.mcap", "r0", "boot", 0.0, state(0, 1.0), inner)

@@ -16,7 +16,7 @@ from services.sim.core.hands import Hands
 from services.sim.world import World
 from swarm import config as configuration
 from swarm.bus import Bus
-from swarm.core.hands import Lay, Place, Press, Push, check, pack, unpack
+from swarm.core.hands import Lay, Place, Press, Push, Unplug, check, pack, unpack
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import BalancerState, Buttons, LedChange, SetMode, Truth, read
 
@@ -33,14 +33,16 @@ with claim(Path(sys.argv[1])):
 """
 
 
-@pytest.mark.parametrize("act", [Press("B", 0.5), Push(-0.2), Lay("back"), Place(1.0, 2.0, 0.3, -1.9, False)])
+@pytest.mark.parametrize(
+    "act", [Press("B", 0.5), Push(-0.2), Lay("back"), Unplug("imu", True), Place(1.0, 2.0, 0.3, -1.9, False)]
+)
 def test_an_act_survives_its_datagram(act) -> None:
     assert unpack(pack(act)) == act
 
 
 @given(st.binary(max_size=60))
 def test_any_datagram_is_an_act_or_refused(data: bytes) -> None:
-    for prefix in (b"", b"press:", b"push:", b"lay:", b"place:"):
+    for prefix in (b"", b"press:", b"push:", b"lay:", b"unplug:", b"place:"):
         with contextlib.suppress(LocalError, RemoteError):
             act = unpack(prefix + data)
             assert unpack(pack(act)) == act
@@ -56,6 +58,7 @@ def test_any_datagram_is_an_act_or_refused(data: bytes) -> None:
         (Push(9.0), "got 9"),
         (Push(math.nan), "got nan"),
         (Lay("side"), "no side 'side', there are back and front"),
+        (Unplug("leg"), "no device 'leg', there are imu, atmega, display"),
     ],
 )
 def test_what_cannot_be_done_is_named(act, message: str) -> None:

@@ -41,6 +41,13 @@ def test_a_bias_is_drawn_once_and_holds() -> None:
     assert math.sqrt(sum(s * s for s in shares) / len(shares)) == pytest.approx(0.05 / math.sqrt(3), rel=0.05)
 
 
+def test_two_models_have_the_same_biases() -> None:
+    for biased, noisy in zip(made("bias").values(), made("thesis").values(), strict=True):
+        for values in zip(biased.rows, noisy.rows, strict=True):
+            for held, seen in zip(*values, strict=True):
+                assert abs(seen / held - 1) <= 0.02
+
+
 def test_noise_is_drawn_every_five_iterations() -> None:
     for recording in made("thesis").values():
         changes = [k for k in range(1, 50) if recording.rows[k] != recording.rows[k - 1]]

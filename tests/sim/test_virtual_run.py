@@ -209,3 +209,23 @@ def test_an_app_that_waits_for_events_ends_when_nothing_happens():
     report, _ = simulate(str(EXAMPLES / "button_count.py"), "--robots", "2", "--press", "r0.A@1s")
     assert report["problems"] == []
     assert report["result"]["r1"] == {"presses": 1}
+
+
+def test_a_periodic_app_follows_an_automatic_topology(tmp_path):
+    """A link that is cut is made up for by others: whom an app has as neighbours is who tells it its state."""
+    app = tmp_path / "near.py"
+    app.write_text(
+        "from swarm import PeriodicApp\n\n\nclass Near(PeriodicApp):\n    count: int\n    period = 0.5\n"
+        '    _seen: str = ""\n    _changes: int = 0\n\n'
+        "    def step(self, neighbours):\n        self.count += 1\n"
+        '        near = " ".join(n.name for n in neighbours)\n'
+        "        self._changes += near != self._seen\n        self._seen = near\n\n"
+        "    def result(self):\n"
+        '        links = " ".join(self.robot.neighbours)\n'
+        '        return {"near": self._seen, "links": links, "changes": self._changes}\n'
+    )
+    auto = ("--robots", "5", "--topology", "auto", "--iterations", "120", "--cut", "r0-r1@30s,100s")
+    report, _ = simulate(str(app), *auto)
+    results = report["result"].values()
+    assert all(result["near"] == result["links"] for result in results)
+    assert max(result["changes"] for result in results) == 2

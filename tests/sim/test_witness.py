@@ -58,6 +58,7 @@ def test_standing_is_being_upright_for_a_while() -> None:
         swings = 1.0 <= t < 1.2
         up = t >= 2.0
         witness.pose("r0", t, (0.0, 0.0), 0.1 if swings or up else math.radians(110))
+        assert up or witness.stood_at == {}
     assert witness.stood_at == {"r0": pytest.approx(2.0)}
     witness.pose("r0", 4.1, (0.0, 0.0), math.radians(-110))
     assert witness.stood_at == {}

@@ -46,6 +46,7 @@ class Thesis(Judged):
         """The estimate starts at the corner of the table."""
         if self.check:
             guard.check_start(self.robot.graph, self.robot.anchors, self.step_size, metropolis=False)
+        (self.x, self.y), (self.zx, self.zy), (self.gx, self.gy) = self._own
         self.begin_judging()
 
     def step(self, neighbours: Sequence[Any]) -> None:

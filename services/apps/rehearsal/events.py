@@ -7,6 +7,7 @@ from typing import Any
 
 from services.apps import loader
 from services.apps.event_runner import EventRunner, version
+from services.apps.rehearsal.clock import CommonClock, NoRanges
 from services.apps.rehearsal.messages import Messages
 from swarm.codec import Value, encode
 from swarm.config import Config
@@ -72,6 +73,8 @@ class Unit:
         robot = instance.robot
         robot.time = lambda: world.now
         robot.bus, robot.devices, robot.overlays = self.bus, self.devices, self.messages  # type: ignore[assignment]
+        robot.mesh_clock = CommonClock(config.names[0], lambda: world.now)  # type: ignore[assignment]
+        robot.ranging = NoRanges()  # type: ignore[assignment]
         robot.timers = lambda seconds, text: self.core.after(seconds, text, world.now)
         self.fault = ""
         """Why the app ended; empty while it runs."""

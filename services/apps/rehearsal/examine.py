@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -23,10 +23,15 @@ from services.apps.rehearsal.events import EventRehearsal, Unit
 from services.apps.rehearsal.scene import scene
 from services.apps.rehearsal.sync import SyncRehearsal
 from services.apps.runner import Runner
+from swarm import settings
+from swarm.app import App as AnyApp
 from swarm.app import SyncApp
+from swarm.codec import Value
+from swarm.config import Config
 from swarm.core.asynchronous import Call
 from swarm.errors import AppError, LocalError
 from swarm.event_app import PeriodicApp, channels_of
+from swarm.settings import Setting
 
 T = TypeVar("T")
 
@@ -54,6 +59,31 @@ class Hang(BaseException):
         self.line = line
 
 
+@dataclass(frozen=True)
+class Task:
+    """What is to be examined."""
+
+    app: loader.App
+    robots: int = 6
+    iterations: int = 300
+    settings: Sequence[Setting] = ()
+
+    @property
+    def kind(self) -> type[AnyApp]:
+        """The class that runs."""
+        chosen = {one.name: one.value for one in self.settings if one.name == "algorithm"}
+        return self.app.choose(chosen)[0]
+
+    def scene(self, graph: str) -> Config:
+        """The swarm on one graph."""
+        common = {one.name: one.value for one in self.settings if one.robot is None}
+        single: dict[str, dict[str, Value]] = {}
+        for one in self.settings:
+            if one.robot is not None:
+                single.setdefault(one.robot, {})[one.name] = one.value
+        return scene(self.app, self.robots, graph, common, single)
+
+
 @dataclass
 class Finding:
     """What came of one graph."""
@@ -78,14 +108,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("file")
     parser.add_argument("--robots", type=int, default=6)
     parser.add_argument("--iterations", type=int, default=300)
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=JSON")
+    parser.add_argument("--set", action="append", default=[], metavar="[ROBOT.]NAME=VALUE")
     chosen = parser.parse_args(arguments)
     signal.signal(signal.SIGALRM, _alarm)
     try:
-        parameters = {name: json.loads(value) for name, value in (one.split("=", 1) for one in chosen.set)}
         app = _limited(str(Path(chosen.file).resolve()), lambda: loader.load(chosen.file))
-        _tell(describe(app, parameters))
-        for finding in examine(app, chosen.robots, chosen.iterations, parameters):
+        task = Task(app, chosen.robots, chosen.iterations, [settings.parse(one) for one in chosen.set])
+        _tell(describe(task))
+        for finding in examine(task):
             _tell(vars(finding))
     except Hang as hang:
         _tell({"fault": f"it hangs while it is loaded: {STEP_LIMIT:g} s were not enough", "line": hang.line})
@@ -99,9 +129,9 @@ def _tell(what: Mapping[str, object]) -> None:
     sys.stdout.flush()
 
 
-def describe(app: loader.App, parameters: dict[str, Any]) -> dict[str, object]:
+def describe(task: Task) -> dict[str, object]:
     """What the class declares."""
-    kind, _ = app.choose({name: value for name, value in parameters.items() if name == "algorithm"})
+    app, kind = task.app, task.kind
     schema = kind.spec.schema
     return {
         "app": app.name,
@@ -118,15 +148,14 @@ def describe(app: loader.App, parameters: dict[str, Any]) -> dict[str, object]:
     }
 
 
-def examine(app: loader.App, robots: int, iterations: int, parameters: dict[str, Any]) -> Iterator[Finding]:
+def examine(task: Task) -> Iterator[Finding]:
     """Rehearse the app on each of the standard graphs."""
-    kind, _ = app.choose({name: value for name, value in parameters.items() if name == "algorithm"})
-    one = _sync if issubclass(kind, SyncApp) else _events
+    one = _sync if issubclass(task.kind, SyncApp) else _events
     for graph in GRAPHS:
-        if graph != "thesis-d" or robots == 6:
+        if graph != "thesis-d" or task.robots == 6:
             finding = Finding(graph)
             try:
-                one(app, finding, robots, iterations, parameters)
+                one(task, finding)
             except Hang as hang:
                 finding.fault, finding.line = f"it hangs: a step took more than {STEP_LIMIT:g} s", hang.line
             except AppError as error:
@@ -137,17 +166,17 @@ def examine(app: loader.App, robots: int, iterations: int, parameters: dict[str,
 # Synchronous apps
 
 
-def _sync(app: loader.App, finding: Finding, robots: int, iterations: int, parameters: dict[str, Any]) -> None:
-    swarm = SyncRehearsal(app, scene(app, robots, finding.graph, parameters))
+def _sync(task: Task, finding: Finding) -> None:
+    swarm = SyncRehearsal(task.app, task.scene(finding.graph))
     times: list[float] = []
     orders: set[str] = set()
     until = time.perf_counter() + TIME_LIMIT
 
     def step(swarm: SyncRehearsal, name: str) -> tuple[bytes, bytes]:
-        return _one_step(app, swarm, name, finding, times, orders)
+        return _one_step(task.app, swarm, name, finding, times, orders)
 
     try:
-        while swarm.k < iterations and time.perf_counter() < until:
+        while swarm.k < task.iterations and time.perf_counter() < until:
             finding.digests.append(_digest([swarm.states[name][swarm.k] for name in swarm.names]))
             swarm.run(1, step)
     finally:
@@ -168,7 +197,7 @@ def _one_step(
     before, around, measured = swarm.private[name], swarm.around(name), swarm.measured(name)
 
     def act(neighbours: dict[str, bytes] = around) -> tuple[bytes, bytes]:
-        runner.restore(k, own, before)
+        runner.restore(k, own, before, runner.app.robot.graph)
         return runner.step(k, own, neighbours, measured)
 
     begin = time.perf_counter()
@@ -217,7 +246,8 @@ def _near(runner: Runner, done: tuple[bytes, bytes], other: Callable[[], tuple[b
 # Event-driven and periodic apps
 
 
-def _events(app: loader.App, finding: Finding, robots: int, iterations: int, parameters: dict[str, Any]) -> None:
+def _events(task: Task, finding: Finding) -> None:
+    app = task.app
     times: list[float] = []
     histories: dict[str, list[Any]] = {}
 
@@ -234,7 +264,7 @@ def _events(app: loader.App, finding: Finding, robots: int, iterations: int, par
         finding.digests.append(_digest([unit.name.encode(), own]))
         return own
 
-    swarm = EventRehearsal(app, scene(app, robots, finding.graph, parameters), call=call)
+    swarm = EventRehearsal(app, task.scene(finding.graph), call=call)
     until = time.perf_counter() + TIME_LIMIT
     presses = [(1.0 + index, name, "abc"[index % 3]) for index, name in enumerate(swarm.units)]
     for second in range(1, int(SECONDS) + 1):

@@ -10,6 +10,7 @@ from swarm.app import App as AnyApp
 from swarm.codec import Value
 from swarm.config import Anchor, Config, Robot
 from swarm.core.graph import Graph
+from swarm.errors import AppError
 from swarm.messages import Measurement
 
 TARGET = (0.5, 1.0)
@@ -30,6 +31,9 @@ def scene(
 ) -> Config:
     """The configuration; `parameters` hold for all robots, `values` for single ones by name."""
     names = [f"r{i}" for i in range(robots)]
+    for name in values or {}:
+        if name not in names:
+            raise AppError(f"values of {name}: the robots are {', '.join(names)}")
     common = dict(parameters or {})
     own: dict[str, dict[str, Value]] = {name: dict((values or {}).get(name, {})) for name in names}
     kind, _ = app.choose({name: value for name, value in common.items() if name == "algorithm"})

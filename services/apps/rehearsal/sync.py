@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from services.apps import loader
+from services.apps.rehearsal.clock import CommonClock, NoRanges
 from services.apps.rehearsal.messages import Messages
 from services.apps.rehearsal.scene import measurement
 from services.apps.runner import Runner
@@ -24,6 +25,7 @@ class SyncRehearsal:
         self.names = config.names
         self.config = config
         self._measure = measure
+        self._looks = 0
         self.runners: dict[str, Runner] = {}
         self.messages: dict[str, Messages] = {}
         for name in self.names:
@@ -32,7 +34,9 @@ class SyncRehearsal:
                 raise AppError(f"{app.source}: {type(instance).__name__} is no SyncApp")
             self.messages[name] = Messages(name, self.names, lambda to, message: self.messages[to].receive(message))
             instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
-            instance.robot.time = lambda: 0.1 * self.k
+            instance.robot.time = self._now
+            instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]
+            instance.robot.ranging = NoRanges()  # type: ignore[assignment]
             self.runners[name] = Runner(instance, app.source)
         self.private: dict[str, bytes] = {}
         self.states: dict[str, list[bytes]] = {}
@@ -65,6 +69,11 @@ class SyncRehearsal:
     def step(self, name: str) -> tuple[bytes, bytes]:
         """One robot's step: its next state, shared and private."""
         return self.runners[name].step(self.k, self.states[name][self.k], self.around(name), self.measured(name))
+
+    def _now(self) -> float:
+        """An iteration takes 0.1 s here. No two looks at the clock are the same, as on a robot."""
+        self._looks += 1
+        return 0.1 * self.k + 1e-6 * self._looks
 
     def result(self, name: str) -> Mapping[str, Value]:
         """What a robot reports now."""

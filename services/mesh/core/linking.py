@@ -291,13 +291,15 @@ class Linking:
 
     def _look(self, now: float) -> None:
         self._look_at = self._check_at = _NEVER
-        reachable = self._map.routes()
-        for peer in self.missing.keys() & reachable.keys():
-            del self.missing[peer]
+        # Routes are only asked for where somebody needs them: in a large swarm they cost more than all else here.
+        if self.missing:
+            for peer in self.missing.keys() & self._map.routes().keys():
+                del self.missing[peer]
         if kept := self.kept:
             self._look_for_spare(kept, now)
         if not self.value.auto and not self.value.version:
             return
+        reachable = self._map.routes()
         strangers = self._strangers()
         far = [name for name in strangers if name not in reachable]
         if len(self._links) >= MAX_LINKS:

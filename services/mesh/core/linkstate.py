@@ -7,11 +7,11 @@ if both ends report it; of our own links we know better. An LSA that was not rep
 """
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 
 from services.mesh.core.packets import Advertisement, decode_advertisement, encode_advertisement
-from services.mesh.core.routing import Edge, Route, routes
+from services.mesh.core.routing import Edge, Route, routes, routes_by_hops
 
 HOPS, TIME = "hops", "time"
 """Metrics: every edge 1, or the measured one-way time."""
@@ -85,7 +85,7 @@ class _Own:
         self.level = Level()
 
 
-class _Known:
+class Known:
     """What another robot says of its links."""
 
     __slots__ = ("advertisement", "heard", "incarnation")
@@ -121,7 +121,10 @@ class LinkState:
         self._aged = aged
         self._random = random
         self._links: dict[str, _Own] = {}
-        self._known: dict[str, _Known] = {}
+        self._known: dict[str, Known] = {}
+        """Never changed in place: robots of a simulation share them."""
+        self._settled: dict[str, int] = {}
+        """Links that the others know of already although they are not up yet."""
         self._due = _NEVER
         self._refresh_at = _NEVER
         self._credit, self._credit_at = float(BURST), 0.0
@@ -135,12 +138,28 @@ class LinkState:
 
     # -- inputs ------------------------------------------------------------------------------------------------
 
-    def link_up(self, peer: str, now: float) -> None:
-        """A link of ours is there."""
-        self._links[peer] = _Own(now)
+    def settle(self, links: Mapping[str, int], others: Mapping[str, "Known"], now: float) -> None:
+        """Begin in a swarm that has been there for long: the others have an LSA with these links of ours (one-way
+        times, 0.1 ms) already, and we have theirs. Large simulations begin so (docs/simulation.md)."""
+        self._settled = dict(links)
+        self._known = dict(others)
+        self._refresh_at = now + REFRESH * (0.9 + 0.2 * self._random())
+        self._oldest_at = now + MAX_AGE
+        self._changed()
+
+    def link_up(self, peer: str, now: float) -> bool:
+        """A link of ours is there; whether that is news to the swarm."""
+        own = self._links[peer] = _Own(now)
+        time = self._settled.pop(peer, None)
+        if time is not None:
+            own.new = False
+            own.level.measured(time * 1e-4)
+            self._changed()
+            return False
         self._trust_ends = min(self._trust_ends, now + TRUSTED)
         self._changed()
         self._due = min(self._due, now + HOLD_DOWN)
+        return True
 
     def link_down(self, peer: str, now: float) -> None:
         """A link of ours is gone."""
@@ -177,7 +196,7 @@ class LinkState:
         advertisement = decode_advertisement(payload)
         known = self._known.get(origin)
         same = known is not None and known.advertisement == advertisement and known.incarnation == incarnation
-        self._known[origin] = _Known(incarnation, advertisement, now)
+        self._known[origin] = Known(incarnation, advertisement, now)
         self._oldest_at = min(self._oldest_at, now + MAX_AGE)
         if not same:
             self._changed()
@@ -225,21 +244,17 @@ class LinkState:
 
     def routes(self) -> dict[str, Route]:
         """The ways to all robots that can be reached."""
-        if self._routes is None:
+        if self._routes is None and self._metric == HOPS:
+            told = {name: known.advertisement.neighbours for name, known in self._known.items()}
+            self._routes = routes_by_hops(self._me, self._own_times(), told)
+        elif self._routes is None:
             self._routes = routes(self._me, self.graph())
         return self._routes
 
     def graph(self) -> dict[str, dict[str, Edge]]:
         """All edges that count, both directions of each with the same cost."""
-        graph: dict[str, dict[str, Edge]] = {}
-        own: dict[str, Edge] = {}
-        for peer, link in self._links.items():
-            known = self._known.get(peer)
-            theirs = known.advertisement.neighbours.get(self._me) if known is not None else None
-            # An end that does not list us has given the link up already, unless its news are still on the way.
-            if theirs is not None or known is None or link.new:
-                own[peer] = self._edge(link.level.time, theirs or 0)
-        graph[self._me] = own
+        own = {peer: self._edge(time, 0) for peer, time in self._own_times().items()}
+        graph = {self._me: own}
         for name, known in self._known.items():
             edges: dict[str, Edge] = {}
             for peer, time in known.advertisement.neighbours.items():
@@ -290,6 +305,17 @@ class LinkState:
         return known is not None and known.advertisement.leaving
 
     # -- inside ------------------------------------------------------------------------------------------------
+
+    def _own_times(self) -> dict[str, int]:
+        """This robot's edges that count, and their times."""
+        own: dict[str, int] = {}
+        for peer, link in self._links.items():
+            known = self._known.get(peer)
+            theirs = known.advertisement.neighbours.get(self._me) if known is not None else None
+            # An end that does not list us has given the link up already, unless its news are still on the way.
+            if theirs is not None or known is None or link.new:
+                own[peer] = max(link.level.time, theirs or 0)
+        return own
 
     def _edge(self, time: int, back: int) -> Edge:
         return _edge(self._metric, max(time, back))

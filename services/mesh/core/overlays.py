@@ -5,7 +5,7 @@ real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 
 from services.mesh.core import catchup, exchange, flood, largefloods, packets, transfers, unicast
 from services.mesh.core.actions import LinkAction, Transmit
@@ -15,7 +15,7 @@ from services.mesh.core.frames import BULK, CONTROL, FLOOD
 from services.mesh.core.halt import Register
 from services.mesh.core.large import Large
 from services.mesh.core.linking import Linking, Start
-from services.mesh.core.linkstate import HOPS, LinkState
+from services.mesh.core.linkstate import HOPS, Known, LinkState
 from services.mesh.core.membership import SETTLE, Membership
 from services.mesh.core.pieces import Packet
 from services.mesh.core.requests import Requests
@@ -109,6 +109,7 @@ class Overlays:
         self._membership = Membership(me, self._robots)
         self._survey = Survey(me, self._robots, self._membership, self._map, self._flood.known)
         self._now = 0.0
+        self._random = random
         self._version = 0
         self._deadline = 0.0
         self._look_at = _NEVER
@@ -131,10 +132,18 @@ class Overlays:
         if self.linking is not None and not self.linking.link_up(peer, now):
             return False
         self._register.link_up(peer)
-        self._map.link_up(peer, now)
+        news = self._map.link_up(peer, now)
         self._flood.link_up(peer, now)
-        self._routes_changed(now)
+        self._routes_changed(now, look=news)
         return True
+
+    def settle(self, links: Mapping[str, int], others: Mapping[str, Known], now: float) -> None:
+        """Begin in a swarm that has been there for long, see `LinkState.settle`. Who is there is found out within
+        `MEMBERS_PERIOD`, not by all robots at once."""
+        self._now = now
+        self._map.settle(links, others, now)
+        self._version = self._map.version
+        self._look_at = self._members_at = now + SETTLE + MEMBERS_PERIOD * self._random()
 
     def link_down(self, peer: str, now: float) -> None:
         """It is down."""
@@ -350,9 +359,10 @@ class Overlays:
             return least
         return max(least, 4 * (farthest.hops + 1) * (farthest.time / farthest.hops) * 1e-4)
 
-    def _routes_changed(self, now: float) -> None:
+    def _routes_changed(self, now: float, *, look: bool = True) -> None:
         self._version = self._map.version
-        self._look_at = min(self._look_at, now + SETTLE)
+        if look:
+            self._look_at = min(self._look_at, now + SETTLE)
         self._unicast.routes_changed(now)
         self._large.ways_changed(now)
         if self.linking is not None:

@@ -42,3 +42,31 @@ def routes(me: str, graph: Mapping[str, Mapping[str, Edge]]) -> dict[str, Route]
             if peer not in found and peer != me:
                 heapq.heappush(heap, (cost + edge.cost, hops + 1, first, peer, time + edge.time))
     return found
+
+
+def routes_by_hops(me: str, own: Mapping[str, int], told: Mapping[str, Mapping[str, int]]) -> dict[str, Route]:
+    """The same where every edge costs 1, level by level. `own`: times of this robot's edges; `told[a][b]`: the time
+    that a tells of its edge to b, which counts where b tells of it, too."""
+    found: dict[str, Route] = {}
+    nothing: Mapping[str, int] = {}
+    level = {peer: (peer, time) for peer, time in own.items()}
+    hops = 0
+    while level:
+        hops += 1
+        # In the order in which `routes` finds them.
+        for (first, name), time in sorted([((first, name), time) for name, (first, time) in level.items()]):
+            found[name] = Route(first, hops, hops, time)
+        further: dict[str, tuple[str, int]] = {}
+        for name, (first, time) in level.items():
+            for peer, there in told.get(name, nothing).items():
+                if peer in found or peer == me:
+                    continue
+                back = told.get(peer, nothing).get(name)
+                if back is None:
+                    continue
+                way = (first, time + (there if there > back else back))
+                best = further.get(peer)
+                if best is None or way < best:
+                    further[peer] = way
+        level = further
+    return found

@@ -1,7 +1,10 @@
 """What a person's acts do to the simulated robot."""
 
-from services.sim.core.devices import SimulatedRobot
-from swarm.core.hands import BUTTONS, Act, Lay, Place, Press, Push
+from services.balancer.core import balboa, display, imu
+from services.sim.core.devices import Device, SimulatedRobot
+from swarm.core.hands import BUTTONS, Act, Lay, Place, Press, Push, Unplug
+
+ADDRESSES = {"imu": imu.ADDRESS, "atmega": balboa.ADDRESS, "display": display.ADDRESS}
 
 
 class Hands:
@@ -10,6 +13,7 @@ class Hands:
     def __init__(self, robot: SimulatedRobot) -> None:
         self._robot = robot
         self._until = [0.0] * len(BUTTONS)
+        self._unplugged: dict[int, Device] = {}
 
     def do(self, act: Act, now: float) -> None:
         """Do it now."""
@@ -22,9 +26,19 @@ class Hands:
                 body.push(impulse)
             case Lay(side):
                 body.lay(1 if side == "front" else -1)
+            case Unplug(device, back):
+                self._plug(ADDRESSES[device], back=back)
             case Place(x, y, heading, tilt, held):
                 if not held:
                     body.put_down(x, y, heading, tilt)
+
+    def _plug(self, address: int, *, back: bool) -> None:
+        """Move a device from the bus into the hand, or the other way."""
+        source, target = self._robot.devices, self._unplugged
+        if back:
+            source, target = target, source
+        if address in source:
+            target[address] = source.pop(address)
 
     def handle_timer(self, now: float) -> None:
         """Let go what was held long enough."""

@@ -31,18 +31,26 @@ class Generator(Protocol):
     def uniform(self, a: float, b: float) -> float: ...  # noqa: D102
 
 
-def recording(model: str, robot: str, place: Point, target: Point, rows: int, numbers: Generator) -> Recording:
-    """What a robot at `place` measures in `rows` iterations, m."""
+def scene(
+    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: Generator
+) -> dict[str, Recording]:
+    """What robots at `places` measure in `rows` iterations, m, by name. All biases are drawn first: by the same numbers
+    two models have the same."""
     bias, noise = ERRORS[model]
-    true = (math.dist(place, target), *place)
-    biased = [value * (1.0 + numbers.uniform(-bias, bias)) for value in true]
-    measured: list[Row] = []
-    for k in range(rows):
-        if k % EVERY == 0:
-            row = Row(*(value * (1.0 + numbers.uniform(-noise, noise)) for value in biased))
-        measured.append(row)
+    biased = {
+        name: [value * (1.0 + numbers.uniform(-bias, bias)) for value in (math.dist(place, target), *place)]
+        for name, place in places.items()
+    }
     times = tuple(ITERATION * k for k in range(rows))
-    return Recording(Path(f"{robot}, noise {model}"), tuple(measured), times, ((0.0, 0.0),))
+    made = {}
+    for name, values in biased.items():
+        measured: list[Row] = []
+        for k in range(rows):
+            if k % EVERY == 0:
+                row = Row(*(value * (1.0 + numbers.uniform(-noise, noise)) for value in values))
+            measured.append(row)
+        made[name] = Recording(Path(f"{name}, noise {model}"), tuple(measured), times, ((0.0, 0.0),))
+    return made
 
 
 def as_csv(recording: Recording) -> str:
@@ -51,10 +59,3 @@ def as_csv(recording: Recording) -> str:
     for t, row in zip(recording.times, recording.rows, strict=True):
         lines.append(",".join([repr(t), *["0.0"] * 6, "0", "0.0", *(repr(100.0 * value) for value in row)]))
     return "\n".join(lines) + "\n"
-
-
-def scene(
-    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: Generator
-) -> dict[str, Recording]:
-    """The recordings of all robots."""
-    return {name: recording(model, name, place, target, rows, numbers) for name, place in places.items()}

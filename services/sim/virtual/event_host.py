@@ -9,15 +9,17 @@ from collections.abc import Mapping
 from services.apps.changes import Changes
 from services.apps.event_host import REMIND, TICK
 from services.apps.event_runner import EventRunner, version
+from services.apps.topology import of_edges
 from services.sim.virtual.host import INCARNATION, Place, VirtualHost
 from services.sim.virtual.strand import Line, Told
-from swarm.codec import Value
+from swarm.codec import Value, decode
+from swarm.config import Config
 from swarm.core.asynchronous import Asynchronous, Call, Publish
 from swarm.core.lockstep_frames import Channel
 from swarm.devices import Devices
 from swarm.errors import AppError, FrameError, PayloadError
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState
+from swarm.messages import AppProgress, AppState, Topology
 from swarm.overlays import Message, Overlays
 
 
@@ -30,11 +32,11 @@ class VirtualEventHost:
         runner: EventRunner,
         digest: bytes,
         place: Place,
-        robots: tuple[str, ...],
+        config: Config,
         channels: VirtualHost | None,
         told: Told,
     ) -> None:
-        """`robots`: all of the swarm; `channels`: the lockstep channels of the app, started after its `start`."""
+        """`channels`: the lockstep channels of the app, started after its `start`."""
         self.app = name
         self.part = ""
         self.robot = place.robot
@@ -59,7 +61,7 @@ class VirtualEventHost:
             place.neighbours,
             channel,
             runner.schema.size,
-            robots,
+            config.names,
             period=runner.period,
             barrier=app.barrier and runner.period is not None,
             handled=runner.handled,
@@ -71,11 +73,17 @@ class VirtualEventHost:
         self._shown: tuple[str, int] | None = None
         self._recorded = -1
         self._timer = self._devices_timer = math.inf
+        self._config = config
+        self._edges: tuple[tuple[str, ...], ...] = ()
         self._senders: dict[str, tuple[str, Channel] | None] = {}
         self._changes = Changes(bus, place.robot, name, app, self._change, _refuse, lambda: self._time.now)
         app.robot.timers = self._after
-        for peer in place.neighbours:
-            bus.subscribe(key(peer, f"app/{name}", "latest", "*"), self._on_latest)
+        if config.auto:
+            bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
+            bus.subscribe(key(place.robot, "mesh", "topology"), self._on_topology)
+        else:  # the links are those of the start: nobody can set others
+            for peer in place.neighbours:
+                bus.subscribe(key(peer, f"app/{name}", "latest", "*"), self._on_latest)
         if "on_button" in runner.handled:
             devices.on_button(lambda button: self._happened("on_button", button))
         if "on_message" in runner.handled:
@@ -120,6 +128,15 @@ class VirtualEventHost:
         known = self._senders[name]
         if known is not None:
             self._core.receive(*known, payload, self._time.now)
+            self._perform()
+
+    def _on_topology(self, name: str, payload: bytes) -> None:
+        in_force = decode(Topology, payload, name)
+        if in_force.edges != self._edges:
+            self._edges = in_force.edges
+            graph = of_edges(self._config, in_force.edges).config.graph
+            self.runner.move(graph)
+            self._core.set_neighbours(graph.neighbours(self.robot), self._time.now)
             self._perform()
 
     def _change(self, values: Mapping[str, Value]) -> None:

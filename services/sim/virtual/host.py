@@ -3,13 +3,15 @@
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from services.apps.core.strand import Strand
+from services.apps.core.strand import Strand, Terms
 from services.apps.host import TICK, schema_of
 from services.apps.runner import Runner
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
 from services.sim.virtual.strand import Measurements, Told, VirtualStrand
 from swarm.codec import decode
+from swarm.core.epoch_notes import Epoch
+from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError
 from swarm.keys import key
@@ -23,13 +25,21 @@ class Place(NamedTuple):
     """Where a host runs, and in which run."""
 
     robot: str
-    neighbours: tuple[str, ...]
+    names: frozenset[str]
+    """Of all robots."""
+    begin: Epoch
+    """Its members and links, the same object for all robots."""
+    graph: Graph
     run: int
-    epoch: int
     last: int | None
     """The last iteration, if there is one."""
     time: EventQueue
     bus: VirtualBus
+
+    @property
+    def neighbours(self) -> tuple[str, ...]:
+        """Of this robot, sorted."""
+        return self.graph.neighbours(self.robot)
 
     @property
     def prefix(self) -> str:
@@ -57,13 +67,15 @@ class VirtualHost:
         self.strands: dict[str, VirtualStrand] = {}
         self._place = place
         self._by_schema: dict[int, VirtualStrand] = {}
-        self._senders: dict[str, tuple[VirtualStrand, str, Channel] | None] = {}
+        self._notes: dict[str, VirtualStrand] = {}
+        self._senders: dict[str, tuple[VirtualStrand, str, Channel | None] | None] = {}
         self._connections: dict[str, int] = {}
         for part, runner in runners.items():
             schema = schema_of(runner, part, digest)
-            channel = Channel(place.run, place.epoch, INCARNATION, schema)
-            strand = Strand(place.robot, place.neighbours, channel, runner, place.last)
-            self.strands[part] = self._by_schema[schema] = VirtualStrand(
+            terms = Terms(place.run, schema, place.last)
+            begin, graph = place.begin, place.graph
+            strand = Strand(place.robot, place.names, terms, begin, graph, INCARNATION, runner)
+            self.strands[part] = self._by_schema[schema] = self._notes[terms.notes] = VirtualStrand(
                 strand,
                 runner,
                 robot=place.robot,
@@ -91,13 +103,19 @@ class VirtualHost:
             known = self._senders[name] = self._parsed(name)
         if known is not None:
             strand, sender, channel = known
-            strand.receive(sender, channel, payload)
+            if channel is not None:
+                strand.receive(sender, channel, payload)
+            elif sender != self.robot:
+                strand.receive_note(sender, payload)
 
-    def _parsed(self, name: str) -> tuple[VirtualStrand, str, Channel] | None:
-        """Whom a frame's key is for, sender and channel; None where it is for another robot, or is no such key."""
+    def _parsed(self, name: str) -> tuple[VirtualStrand, str, Channel | None] | None:
+        """Whom a frame's key is for, sender and channel (None for a note about the members); None where it is for
+        another robot, or is no such key."""
         _, sender, _, _, _, text, *receiver = name.split("/")
         if receiver and receiver != [self.robot]:
             return None
+        if text in self._notes:
+            return self._notes[text], sender, None
         try:
             channel = Channel.parse(text)
         except FrameError:

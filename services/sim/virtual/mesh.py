@@ -38,6 +38,9 @@ from swarm.messages import (
 REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links`, `mesh/clock` and `mesh/topology`, as the service has it."""
 
+FIRST_INCARNATION = 1
+"""Of every robot's floods: nobody is started anew."""
+
 _NEVER = float("inf")
 
 
@@ -97,7 +100,7 @@ class VirtualMesh:
         overlays = Overlays(
             robot,
             common.names,
-            incarnation=1 + int(time.now * 1e6),
+            incarnation=FIRST_INCARNATION,
             random=numbers.random,
             counters=self.counters,
             metric=settings.metric,

@@ -4,11 +4,12 @@ its thread and files."""
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from services.apps.core.strand import ALONE, Strand
+from services.apps.core.strand import ALONE, Renew, Strand
 from services.apps.runner import AppRunner, Runner
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
 from swarm.codec import Value
+from swarm.core.epochs import Tell
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Send
 from swarm.errors import AppError
 from swarm.keys import key
@@ -24,6 +25,8 @@ class Line(NamedTuple):
     t: float
     state: dict[str, Value]
     result: dict[str, Value]
+    measurement: Measurement | None = None
+    """What the step that gave this state computed with."""
 
 
 class Measurements(Protocol):
@@ -97,9 +100,13 @@ class VirtualStrand:
         self._time = time
         self._bus = bus
         self._measurements = measurements
+        self._measured: Measurement | None = None
         self._advanced, self._ended = told
         self._latest = latest
-        self._sync = key(robot, f"app/{app}", "sync", strand.channel.text)
+        self._prefix = key(robot, f"app/{app}", "sync")
+        self._channel = strand.channel
+        self._sync = f"{self._prefix}/{strand.channel.text}"
+        self._notes = f"{self._prefix}/{strand.terms.notes}"
         keys = f"app/{app}/{part}" if part else f"app/{app}"
         self._state_key, self._progress_key = key(robot, keys, "state"), key(robot, keys, "progress")
         self._shown: tuple[str, int] | None = None
@@ -127,6 +134,11 @@ class VirtualStrand:
         self.strand.receive(sender, channel, payload, self._time.now)
         self._perform()
 
+    def receive_note(self, sender: str, payload: bytes) -> None:
+        """What a robot has to say about the members."""
+        self.strand.receive_note(sender, payload, self._time.now)
+        self._perform()
+
     def nudge(self) -> None:
         """A link came up."""
         self.strand.nudge(self._time.now)
@@ -134,7 +146,7 @@ class VirtualStrand:
 
     def take_rtt(self, rtt: float) -> None:
         """The slowest link's round-trip time, s."""
-        self.strand.lockstep.rtt = rtt
+        self.strand.rtt = rtt
 
     def show(self) -> None:
         """Publish state and progress where they are new and somebody hears them."""
@@ -151,7 +163,7 @@ class VirtualStrand:
 
     def _begin(self, measurement: Measurement | None) -> None:
         try:
-            self.strand.begin(None, measurement, self._time.now)
+            self.strand.begin((), measurement, self._time.now)
         except AppError as error:
             self._fail(str(error))
             return
@@ -169,11 +181,27 @@ class VirtualStrand:
         if self.strand.phase == "fault":
             return
         try:
+            self._measured = measurement
             answer = self.strand.compute(todo, measurement)
         except AppError as error:
             self._fail(str(error))
             return
-        self.strand.computed(answer, self._time.now)
+        self.strand.computed(todo, answer, self._time.now)
+        self._perform()
+
+    def _renew(self, todo: Renew) -> None:
+        if self._measurements is not None:
+            self._measurements.get(todo.epoch.k, lambda measurement: self._change(todo, measurement))
+        else:
+            self._change(todo, None)
+
+    def _change(self, todo: Renew, measurement: Measurement | None) -> None:
+        try:
+            answer = self.strand.renew(todo.epoch, measurement)
+        except AppError as error:
+            self._fail(str(error))
+            return
+        self.strand.renewed(todo.epoch, answer, self._time.now)
         self._perform()
 
     def _perform(self) -> None:
@@ -182,13 +210,21 @@ class VirtualStrand:
         for action in strand.actions():
             if type(action) is Send:
                 to = action.to
+                if self._channel is not strand.channel:
+                    self._channel = strand.channel
+                    self._sync = f"{self._prefix}/{self._channel.text}"
                 self._bus.publish(self._sync if to is None else f"{self._sync}/{to}", action.data, urgent=True)
             elif type(action) is Compute:
                 # Not from within: a robot without neighbours would never come back.
                 self._time.soon(self._compute, action)
+            elif type(action) is Tell:
+                self._bus.publish(self._notes, action.data, urgent=True)
+            elif type(action) is Renew:
+                self._time.soon(self._renew, action)
             elif type(action) is Advanced:
                 try:
-                    line = Line(action.k, strand.computed_at, self.runner.state(), self.runner.result())
+                    state, result = self.runner.state(), self.runner.result()
+                    line = Line(action.k, strand.computed_at, state, result, self._measured)
                 except AppError as error:
                     self._fail(str(error))
                     return
@@ -197,7 +233,7 @@ class VirtualStrand:
                 self._advanced(self, line)
             elif type(action) is Fault or type(action) is Finished:
                 self._ended(self)
-        deadline = strand.next_deadline()
+        deadline = strand.next_deadline(self._time.now)
         if deadline is not None and deadline < self._timer:
             self._timer = deadline
             self._time.at(deadline, self._tick, deadline)
@@ -206,11 +242,11 @@ class VirtualStrand:
         if planned != self._timer:
             return  # an earlier one came before
         self._timer = _NEVER
-        deadline = self.strand.next_deadline()
+        deadline = self.strand.next_deadline(self._time.now)
         if deadline is not None and deadline <= self._time.now:
             self.strand.handle_timer(self._time.now)
         self._perform()
 
     def _fail(self, reason: str) -> None:
-        if self.strand.fail(reason):
+        if self.strand.fail(reason, self._time.now):
             self._ended(self)

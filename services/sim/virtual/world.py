@@ -8,6 +8,8 @@ from services.apps import loader, topology
 from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
 from services.mesh.core.delay import AirModel
+from services.mesh.core.linkstate import Known
+from services.mesh.core.packets import Advertisement
 from services.sim.core.witness import Witness
 from services.sim.virtual.air import Air
 from services.sim.virtual.balancer import VirtualBalancer
@@ -17,11 +19,13 @@ from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.events import EventQueue
 from services.sim.virtual.host import Place, VirtualHost
 from services.sim.virtual.measurements import Live, Replayed
-from services.sim.virtual.mesh import Common, VirtualMesh
+from services.sim.virtual.mesh import FIRST_INCARNATION, Common, VirtualMesh
 from services.sim.virtual.strand import Measurements, Told
 from services.sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app import SyncApp
 from swarm.config import Config
+from swarm.core.epoch_notes import Epoch, first
+from swarm.core.graph import Graph
 from swarm.core.hands import Act
 from swarm.devices import Devices
 from swarm.errors import AppError
@@ -58,10 +62,12 @@ class World:
         seed: int,
         *,
         body: str = DIFFERENTIAL,
+        settled: bool = False,
         lying: str | None = None,
         witness: Witness | None = None,
     ) -> None:
-        """`body`: which model of `services.sim.virtual.body`; `lying`: the side on which robots begin, if they do not
+        """`body`: which model of `services.sim.virtual.body`; `settled`: the link state is known to all, as
+        it is some seconds after the start; `lying`: the side on which robots begin, if they do not
         stand; `witness`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
@@ -71,8 +77,12 @@ class World:
         self._body = body
         self._lying = lying
         self._witness = witness
+        self._names = frozenset(config.names)
+        self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
+        if settled:
+            self._settle(air.latency)
 
     def cut(self, a: str, b: str, at: float, seconds: float) -> None:
         """Let nothing pass between two robots from `at` on."""
@@ -101,7 +111,9 @@ class World:
             config, epoch = links.config, links.epoch
         instance = app.make(config, robot, self.seed)
         bus = VirtualBus(self.robots[robot].router)
-        place = Place(robot, config.graph.neighbours(robot), run, epoch, last, self.time, bus)
+        if epoch not in self._begin_with:
+            self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
+        place = Place(robot, self._names, *self._begin_with[epoch], run, last, self.time, bus)
         self._equip(instance.robot, bus, place.prefix)
         host: VirtualHost | VirtualEventHost
         if isinstance(instance, EventApp):
@@ -128,7 +140,7 @@ class World:
             latest = {name: _taking(each) for name, each in channels.items()}
             inner = VirtualHost(app.name, runners, app.digest, place._replace(last=None), None, told, latest)
         return VirtualEventHost(
-            app.name, EventRunner(instance, app.source), app.digest, place, self.config.names, inner, told
+            app.name, EventRunner(instance, app.source), app.digest, place, self.config, inner, told
         )
 
     def _live(self, robot: str, bus: VirtualBus) -> Live:
@@ -149,6 +161,15 @@ class World:
         robot.mesh_clock = MeshClock(bus, robot.name, now)
         robot.ranging = Ranging(bus, robot.name, now)
         robot.devices = Devices(bus, robot.name, now)
+
+    def _settle(self, latency: float) -> None:
+        times = round(max(latency * 1e4, 1.0))
+        links = {name: dict.fromkeys(near, times) for name, near in self._common.near.items()}
+        others = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
+        for name, robot in self.robots.items():
+            robot.mesh.node.overlays.settle(
+                links[name], {other: known for other, known in others.items() if other != name}, self.time.now
+            )
 
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)

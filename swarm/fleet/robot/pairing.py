@@ -13,8 +13,6 @@ from typing import Any
 
 from swarm.fleet.robot.bluez import Bluez, BluezError
 
-INQUIRY_S = 25.0
-"""An inquiry of 10.24 s finds most devices, two of them find those that were missed."""
 PAIR_S = 30.0
 
 _REASONS = {
@@ -30,7 +28,7 @@ _REASONS = {
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """Request: do (look, forget, trust, listen, call), peer, adapter. Its `problem` is empty where it is done."""
+    """Request: do (look, forget, trust, listen, call), peer, adapter, inquiry (s). `problem`: empty where done."""
     try:
         bluez = Bluez(request.get("adapter"))
     except BluezError as error:
@@ -45,7 +43,8 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
 
 
 def _explain(error: BluezError) -> str:
-    return _REASONS.get(error.name, f"{error} ({error.name})" if str(error) != error.name else error.name)
+    foreign = error.name.startswith("org.") and str(error) != error.name
+    return _REASONS.get(error.name, f"{error} ({error.name})" if foreign else str(error))
 
 
 def _look(bluez: Bluez) -> dict[str, Any]:
@@ -87,7 +86,7 @@ def _listen(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None
     bluez.set_adapter("Discoverable", "b", True)
     tell({"listening": True})
     try:
-        seconds = INQUIRY_S + PAIR_S + 10
+        seconds = request["inquiry"] + PAIR_S + 10
         if not bluez.wait(lambda: bool((bluez.device(peer) or {}).get("Paired")), seconds, stop=sys.stdin.fileno()):
             raise BluezError("not-called", f"{peer} has not paired with it")
         bluez.trust(peer)
@@ -103,8 +102,8 @@ def _call(bluez: Bluez, request: dict[str, Any], tell: Callable[[object], None])
     if bluez.device(peer) is None:
         bluez.inquire()
         try:
-            if not bluez.wait(lambda: bluez.device(peer) is not None, INQUIRY_S):
-                raise BluezError("not-found", f"{peer} was not found within {INQUIRY_S:g} s: is it in range?")
+            if not bluez.wait(lambda: bluez.device(peer) is not None, request["inquiry"]):
+                raise BluezError("not-found", f"{peer} was not found within {request['inquiry']:g} s: is it in range?")
         finally:
             with contextlib.suppress(BluezError):
                 bluez.stop_inquiry()

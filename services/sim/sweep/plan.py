@@ -1,0 +1,88 @@
+"""Which runs a sweep is made of: every combination of what was listed, each with every seed."""
+
+import argparse
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_BETWEEN = re.compile(r",(?![^\[]*\])")
+"""Commas that are not within the brackets of a vector."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One combination."""
+
+    choices: tuple[tuple[str, str], ...]
+    """What was listed, and what is taken of it here: robots, topology, algorithm, parameters by name."""
+
+    def arguments(self) -> list[str]:
+        """For `swarm sim`."""
+        found: list[str] = []
+        for name, value in self.choices:
+            if name in ("robots", "topology", "algorithm"):
+                found += [f"--{name}", value]
+            else:
+                found += ["--set", f"{name}={value}"]
+        return found
+
+    def with_value(self, name: str, value: float) -> "Point":
+        """The same with one parameter more."""
+        return Point((*self.choices, (name, repr(value))))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run."""
+
+    point: int
+    """Which of the sweep's points."""
+    seed: int
+    arguments: tuple[str, ...]
+    within: float
+    """How near its last value a result must stay to count as settled, in the result's unit."""
+
+
+def values_of(text: str) -> tuple[str, ...]:
+    """The values of a list such as `6,12` or `[0,1],[1,0]`."""
+    values = tuple(part.strip() for part in _BETWEEN.split(text))
+    if not all(values):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of values such as 6,12")
+    return values
+
+
+def setting_of(text: str) -> tuple[str, tuple[str, ...]]:
+    """A parameter and its values, `gain=0.1,0.2` or `r2.value=3,4`."""
+    name, equals, values = text.partition("=")
+    if not equals or not name:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a parameter with values such as gain=0.1,0.2")
+    return name, values_of(values)
+
+
+def seeds_of(text: str) -> tuple[int, ...]:
+    """`20` = the seeds 1 to 20; `5-9` = those."""
+    match = re.fullmatch(r"(\d+)(?:-(\d+))?", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number of seeds such as 20 nor a range such as 5-9")
+    first, last = (1, int(match[1])) if match[2] is None else (int(match[1]), int(match[2]))
+    if last < first:
+        raise argparse.ArgumentTypeError(f"{text!r}: there is no seed in it")
+    return tuple(range(first, last + 1))
+
+
+def points_of(lists: Sequence[tuple[str, Sequence[str]]]) -> list[Point]:
+    """All combinations, the last list changing fastest."""
+    names = [name for name, _ in lists]
+    return [
+        Point(tuple(zip(names, chosen, strict=True))) for chosen in itertools.product(*(values for _, values in lists))
+    ]
+
+
+def jobs_of(app: str, points: Sequence[Point], seeds: Sequence[int], rest: Sequence[str], within: float) -> list[Job]:
+    """Every point with every seed; `rest` are arguments of `swarm sim` for all of them."""
+    return [
+        Job(index, seed, (app, *point.arguments(), "--seed", str(seed), *rest), within)
+        for index, point in enumerate(points)
+        for seed in seeds
+    ]

@@ -1,0 +1,70 @@
+"""`swarm view`: see a running swarm in the browser."""
+
+import argparse
+import asyncio
+import signal
+import sys
+import webbrowser
+from pathlib import Path
+
+from swarm.errors import LocalError
+from swarm.simulations import default_run_dir
+
+HELP = "see the running swarm, or a recorded run, in the browser"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("recording", nargs="?", type=Path, metavar="RUN", help="a recorded run, not a running one")
+    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
+    parser.add_argument("--control", action="store_true", help="let the page act: stop, cut links, press buttons ...")
+    parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
+    parser.add_argument("--no-open", action="store_true", help="only print the address")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until interrupted."""
+    try:
+        from swarm.view import screenshot, server
+    except ModuleNotFoundError as error:
+        raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+    from swarm.view.control import Control
+    from swarm.view.feed import Simulation
+    from swarm.view.recording import Recording
+
+    feed: Simulation | Recording
+    control = None
+    if args.recording is not None:
+        if args.control:
+            raise LocalError("--control: there is nothing to control in a recording")
+        feed = Recording(args.recording)
+        for damage in feed.damage:
+            print(f"swarm: {damage}", file=sys.stderr)
+    else:
+        feed = Simulation((args.run_dir or default_run_dir()).absolute(), lambda: None)
+        control = Control(feed, allowed=args.control)
+
+    async def main() -> None:
+        ended = asyncio.Event()
+
+        async def ready(address: str) -> None:
+            if args.screenshot is not None:
+                await screenshot.take(address, args.screenshot)
+                print(args.screenshot)
+                ended.set()
+                return
+            print(f"{address}\nend with Ctrl-C", flush=True)
+            if not args.no_open:
+                webbrowser.open(address)
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        await server.serve(feed, control, args.port, ready, ended)
+
+    try:
+        asyncio.run(main())
+    finally:
+        if isinstance(feed, Simulation):
+            feed.close()
+    return 0

@@ -1,0 +1,168 @@
+"""What robots tell each other about the membership of a run (`swarm.core.epochs`): records, votes, and their bytes."""
+
+from dataclasses import dataclass
+from hashlib import blake2b
+
+from swarm.codec import decode, encode
+from swarm.core.graph import Graph
+from swarm.errors import PayloadError
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Ballot:
+    """One attempt to agree; a later one goes before an earlier one. Round 0 is none at all."""
+
+    round: int
+    robot: str
+    """Who attempts it."""
+
+
+NONE = Ballot(0, "")
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """A stretch of a run with the same members and links: agreed upon by a majority of the members of the one before,
+    or ordered by the operator."""
+
+    number: int
+    """u32 over all that follows: what tells its frames apart on the air."""
+    counter: int
+    """How many epochs went before it."""
+    proposer: str
+    before: int
+    """Number of the epoch that it follows."""
+    k: int
+    """The iteration at which it begins."""
+    members: tuple[str, ...]
+    """Sorted."""
+    carried: tuple[str, ...]
+    """Those of them who go on from x(k) of the epoch before; the others come with a value of their own."""
+    edges: tuple[tuple[str, ...], ...]
+    """Links among the members."""
+    away: tuple[str, ...]
+    """Robots that only the operator lets in again."""
+    forced: bool
+    """Ordered by the operator without a majority."""
+
+    @property
+    def graph(self) -> Graph:
+        """The members and their links: neighbours and weights follow from it."""
+        return Graph(self.members, [(a, b) for a, b in self.edges])
+
+    def supersedes(self, other: "Epoch") -> bool:
+        """Whether robots of `other` leave it for this one. Where operators have made two of one counter, one of them
+        has to win everywhere."""
+        if self.counter == 0 or self.number == other.number:
+            return False
+        return (self.counter, self.number) > (other.counter, other.number)
+
+
+def first(members: tuple[str, ...], edges: tuple[tuple[str, ...], ...], number: int) -> Epoch:
+    """The epoch that a run begins with: nobody has agreed on it, `number` stands for the links."""
+    names = tuple(sorted(members))
+    return Epoch(number, 0, "", 0, 0, names, (), edges, (), forced=False)
+
+
+def following(
+    before: Epoch,
+    proposer: str,
+    k: int,
+    members: tuple[str, ...],
+    carried: tuple[str, ...],
+    edges: tuple[tuple[str, ...], ...],
+    away: tuple[str, ...],
+    *,
+    forced: bool,
+) -> Epoch:
+    """The epoch after `before`."""
+    body = (before.counter + 1, proposer, before.number, k, members, carried, edges, away, forced)
+    return Epoch(_number(body), *body)
+
+
+def _number(body: tuple[object, ...]) -> int:
+    return int.from_bytes(blake2b(repr(body).encode(), digest_size=4).digest(), "little")
+
+
+@dataclass(frozen=True, slots=True)
+class Vote:
+    """That a robot is for an epoch, in one ballot."""
+
+    ballot: Ballot
+    epoch: Epoch
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """A ballot of the robot that tells it: first asked for, then with the epoch it is about."""
+
+    ballot: Ballot
+    epoch: Epoch | None
+    forced: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """All that a robot has to say; each one replaces its earlier ones everywhere."""
+
+    robot: str
+    birth: int
+    """Goes up with every start of the process."""
+    version: int
+    """Goes up with every note of a process."""
+    epoch: Epoch
+    """That the robot is in, or has heard of as the newest."""
+    k: int
+    """Its iteration, where it has stopped for a ballot; -1: it has no state in this epoch."""
+    well: bool
+    """False: its app is in fault, or it was told to leave."""
+    deaf: tuple[str, ...]
+    """Neighbours that it cannot hear."""
+    promised: Ballot
+    """It takes part in no earlier ballot."""
+    accepted: Vote | None
+    offer: Offer | None
+
+    @property
+    def age(self) -> tuple[int, int]:
+        """Later notes have a higher one."""
+        return self.birth, self.version
+
+    def encode(self) -> bytes:
+        """Pack as msgpack."""
+        return encode(self)
+
+    @classmethod
+    def decode(cls, data: bytes) -> "Note":
+        """Unpack; `PayloadError` says what is wrong with it."""
+        note = decode(cls, data, "epoch note")
+        for holder in (note, note.accepted, note.offer):
+            if holder is not None and holder.epoch is not None:
+                _check(holder.epoch)
+        return note
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What must outlive the process and, for robots that reboot, the runtime directory: no robot votes twice."""
+
+    run: int
+    schema: int
+    note: Note
+
+
+def _check(epoch: Epoch) -> None:
+    """Refuse an epoch that cannot be one."""
+    members = set(epoch.members)
+    whole = (
+        members
+        and epoch.members == tuple(sorted(members))
+        and set(epoch.carried) <= members
+        and all(len(edge) == 2 and edge[0] != edge[1] and members.issuperset(edge) for edge in epoch.edges)
+        and len({frozenset(edge) for edge in epoch.edges}) == len(epoch.edges)
+        and 0 <= epoch.k < 1 << 32
+        and 0 <= epoch.number < 1 << 32
+    )
+    body = (epoch.counter, epoch.proposer, epoch.before, epoch.k, epoch.members, epoch.carried, epoch.edges, epoch.away)
+    if not whole or (epoch.counter > 0 and epoch.number != _number((*body, epoch.forced))):
+        raise PayloadError(f"epoch {epoch.counter} of {epoch.proposer or 'nobody'}: it contradicts itself")

@@ -1,0 +1,479 @@
+"""Who belongs to a run: an agreed change of its members and links, at an agreed iteration, without a leader.
+
+The members of an epoch agree on the next one as in Paxos (Lamport, The Part-Time Parliament, 1998), one decision an
+epoch. A robot that wants a change makes a ballot. Members that hear of it promise to take part in no earlier one,
+**stop where they are**, and say at which iteration that is. When a majority has answered, the proposer offers an epoch:
+those who answered and who join, their links, and K, the smallest of the iterations told. A majority that accepts it has
+decided, and every robot finds that out by itself. All go on from x(K) of the old epoch, which every one of them has or
+has had: neighbours are at most one iteration apart, so nobody goes back by more than the graph's diameter.
+
+- Two majorities of the same members have a robot in common, and it keeps its word through kills and reboots (`Keep`
+  comes before `Tell`): of two halves at most one ever goes on, and each epoch has one successor.
+- Who has promised does not compute on before there is a decision: K stays within what all can go back to.
+- Robots that left, that lost their state in a reboot, or that come late are heard of by their notes, and are taken in
+  by the next epoch, with a value of their own.
+- The operator may order a change; with `force` it is made by those who answer, be they a minority.
+
+What a robot has to say is one note, newer ones replace older ones, and notes are passed on by everybody who had not
+seen them: over any number of hops, without routes. In an epoch that nobody wants to change nobody says anything.
+
+The core is pure: notes and `now` go in, `actions()` come out, to be carried out in that order. The host keeps `k` at
+the lockstep's iteration; it is -1 where the state of this epoch is lost. `stalled` says that it does not get on: then
+the neighbours are to hear that this robot is there, and that it is not the one that all wait for.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from swarm.core.epoch_notes import NONE, Ballot, Epoch, Kept, Note, Offer, Vote, following
+from swarm.core.graph import Graph
+from swarm.errors import PayloadError
+
+COLLECT = 1.0
+"""s for which a ballot waits for answers of members who may be slow, and ..."""
+QUIET = 0.4
+"""... s since the last one: after a partition many come at once, and all of them shall be in."""
+TELL_EVERY = 1.0
+"""s between two notes of a robot that wants something."""
+TELL_AGAIN = 0.2
+"""s between two notes to robots that seem not to know."""
+FRESH = 3.5
+"""A robot is there if its newest note is at most so old, s."""
+STAGGER = 0.3
+"""s by which each member waits longer than the one before it to make a ballot: mostly one of them does."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Write this where it outlives kills and reboots, before the `Tell` that follows."""
+
+    kept: Kept
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Send this to all neighbours, whatever epoch they are in."""
+
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Switch:
+    """Leave the old epoch for this one, whether this robot is in it or not."""
+
+    epoch: Epoch
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What an operator wants: others out, others in, or only the links in force."""
+
+    drop: tuple[str, ...] = ()
+    add: tuple[str, ...] = ()
+    force: bool = False
+
+
+Action = Keep | Tell | Switch
+
+
+class Epochs:
+    """The membership of one run, as one robot knows it."""
+
+    def __init__(
+        self,
+        me: str,
+        names: Iterable[str],
+        of: tuple[int, int],
+        birth: int,
+        begin: Epoch,
+        kept: Kept | None,
+        *,
+        auto: bool,
+    ) -> None:
+        """`names`: all robots there may be. `of`: run and schema. `begin`: the epoch of a run of which nothing was
+        `kept`. `auto`: make ballots when robots are lost, come (back) or links change; otherwise only when ordered."""
+        self.me = me
+        self.auto = auto
+        self.counters: Counter[str] = Counter()
+        self.well = True
+        self.stalled = False
+        self._names = frozenset(names)
+        self._of = of
+        self._notes: dict[str, Note] = {}
+        self._heard: dict[str, float] = {}
+        if kept is not None and (kept.run, kept.schema) == of:
+            mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
+        else:
+            mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None)
+        self._mine = mine
+        self._become()
+        self.k = mine.epoch.k
+        self._edges = begin.edges
+        self._bound: tuple[object, ...] = ()
+        self._relink = False
+        self._settled = True
+        self._deaf: tuple[str, ...] = ()
+        self._order: Order | None = None
+        self._round = self._mine.promised.round
+        self._offered_at = self._answered_at = 0.0
+        self._answers: frozenset[str] = frozenset()
+        self._tell_at = self._told_at = self._reminded_at = float("-inf")
+        self._cause_at: float | None = None
+        self._actions: list[Action] = []
+
+    # What the host asks
+
+    @property
+    def epoch(self) -> Epoch:
+        """The newest epoch known."""
+        return self._mine.epoch
+
+    @property
+    def birth(self) -> int:
+        """Of this process: higher than that of any before it on this robot."""
+        return self._mine.birth
+
+    @property
+    def kept(self) -> Kept:
+        """What is to outlive the process."""
+        return Kept(*self._of, self._mine)
+
+    @property
+    def deaf(self) -> tuple[str, ...]:
+        """The neighbours that it was told cannot be heard."""
+        return self._deaf
+
+    @property
+    def frozen_at(self) -> int:
+        """The iteration at which it has stopped for a ballot."""
+        return self._mine.k
+
+    @property
+    def reason(self) -> str:
+        """Why it does not go on, as far as that is a matter of membership; else empty."""
+        if not self.member:
+            how = "only the operator lets it in again" if self.me in self.epoch.away else "waits to be let in"
+            return f"{self.me} is not in epoch {self.epoch.counter}: {how}"
+        if self._mine.promised == NONE:
+            return ""
+        answers, members = len(self._answered(self._mine.promised)), len(self.epoch.members)
+        return f"the members change: {answers} of {members} have answered, more than half are needed"
+
+    def actions(self) -> list[Action]:
+        """What is to be done now, in this order."""
+        actions, self._actions = self._actions, []
+        return actions
+
+    def next_deadline(self, now: float) -> float | None:
+        """When `handle_timer` wants to be called; None: no timer runs."""
+        times = [self._tell_at] if self._busy else []
+        if self._mine.offer is not None and self._mine.offer.epoch is None and now < self._collected_at:
+            times.append(self._collected_at)
+        if self._cause(now):
+            times.append(now if self._cause_at is None else self._cause_at)
+        return min(times, default=None)
+
+    # What the host tells
+
+    def take_links(self, edges: tuple[tuple[str, ...], ...]) -> None:
+        """The links of the topology in force."""
+        if edges != self._edges:
+            self._edges = edges
+            members = set(self.epoch.members)
+            here = {frozenset(edge) for edge in edges if members.issuperset(edge)}
+            self._relink = here != {frozenset(edge) for edge in self.epoch.edges}
+
+    def settle(self) -> None:
+        """The host has done what the last `Switch` asked for: only now is there a state to make promises with."""
+        self._settled = True
+
+    def resettle(self) -> None:
+        """The host's state is of an earlier epoch: it has not done yet what the last `Switch` asked for."""
+        self._settled = False
+        self._actions.append(Switch(self.epoch))
+
+    def lose(self) -> None:
+        """The state of this epoch is gone, whatever was told of it."""
+        self.k = -1
+        self._become(k=-1)
+
+    def suspect(self, names: tuple[str, ...], now: float) -> None:
+        """These neighbours, sorted, cannot be heard."""
+        if names != self._deaf:
+            self._deaf = names
+            if self._mine.promised != NONE:
+                self._tell(now)
+
+    def fail(self, now: float) -> None:
+        """This robot's app is in fault: the others need not wait for it."""
+        self.well = False
+        self._become(offer=None)
+        if self.auto:
+            self._tell(now)
+
+    def order(self, order: Order, now: float) -> None:
+        """The operator's."""
+        self._order = order
+        self._propose(now)
+
+    def stranger(self, now: float) -> None:
+        """Somebody sends frames of another epoch: one of us does not know the newest one."""
+        if now >= self._told_at + TELL_AGAIN:
+            self._tell(now)
+
+    def receive(self, data: bytes, now: float) -> None:
+        """A note, of whomever."""
+        try:
+            note = Note.decode(data)
+        except PayloadError:
+            self.counters["malformed note"] += 1
+            return
+        if note.robot == self.me:
+            if note.birth > self._mine.birth:  # of a process whose files are lost: the others listen to it alone
+                self._become(birth=note.birth + 1, version=0)
+                self._tell(now)
+            return
+        known = self._notes.get(note.robot)
+        if note.robot not in self._names:
+            self.counters["unknown robot"] += 1
+            return
+        if known is not None and note.age <= known.age:
+            if note.birth < known.birth and now >= self._reminded_at + TELL_AGAIN:
+                # It lost its files, and does not know that it has to count on from there.
+                self._reminded_at = now
+                self._actions.append(Tell(known.encode()))
+            return
+        self._notes[note.robot] = note
+        self._heard[note.robot] = now
+        self._actions.append(Tell(data))  # who has it passes it on no more
+        self._weigh(note, now)
+
+    def handle_timer(self, now: float) -> None:
+        """Do what is due."""
+        self._drive(now)
+        if not self._cause(now):
+            self._cause_at = None
+        else:
+            if self._cause_at is None:
+                self._cause_at = now + STAGGER * self.epoch.members.index(self.me)
+            if now >= self._cause_at:
+                self._cause_at = None
+                self._propose(now)
+        if self._busy and now >= self._tell_at:
+            self._tell(now)
+
+    # How it works
+
+    def _become(self, **changes: object) -> None:
+        """Have something else to say. What is asked with each frame is worked out here."""
+        self._mine = mine = replace(self._mine, **changes)  # type: ignore[arg-type]
+        self.number = mine.epoch.number
+        """Of the newest epoch known."""
+        self.member = self.me in mine.epoch.members
+        """Whether this robot is in it."""
+        self.frozen = mine.promised != NONE or not self.member
+        """Whether it may not compute: it has answered a ballot, or has no place in the epoch."""
+
+    @property
+    def _busy(self) -> bool:
+        """Whether this robot wants something of the others."""
+        wanting = not self.well or self._deaf or self.stalled
+        return self.frozen or self.k < 0 or self._order is not None or bool(self.auto and wanting)
+
+    @property
+    def _collected_at(self) -> float:
+        """When a ballot need not wait for further answers."""
+        return max(self._offered_at + COLLECT, self._answered_at + QUIET)
+
+    def _weigh(self, note: Note, now: float) -> None:
+        if note.epoch.supersedes(self.epoch):
+            self._adopt(note.epoch, now)
+        elif note.epoch.number != self.epoch.number:
+            if self.epoch.supersedes(note.epoch):
+                self.stranger(now)
+            return
+        elif note.offer is not None and self.member and self._settled:
+            self._answer(note.offer, now)
+        self._round = max(self._round, note.promised.round)
+        self._drive(now)
+        self._decide(now)
+
+    def _answer(self, offer: Offer, now: float) -> None:
+        """As an acceptor: promise, or accept."""
+        mine = self._mine
+        if offer.epoch is None:
+            if offer.ballot > mine.promised:
+                self._stop(offer.ballot, mine.accepted, now)
+        elif offer.ballot >= mine.promised and (mine.accepted is None or mine.accepted.ballot < offer.ballot):
+            self._stop(offer.ballot, Vote(offer.ballot, offer.epoch), now)
+
+    def _stop(self, promised: Ballot, accepted: Vote | None, now: float) -> None:
+        """Compute no more, and say where: first of all promises fixes the iteration, it does not move any more."""
+        k = self.k if self._mine.promised == NONE else self._mine.k
+        offer = self._mine.offer
+        if offer is not None and offer.ballot < promised:
+            offer = None
+        self._become(promised=promised, accepted=accepted, offer=offer, k=k)
+        self._tell(now)
+
+    def _propose(self, now: float) -> None:
+        if not self.member or not self.well or not self._settled:
+            return
+        self._round += 1
+        ballot = Ballot(self._round, self.me)
+        forced = self._order is not None and self._order.force
+        self._become(offer=Offer(ballot, None, forced))
+        self._offered_at = self._answered_at = now
+        self._answers = frozenset()
+        self._stop(ballot, self._mine.accepted, now)
+        self._drive(now)
+        self._decide(now)
+
+    def _drive(self, now: float) -> None:
+        """As a proposer: go on where there are answers enough."""
+        offer = self._mine.offer
+        if offer is None or offer.epoch is not None:
+            return
+        notes = self._answered(offer.ballot)
+        if frozenset(notes) != self._answers:
+            self._answers, self._answered_at = frozenset(notes), now
+        complete = len(notes) == len(self.epoch.members) and not self._newcomers(now)
+        if not complete and now < self._collected_at:
+            return
+        epoch = self._choose(offer, notes, now)
+        if epoch is not None:
+            self._become(offer=replace(offer, epoch=epoch))
+            self._stop(offer.ballot, Vote(offer.ballot, epoch), now)
+
+    def _choose(self, offer: Offer, notes: dict[str, Note], now: float) -> Epoch | None:
+        """The epoch to offer: what may have been decided already, else what this robot would have."""
+        members = self.epoch.members
+        if not offer.forced:
+            if 2 * len(notes) <= len(members):
+                return None
+            votes = [note.accepted for note in notes.values() if note.accepted is not None]
+            if votes:
+                return max(votes, key=lambda vote: vote.ballot).epoch
+        order = self._order or Order()
+        away = tuple(sorted((set(self.epoch.away) | set(order.drop)) - set(order.add)))
+        there = {**notes, **self._newcomers(now, *order.add)}
+        there = {n: note for n, note in there.items() if note.well and n not in away and self._is_there(n, now)}
+        deaf = {frozenset((n, other)) for n, note in there.items() for other in note.deaf}
+        edges = [(a, b) for a, b in self._edges if a in there and b in there and frozenset((a, b)) not in deaf]
+        parts = Graph(tuple(sorted(there)), edges).components()
+        chosen = tuple(
+            sorted(max(parts, key=lambda part: (len(set(part) & set(members)), self.me in part), default=()))
+        )
+        if not chosen or (not offer.forced and 2 * len(set(chosen) & set(members)) <= len(members)):
+            return None
+        carried = tuple(n for n in chosen if n in notes and notes[n].k >= 0)
+        k = min((notes[n].k for n in carried), default=self.epoch.k)
+        links = tuple(sorted(tuple(sorted(edge)) for edge in edges if edge[0] in chosen))
+        return following(self.epoch, self.me, k, chosen, carried, links, away, forced=offer.forced)
+
+    def _decide(self, now: float) -> None:
+        """As everybody: see whether an epoch has votes enough."""
+        votes: dict[Ballot, set[str]] = {}
+        epochs: dict[Ballot, Epoch] = {}
+        for name, note in self._members_notes().items():
+            if note.accepted is not None:
+                votes.setdefault(note.accepted.ballot, set()).add(name)
+                epochs[note.accepted.ballot] = note.accepted.epoch
+        for ballot, epoch in epochs.items():
+            if epoch.forced:
+                decided = votes[ballot] >= set(epoch.carried)
+            else:
+                decided = 2 * len(votes[ballot]) > len(self.epoch.members)
+            if decided:
+                self._adopt(epoch, now)
+                return
+
+    def _adopt(self, epoch: Epoch, now: float) -> None:
+        self._become(epoch=epoch, promised=NONE, accepted=None, offer=None)
+        self.k = epoch.k
+        self._settled = False
+        if self._order is None or not set(self._order.drop) & set(epoch.members) or not self.member:
+            self._order = None
+        self._relink = False
+        self._deaf = ()
+        self._cause_at = None
+        self._tell(now)
+        self._actions.append(Switch(epoch))
+
+    def _cause(self, now: float) -> bool:
+        """Whether this robot should make a ballot."""
+        mine = self._mine
+        if not self.member or not self.well or not self._settled:
+            return False
+        if mine.promised != NONE:
+            return self._orphaned(now)
+        if self._order is not None:
+            return True
+        if not self.auto:
+            return False
+        if self._deaf or self._relink:
+            return True
+        if not self._notes:
+            return False
+        members = self._members_notes()
+        lost = any(not note.well or note.k < 0 for name, note in members.items() if name != self.me)
+        return lost or bool(self._newcomers(now))
+
+    def _orphaned(self, now: float) -> bool:
+        """Whether the ballot under way has lost its proposer: another one has to end what it began."""
+        mine = self._mine
+        newest = max(self._members_notes().values(), key=lambda note: note.promised)
+        by = newest.promised.robot
+        if by == self.me:
+            return mine.offer is None
+        proposer = self._notes.get(by)
+        return not (
+            self._is_there(by, now)
+            and proposer is not None
+            and proposer.well
+            and proposer.offer is not None
+            and proposer.offer.ballot >= newest.promised
+        )
+
+    def _newcomers(self, now: float, *added: str) -> dict[str, Note]:
+        """Robots that are there and know that they have no part in this epoch; `added`: whom the operator lets in."""
+        away = set(self.epoch.away) - set(added)
+        return {
+            name: note
+            for name, note in self._notes.items()
+            if note.well and name not in away and self._is_there(name, now) and self._outside(note)
+        }
+
+    def _outside(self, note: Note) -> bool:
+        """Whether a robot is in no epoch, or in one of its own. Who has not heard of this one yet will: no matter."""
+        if note.epoch.number == self.epoch.number:
+            return note.robot not in self.epoch.members
+        return not note.epoch.supersedes(self.epoch) and not self.epoch.supersedes(note.epoch)
+
+    def _answered(self, ballot: Ballot) -> dict[str, Note]:
+        """The notes of members who take part in a ballot."""
+        return {name: note for name, note in self._members_notes().items() if note.promised == ballot}
+
+    def _members_notes(self) -> dict[str, Note]:
+        """The notes of members who know of this epoch, the own one too."""
+        return {
+            name: note
+            for name, note in ((n, self._mine if n == self.me else self._notes.get(n)) for n in self.epoch.members)
+            if note is not None and note.epoch.number == self.epoch.number
+        }
+
+    def _is_there(self, name: str, now: float) -> bool:
+        return name == self.me or now - self._heard.get(name, float("-inf")) <= FRESH
+
+    def _tell(self, now: float) -> None:
+        mine = self._mine
+        k = mine.k if mine.promised != NONE else self.k
+        self._become(version=mine.version + 1, well=self.well, deaf=self._deaf, k=k)
+        self._told_at, self._tell_at = now, now + TELL_EVERY
+        new = self._mine
+        bound = (new.birth, new.epoch, new.promised, new.accepted, new.k if new.promised != NONE else None)
+        if bound != self._bound:  # a repetition binds to nothing new: it need not wait for a disk
+            self._bound = bound
+            self._actions.append(Keep(self.kept))
+        self._actions.append(Tell(new.encode()))

@@ -1,0 +1,1 @@
+"""`swarm view`: the whole swarm on one page, live."""

@@ -1,0 +1,125 @@
+"""What a page may do to the swarm where it was started with `--control`. Without that every command is refused."""
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from swarm import air, clock, hands
+from swarm.bus import Bus
+from swarm.cli import kill
+from swarm.codec import Value
+from swarm.core.hands import Lay, Press, Push
+from swarm.errors import LocalError
+from swarm.keys import STOP, is_name, key
+from swarm.messages import Arm, SetAppParameters, Stop
+from swarm.view.feed import Simulation
+
+REASON = "the page of swarm view"
+PRESS_S = 0.3
+MAX_CUT_S = 600.0
+
+
+class Control:
+    """Carries out what pages ask."""
+
+    def __init__(self, feed: Simulation, *, allowed: bool) -> None:
+        self._feed = feed
+        self.allowed = allowed
+        self._wanted: bool | None = None
+        self._acts: dict[str, Callable[[Mapping[str, Any]], str]] = {
+            "stop": lambda _: self._halt(stop=True),
+            "arm": lambda _: self._halt(stop=False),
+            "press": self._press,
+            "push": self._push,
+            "lay": self._lay,
+            "kill": self._kill,
+            "cut": self._cut,
+            "set": self._set,
+        }
+
+    def do(self, asked: object) -> str:
+        """Carry out `{act: NAME, ...}`; what was done, in words. Raises `LocalError`."""
+        if not self.allowed:
+            raise LocalError("this page only watches: start `swarm view --control` to act")
+        if not isinstance(asked, dict) or (act := self._acts.get(str(asked.get("act")))) is None:
+            raise LocalError(f"expected an act of {', '.join(self._acts)}")
+        try:
+            return act(asked)
+        except (KeyError, TypeError, ValueError) as error:
+            raise LocalError(f"{asked.get('act')}: {error!r} is missing or wrong") from None
+        except OSError as error:
+            raise LocalError(f"{asked.get('act')}: {error.strerror or error}") from None
+
+    def repeat(self) -> None:
+        """Give a stop, or its end, again to robots that have not confirmed it: a bus may lose it."""
+        if self._wanted is None:
+            return
+        with self._feed.lock:
+            said = {name: self._feed.picture.newest(name, "mesh/stopped") for name in self._feed.buses}
+        late = [name for name, value in said.items() if not _agrees(value, self._wanted)]
+        if not late:
+            self._wanted = None
+        for name in late:
+            self._give(name, self._feed.buses[name])
+
+    def _halt(self, *, stop: bool) -> str:
+        self._wanted = stop
+        for name, bus in self._feed.buses.items():
+            self._give(name, bus)
+        return "stop given to all robots" if stop else "stops taken back"
+
+    def _give(self, name: str, bus: Bus) -> None:
+        if self._wanted:
+            bus.publish(STOP, Stop(clock.now(), name, REASON), urgent=True)
+        else:
+            bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), name), urgent=True)
+
+    def _press(self, asked: Mapping[str, Any]) -> str:
+        robot, button = self._robot(asked), str(asked["button"]).upper()
+        hands.do(self._feed.directory / robot, Press(button, PRESS_S))
+        return f"{robot}: pressed {button}"
+
+    def _push(self, asked: Mapping[str, Any]) -> str:
+        robot, impulse = self._robot(asked), float(asked["impulse"])
+        hands.do(self._feed.directory / robot, Push(impulse))
+        return f"{robot}: pushed with {impulse:g} N s"
+
+    def _lay(self, asked: Mapping[str, Any]) -> str:
+        robot, side = self._robot(asked), str(asked["side"])
+        hands.do(self._feed.directory / robot, Lay(side))
+        return f"{robot}: lies on its {side}"
+
+    def _kill(self, asked: Mapping[str, Any]) -> str:
+        robot = self._robot(asked)
+        service, pid = kill.end(self._feed.directory / robot, str(asked["service"]), "KILL")
+        return f"{robot}: killed {service} (pid {pid})"
+
+    def _cut(self, asked: Mapping[str, Any]) -> str:
+        ends, seconds = (self._robot(asked), self._robot({"robot": asked["peer"]})), float(asked["seconds"])
+        if not 0.0 <= seconds <= MAX_CUT_S or not math.isfinite(seconds):
+            raise LocalError(f"cut: expected 0 (mend) to {MAX_CUT_S:g} s, got {seconds:g}")
+        for robot, peer in (ends, ends[::-1]):
+            air.silence(self._feed.directory, robot, peer, seconds)
+        return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
+
+    def _set(self, asked: Mapping[str, Any]) -> str:
+        app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
+        if not is_name(app) or not isinstance(value, bool | int | float | str):
+            raise LocalError("set: expected the name of an app and a number, a text, true or false")
+        robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+        values: dict[str, Value] = {name: value}
+        for robot in robots:
+            request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
+            self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
+        return f"{app}: {name}={value} asked of {' '.join(robots)}"
+
+    def _robot(self, asked: Mapping[str, Any]) -> str:
+        name = str(asked["robot"])
+        if name not in self._feed.buses:
+            raise LocalError(f"no robot {name[:20]!r}, there are {', '.join(self._feed.buses)}")
+        return name
+
+
+def _agrees(value: object, stopped: bool) -> bool:
+    return isinstance(value, dict) and value.get("stopped") is stopped

@@ -1,0 +1,84 @@
+"""Where a picture gets its samples from: the buses of a simulation that runs on this machine."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from swarm import clock
+from swarm.bus import Bus
+from swarm.config import parse
+from swarm.config.types import Config
+from swarm.errors import LocalError, SwarmError
+from swarm.keys import EVERYTHING
+from swarm.paths import bus_endpoint
+from swarm.simulations import CONFIG, is_live, robots
+from swarm.view.picture import Picture
+
+_LOOK_EVERY = 0.5
+"""s between two looks for buses that have come."""
+
+
+class Simulation:
+    """Watches the bus of every robot of a running simulation until closed."""
+
+    kind = "simulation"
+
+    def __init__(self, directory: Path, changed: Callable[[], None]) -> None:
+        """`changed()` is called on any thread when the picture has. Raises `LocalError` where none runs there."""
+        if not is_live(directory):
+            raise LocalError(f"no simulation is running in {directory}: start one with `swarm sim`, or name --run-dir")
+        self.picture = Picture()
+        self.lock = threading.Lock()
+        """Around the picture."""
+        self.directory = directory
+        self._changed = changed
+        self.buses: dict[str, Bus] = {}
+        """Of each robot."""
+        self.began = clock.now()
+        """The page counts its seconds from here."""
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
+        self._thread.start()
+
+    @property
+    def live(self) -> bool:
+        """Whether it still runs."""
+        return is_live(self.directory)
+
+    def config(self) -> Config | None:
+        """The swarm's configuration; None as long as it is not there."""
+        path = self.directory / CONFIG
+        try:
+            return parse(path.read_text(encoding="utf-8"), path)
+        except (OSError, SwarmError):
+            return None
+
+    def close(self) -> None:
+        """Leave all buses."""
+        self._closing.set()
+        self._thread.join()
+        for bus in self.buses.values():
+            bus.close()
+
+    def _look(self) -> None:
+        while not self._closing.wait(_LOOK_EVERY if self.buses else 0.05):
+            for name, runtime in robots(self.directory).items():
+                if name not in self.buses:
+                    bus = Bus(bus_endpoint(runtime))
+                    self.buses = {**self.buses, name: bus}  # others may be going through it
+                    bus.subscribe(EVERYTHING, self._taker(name))
+                    bus.watch(f"swarm/{name}/**/alive", self._alive)
+
+    def _taker(self, robot: str) -> Callable[[str, bytes], None]:
+        def take(key: str, payload: bytes) -> None:
+            with self.lock:
+                self.picture.take(robot, key, payload, clock.now() - self.began)
+            self._changed()
+
+        return take
+
+    def _alive(self, key: str, there: bool) -> None:
+        _, robot, *service, _ = key.split("/")
+        with self.lock:
+            self.picture.alive(robot, "/".join(service), there, clock.now() - self.began)
+        self._changed()

@@ -1,0 +1,105 @@
+// What the page knows of the swarm; filled by the steps that the server sends.
+
+export const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#8a5ad6", "#7a7a7a"]; // told apart by the colour-blind too (Okabe, Ito 2008)
+const TRAIL = 300; // places
+
+export class Store {
+  constructor() {
+    this.listeners = new Set();
+    this.clear();
+  }
+
+  clear() {
+    this.t = 0;
+    this.live = false;
+    this.swarm = null;
+    this.robots = new Map(); // name -> Map(topic -> value)
+    this.services = {};
+    this.events = [];
+    this.trails = new Map(); // name -> [[x, y], ...]
+    this.hops = {};
+    this.flashes = new Map(); // "r0>r1" -> {at, rate}
+    this.places = new Map(); // name -> {from, to, at}: drawn between two samples
+  }
+
+  // One message of the server. Returns the topics that are new, by robot.
+  take(step, now) {
+    if (step.swarm !== undefined) this.swarm = step.swarm;
+    if (step.services) this.services = step.services;
+    this.t = step.t;
+    this.live = step.live;
+    for (const [name, places] of Object.entries(step.trails ?? {})) this.trails.set(name, places);
+    for (const [name, topics] of Object.entries(step.robots ?? {})) {
+      if (!this.robots.has(name)) this.robots.set(name, new Map());
+      const known = this.robots.get(name);
+      for (const [topic, value] of Object.entries(topics)) known.set(topic, value);
+      if (topics["sim/truth"] || topics["dwm/pose"]) this.move(name, now);
+    }
+    if (step.events) this.events = [...this.events, ...step.events].slice(-500);
+    if (step.hops) {
+      for (const [edge, count] of Object.entries(step.hops)) {
+        const before = this.flashes.get(edge) ?? { count, at: -1e9, rate: 0, seen: now };
+        if (count !== before.count) {
+          const seconds = Math.max(0.02, (now - before.seen) / 1000);
+          const rate = 0.8 * before.rate + (0.2 * (count - before.count)) / seconds;
+          this.flashes.set(edge, { count, at: now, rate, seen: now });
+        } else if (before.seen === now) this.flashes.set(edge, before);
+      }
+    }
+    for (const listener of this.listeners) listener(step);
+  }
+
+  get names() {
+    return this.swarm ? this.swarm.robots : [...this.robots.keys()].sort();
+  }
+
+  colour(name) {
+    return PALETTE[Math.max(0, this.names.indexOf(name)) % PALETTE.length];
+  }
+
+  get(name, topic) {
+    return this.robots.get(name)?.get(topic);
+  }
+
+  // The true pose where there is one (a simulation), else the estimate.
+  pose(name) {
+    const pose = this.get(name, "sim/truth") ?? this.get(name, "dwm/pose");
+    return pose && typeof pose.x === "number" && typeof pose.y === "number" ? pose : null;
+  }
+
+  move(name, now) {
+    const pose = this.pose(name);
+    if (!pose) return;
+    const before = this.place(name, now);
+    this.places.set(name, { from: before ?? pose, to: pose, at: now });
+    const trail = this.trails.get(name) ?? [];
+    const last = trail[trail.length - 1];
+    if (!last || Math.hypot(last[0] - pose.x, last[1] - pose.y) > 0.01) trail.push([pose.x, pose.y]);
+    if (trail.length > TRAIL) trail.shift();
+    this.trails.set(name, trail);
+  }
+
+  // Where to draw a robot now: samples come ten times a second, the screen has sixty pictures.
+  place(name, now) {
+    const place = this.places.get(name);
+    if (!place) return null;
+    const share = Math.min(1, (now - place.at) / 100);
+    const mix = (key) => (place.from[key] ?? 0) + share * ((place.to[key] ?? 0) - (place.from[key] ?? 0));
+    const turn = Math.atan2(
+      Math.sin((place.to.heading ?? 0) - (place.from.heading ?? 0)),
+      Math.cos((place.to.heading ?? 0) - (place.from.heading ?? 0)),
+    );
+    return { x: mix("x"), y: mix("y"), heading: (place.from.heading ?? 0) + share * turn, tilt: mix("tilt") };
+  }
+
+  // State of a link as both ends see it: the worse of the two.
+  link(a, b) {
+    const order = ["up", "suspect", "connecting", "down"];
+    const seen = [[a, b], [b, a]].map(([from, to]) => this.get(from, "mesh/links")?.links?.find((each) => each.peer === to));
+    const known = seen.filter(Boolean);
+    if (!known.length) return null;
+    const state = known.map((each) => each.state).sort((x, y) => order.indexOf(y) - order.indexOf(x))[0];
+    const rate = Math.max(...known.map((each) => each.sent_rate ?? 0));
+    return { state, rate, rtt: known[0].rtt };
+  }
+}

@@ -1,0 +1,103 @@
+"""What a recorded run shows at any instant of it."""
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from swarm.config import parse
+from swarm.config.types import Config
+from swarm.core import jsontext
+from swarm.errors import RecordingError, SwarmError
+from swarm.keys import parse as parse_key
+from swarm.recording.run import Run
+from swarm.simulations import CONFIG
+from swarm.view.picture import Event, Picture, plain
+
+TRAIL_S = 30.0
+HISTORY_S = 120.0
+"""What a chart that is opened shows, s before the instant."""
+
+
+class Recording:
+    """A run, all of it in memory: its messages as they were written, JSON text."""
+
+    kind = "recording"
+
+    def __init__(self, path: Path) -> None:
+        """Raises `RecordingError` where there is none. What of it cannot be read is named in `damage`."""
+        run = Run(path)
+        self.path = path
+        self.first, self.last = 0.0, 0.0
+        """Of its messages, s; 0 is the first iteration."""
+        self._rows: dict[str, dict[str, tuple[list[float], list[bytes]]]] = {}
+        self._events: list[Event] = []
+        teller = Picture()
+        for sample in run.samples():
+            try:
+                robot, service, topic = parse_key(sample.topic)
+                message = plain(sample.message)
+            except SwarmError:
+                continue
+            name = f"{service}/{topic}"
+            times, data = self._rows.setdefault(robot, {}).setdefault(name, ([], []))
+            times.append(sample.t)
+            data.append(sample.data)
+            self.first, self.last = min(self.first, sample.t), max(self.last, sample.t)
+            teller.put(robot, name, message, sample.t)
+            if teller.events:
+                self._events.append(teller.events.pop())
+        self.damage = list(run.damage)
+        self.robots = run.robots
+
+    def config(self) -> Config | None:
+        """The configuration of the run; None where it was not kept or is of another version."""
+        path = self.path / CONFIG
+        try:
+            return parse(path.read_text(encoding="utf-8"), path)
+        except (OSError, SwarmError):
+            return None
+
+    def step(self, since: float | None, t: float) -> dict[str, Any]:
+        """What a page that shows the instant `since` (None: nothing yet) needs to show the instant `t`, s."""
+        if since is not None and t < since:
+            since = None
+        robots: dict[str, dict[str, object]] = {}
+        for robot, topics in self._rows.items():
+            new = {}
+            for topic, (times, data) in topics.items():
+                index = bisect_right(times, t)
+                if index > (0 if since is None else bisect_right(times, since)):
+                    new[topic] = self._message(data[index - 1])
+            if new:
+                robots[robot] = new
+        events = [event for event in self._events if (since is None or event.t > since) and event.t <= t]
+        step: dict[str, Any] = {"t": t, "live": True, "fresh": since is None, "robots": robots}
+        if events:
+            step["events"] = [event._asdict() for event in events]
+        if since is None:
+            step["trails"] = {robot: list(self._trail(robot, t)) for robot in self._rows}
+        return step
+
+    def history(self, robot: str, topic: str, t: float) -> list[tuple[float, object]]:
+        """What a key held in the two minutes before an instant."""
+        times, data = self._rows.get(robot, {}).get(topic, ([], []))
+        rows = range(bisect_right(times, t - HISTORY_S), bisect_right(times, t))
+        return [(times[index], self._message(data[index])) for index in rows]
+
+    def _trail(self, robot: str, t: float) -> Iterator[tuple[float, float]]:
+        topics = self._rows[robot]
+        for topic in ("sim/truth", "dwm/pose"):
+            if topic in topics:
+                times, data = topics[topic]
+                for index in range(bisect_right(times, t - TRAIL_S), bisect_right(times, t)):
+                    message = self._message(data[index])
+                    if isinstance(message, dict) and isinstance(message.get("x"), int | float):
+                        yield float(message["x"]), float(message.get("y", 0.0))
+                return
+
+    def _message(self, data: bytes) -> object:
+        try:
+            return plain(jsontext.decode(data))
+        except (ValueError, RecursionError) as error:
+            raise RecordingError(f"{self.path}: a message is not JSON: {error}") from None

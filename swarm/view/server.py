@@ -1,0 +1,227 @@
+"""The page and its WebSocket, on this machine only.
+
+Who has the address has the page: it carries a token, made anew for each start. Pages of other origins are refused: a
+browser would send the token along. Each page is told of changes at most `RATE` times a second, and only when it has
+taken the last ones.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import json
+import secrets
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from swarm import clock
+from swarm.errors import LocalError
+from swarm.view.control import Control
+from swarm.view.feed import Simulation
+from swarm.view.recording import Recording
+
+HOST = "127.0.0.1"
+RATE = 25.0
+"""Steps a second that a page gets at most: bodies are told of at 25 Hz; the page draws the way between."""
+
+CROWD = 50
+"""Robots from which on a page gets a fifth as many steps."""
+
+TRAIL_S = 30.0
+SETTLE_S = 4.0
+"""s that a page has before its picture is taken: to connect, and for trails to grow."""
+
+REPEAT_S = 0.2
+"""s between two looks whether robots have confirmed a stop."""
+
+PAGE = Path(__file__).with_name("page")
+_MAX_REQUEST = 4096
+_POLICY = (
+    "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; "
+    "frame-ancestors 'none'"
+)
+"""Nothing from the network at run time."""
+
+Feed = Simulation | Recording
+
+_FEED: web.AppKey[Feed] = web.AppKey("feed", Feed)  # type: ignore[arg-type]
+_TOKEN: web.AppKey[str] = web.AppKey("token")
+_CONTROL: web.AppKey[Control | None] = web.AppKey("control")
+
+
+def application(feed: Feed, control: Control | None, token: str) -> web.Application:
+    """The server; run it with `serve`. There is nothing to control in a recording."""
+    app = web.Application(middlewares=[_guard])
+    app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
+    app.router.add_get("/", _index)
+    app.router.add_get("/live", _live)
+    app.router.add_get("/settled", _settled)
+    app.router.add_static("/page", PAGE)
+    return app
+
+
+@web.middleware
+async def _guard(request: web.Request, handler: Callable[..., Any]) -> web.StreamResponse:
+    """Only this machine's browser, and only who has the token; the page's own parts hold no secrets."""
+    origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
+    if host.partition(":")[0] not in (HOST, "localhost") or origin not in (None, f"http://{host}"):
+        raise web.HTTPForbidden(text="this page is for the machine that it was started on\n")
+    if not request.path.startswith("/page/"):
+        given = request.query.get("token", "")
+        if not hmac.compare_digest(given.encode(), request.app[_TOKEN].encode()):
+            raise web.HTTPForbidden(text="open the address that `swarm view` has printed: the token in it is missing\n")
+    response: web.StreamResponse = await handler(request)
+    if not response.prepared:
+        response.headers["Cache-Control"] = "no-store"
+        response.headers["Content-Security-Policy"] = _POLICY
+        response.headers["Referrer-Policy"] = "no-referrer"
+        response.headers["X-Content-Type-Options"] = "nosniff"
+    return response
+
+
+async def _index(_: web.Request) -> web.StreamResponse:
+    return web.FileResponse(PAGE / "index.html")
+
+
+async def _settled(_: web.Request) -> web.StreamResponse:
+    """Answers late, and so holds up the end of the page's loading, for which a screenshot waits."""
+    await asyncio.sleep(SETTLE_S)
+    return web.Response(status=204)
+
+
+async def _live(request: web.Request) -> web.StreamResponse:
+    socket = web.WebSocketResponse(heartbeat=1.0, max_msg_size=_MAX_REQUEST)
+    await socket.prepare(request)
+    feed, control = request.app[_FEED], request.app[_CONTROL]
+    if isinstance(feed, Recording):
+        await _play(feed, socket)
+        return socket
+    assert control is not None
+    steps = asyncio.create_task(_steps(feed, control, socket))
+    try:
+        async for message in socket:
+            if message.type == WSMsgType.TEXT:
+                await socket.send_str(json.dumps(_answer(feed, control, message.data), allow_nan=False))
+    finally:
+        steps.cancel()
+        with contextlib.suppress(asyncio.CancelledError, ConnectionError):
+            await steps
+    return socket
+
+
+async def _steps(feed: Simulation, control: Control, socket: web.WebSocketResponse) -> None:
+    """Tell a page what there is, then what changes."""
+    known: dict[str, Any] = {}
+    version = number = 0
+    while not socket.closed:
+        now = clock.now() - feed.began
+        step: dict[str, Any] = {"t": now, "live": feed.live}
+        swarm = _swarm(feed, control)
+        with feed.lock:
+            picture = feed.picture
+            robots = picture.since(version)
+            events = picture.events_since(number)
+            services = {robot: dict(each) for robot, each in picture.services().items()}
+            hops = picture.hops()
+            if version == 0:
+                trails = ((name, "sim/truth", "dwm/pose") for name in robots)
+                step["trails"] = {
+                    name: picture.trail(name, true, TRAIL_S, now) or picture.trail(name, pose, TRAIL_S, now)
+                    for name, true, pose in trails
+                }
+            version = picture.version
+        if robots:
+            step["robots"] = robots
+        if events:
+            step["events"] = [event._asdict() for event in events]
+            number = events[-1].number
+        for name, value in (("swarm", swarm), ("services", services), ("hops", hops)):
+            if known.get(name) != value:
+                step[name] = known[name] = value
+        await socket.send_str(json.dumps(step, allow_nan=False, separators=(",", ":")))
+        await asyncio.sleep((5.0 if len(services) >= CROWD else 1.0) / RATE)
+
+
+async def _play(recording: Recording, socket: web.WebSocketResponse) -> None:
+    """Answer a page that goes through a recording at its own pace."""
+    swarm = (_swarm(recording, None) or {"kind": recording.kind, "robots": list(recording.robots), "edges": []}) | {
+        "recording": {"first": recording.first, "last": recording.last, "damage": recording.damage}
+    }
+    await socket.send_json({"t": recording.first, "live": True, "swarm": swarm})
+    async for message in socket:
+        if message.type != WSMsgType.TEXT:
+            continue
+        try:
+            asked = json.loads(message.data)
+            if "seek" in asked:
+                since = asked["seek"].get("since")
+                answer = recording.step(None if since is None else float(since), float(asked["seek"]["t"]))
+            else:
+                robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+                rows = recording.history(robot, topic, float(asked["history"]["t"]))
+                answer = {"history": {"robot": robot, "topic": topic, "rows": rows}}
+        except (ValueError, KeyError, TypeError, AttributeError):
+            answer = {"refused": "expected {seek: {since, t}} or {history: {robot, topic, t}}"}
+        await socket.send_str(json.dumps(answer, allow_nan=False, separators=(",", ":")))
+
+
+def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
+    """What does not move: names, links that are to be, anchors."""
+    config = feed.config()
+    if config is None:
+        return None
+    return {
+        "kind": feed.kind,
+        "control": control is not None and control.allowed,
+        "robots": list(config.names),
+        "edges": [list(edge) for edge in config.edges],
+        "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],
+    }
+
+
+def _answer(feed: Simulation, control: Control, text: str) -> dict[str, Any]:
+    """What a page asks: the history of a key, or an act."""
+    try:
+        asked = json.loads(text)
+        if "do" in asked:
+            return {"done": control.do(asked["do"])}
+        robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+    except LocalError as error:
+        return {"refused": str(error)}
+    except (ValueError, KeyError, TypeError):
+        return {"refused": "expected {history: {robot, topic}} or {do: {act, ...}}"}
+    with feed.lock:
+        rows = feed.picture.history(robot, topic)
+    return {"history": {"robot": robot, "topic": topic, "rows": rows}}
+
+
+async def _repeat(control: Control) -> None:
+    while True:
+        await asyncio.sleep(REPEAT_S)
+        control.repeat()
+
+
+async def serve(
+    feed: Feed, control: Control | None, port: int, ready: Callable[[str], Awaitable[None]], ended: asyncio.Event
+) -> None:
+    """Serve until `ended`; `ready(address)` is awaited when the page can be opened. Raises `LocalError` where the port
+    is taken."""
+    token = secrets.token_urlsafe(16)
+    runner = web.AppRunner(application(feed, control, token), access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    try:
+        site = web.TCPSite(runner, HOST, port)
+        try:
+            await site.start()
+        except OSError as error:
+            raise LocalError(f"port {port} of {HOST}: {error.strerror}; --port names another one, 0 any") from None
+        _, taken, *_ = runner.addresses[0]
+        repeating = None if control is None else asyncio.create_task(_repeat(control))
+        await ready(f"http://{HOST}:{taken}/?token={token}")
+        await ended.wait()
+        if repeating is not None:
+            repeating.cancel()
+    finally:
+        await runner.cleanup()

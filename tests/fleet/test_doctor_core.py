@@ -1,0 +1,176 @@
+"""The doctor's judgements, each of a robot that is well but for one thing; and the checklist for people."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarm.config import parse
+from swarm.fleet.core import doctor
+from swarm.fleet.core.checkup import Robot
+from swarm.fleet.core.packages import FIRMWARE
+from swarm.fleet.core.settings import CLOUD, LIMITS, LIMITS_TEXT, MODULES, NETWORK_CONF, NETWORK_TEXT
+from swarm.fleet.core.texts import with_block
+from swarm.fleet.core.wish import PACKAGES
+
+CONFIG = parse(
+    """network = "x"
+[topology]
+edges = [["r0", "r1"]]
+[[robots]]
+name = "r0"
+bluetooth = "B8:27:EB:00:00:10"
+[[robots]]
+name = "r1"
+bluetooth = "B8:27:EB:00:00:11"
+[[anchors]]
+address = "D001"
+x = 0.0
+y = 0.0
+[dwm]
+source = "balancer"
+""",
+    Path("swarm.toml"),
+)
+
+FILES = {
+    "/boot/firmware/config.txt": with_block("", ["[all]", "dtparam=i2c_arm=on", "dtparam=i2c_arm_baudrate=100000"]),
+    "/boot/firmware/cmdline.txt": "root=x cgroup_enable=memory isolcpus=3\n",
+    "/etc/bluetooth/main.conf": "[Policy]\nAutoEnable = true\n",
+    MODULES: "i2c-dev\n", LIMITS: LIMITS_TEXT, NETWORK_CONF: NETWORK_TEXT,
+    "/etc/hosts": "127.0.0.1\tlocalhost\n127.0.1.1\tr0\n", "/etc/hostname": "r0\n", CLOUD: None,
+}  # fmt: skip
+RUNS = {"LoadState": "loaded", "ActiveState": "active", "NRestarts": "0", "Result": "success"}
+SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
+
+
+def system(**other: Any) -> dict[str, Any]:
+    return {
+        "model": "Raspberry Pi Zero 2 W Rev 1.0", "architecture": "arm64", "python": "3.11", "kernel": "6.12.1",
+        "os": {"ID": "debian", "VERSION_CODENAME": "bookworm"}, "kernels": ["6.12.1"], "time": 0.0, "current": "1-a",
+        "free": {"/": 5_000_000_000}, "there": [], "broken": "", "packages": dict.fromkeys(PACKAGES, "1"),
+        "links": dict.fromkeys(FIRMWARE, ""), "files": FILES, "modes": dict.fromkeys(FILES, "0644"), "blocked": [],
+        "units": {"bluetooth.service": {"UnitFileState": "enabled"}}, "hostname": "r0", "memory": 200_000_000,
+        "temperature": 50.0, "throttled": 0, "services": dict.fromkeys(SERVICES, RUNS), "devices": None,
+        "config": "digest", "robot": "r0",
+        "pairing": {
+            "problem": "", "address": "B8:27:EB:00:00:10", "powered": True,
+            "devices": {"B8:27:EB:00:00:11": {"paired": True, "trusted": True}},
+        },
+    } | other  # fmt: skip
+
+
+def bus(**other: Any) -> dict[str, Any]:
+    topics: dict[str, Any] = {
+        "mesh/status": {"state": "ready"}, "dwm/status": {"state": "ready"}, "balancer/status": {"state": "ready"},
+        "balancer/state": {"mode": "idle", "fault": "", "ticks": 1000, "bus_errors": 0, "battery_left": 3000.0},
+        "balancer/battery": {"voltage": 7.4}, "balancer/firmware": {"layout": 1, "revision": 1},
+        "dwm/ranges": {"ranges": [{"anchor": "D001"}]}, "mesh/links": {"links": [{"peer": "r1", "state": "up"}]},
+        "mesh/clock": {"root": "r0", "hop": 0}, "bus": True,
+    }  # fmt: skip
+    return topics | {name.replace("_", "/", 1): value for name, value in other.items()}
+
+
+WELL = Robot(
+    "r0", CONFIG, system(), bus(), digest="digest", addresses={"r1": "B8:27:EB:00:00:11"},
+    key={"mode": "0600", "owner": "swarm-mesh", "ids": ["00000001"]},
+)  # fmt: skip
+
+
+def test_a_robot_that_is_well() -> None:
+    found = doctor.examine(WELL)
+    assert {name: each.text for name, each in found.items() if each.state != "ok"} == {}
+
+
+@pytest.mark.parametrize(
+    ("check", "state", "part", "robot"),
+    [
+        ("kernel", "bad", "may crash", replace(WELL, system=system(kernel="6.1.0", kernels=["6.1.0"]))),
+        ("clock", "bad", "off by 100 s", replace(WELL, system=system(time=100.0))),
+        ("disk", "bad", "20 MB left", replace(WELL, system=system(free={"/": 20_000_000}))),
+        ("memory", "warning", "9 MB to be had", replace(WELL, system=system(memory=9_000_000))),
+        ("heat", "bad", "too little voltage", replace(WELL, system=system(throttled=0x50005))),
+        ("heat", "warning", "81 degrees", replace(WELL, system=system(temperature=81.0))),
+        ("heat", "warning", "since it was switched on: throttled", replace(WELL, system=system(throttled=0x40000))),
+        ("release", "bad", "no release", replace(WELL, system=system(current=""))),
+        ("config", "bad", "is not swarm.toml", replace(WELL, system=system(config="other"))),
+        ("config", "bad", "takes itself for r7", replace(WELL, system=system(robot="r7"))),
+        ("key", "bad", "others may read it (mode 0644)", replace(WELL, key={"mode": "0644", "owner": "x", "ids": []})),
+        ("key", "bad", "belongs to root", replace(WELL, key={"mode": "0600", "owner": "root", "ids": ["1"]})),
+        ("key", "bad", "it has no key", replace(WELL, key=None)),
+        ("services", "bad", "not running: mesh (exit-code)", replace(WELL, system=system(
+            services={**dict.fromkeys(SERVICES, RUNS), "swarm-mesh": {"ActiveState": "failed", "Result": "exit-code"}}
+        ))),
+        ("services", "warning", "again and again: mesh", replace(WELL, system=system(
+            services={**dict.fromkeys(SERVICES, RUNS), "swarm-mesh": {**RUNS, "NRestarts": "7"}}
+        ))),
+        ("services", "bad", "the bus does not answer", replace(WELL, bus={"bus": False})),
+        ("devices", "bad", "I2C, IMU", replace(WELL, bus=bus(balancer_fault={"name": "bus", "reason": "I2C, IMU: x"}))),
+        ("devices", "warning", "50 transfers", replace(WELL, bus=bus(
+            balancer_state={"mode": "idle", "ticks": 1000, "bus_errors": 50}
+        ))),
+        ("devices", "bad", "no answer from imu", replace(
+            WELL, bus=None, system=system(devices={"problem": "", "imu": None, "atmega": [1, 1], "display": True})
+        )),
+        ("devices", "bad", "the IMU says it is 0x6C", replace(
+            WELL, bus=None, system=system(devices={"problem": "", "imu": 0x6C, "atmega": [1, 1], "display": True})
+        )),
+        ("firmware", "bad", "layout 9", replace(WELL, bus=bus(balancer_firmware={"layout": 9, "revision": 1}))),
+        ("module", "bad", "it does not answer", replace(WELL, bus=bus(
+            dwm_status={"state": "degraded", "reason": "it does not answer"}
+        ))),
+        ("ranges", "bad", "0 of 1 anchors", replace(WELL, bus=bus(dwm_ranges={"ranges": []}))),
+        ("ranges", "bad", "0 of 1", replace(WELL, bus=bus(dwm_ranges={"ranges": [{"anchor": "D001", "stale": True}]}))),
+        ("adapter", "bad", "swarm.toml says B8:27:EB:00:00:10", replace(WELL, system=system(
+            pairing={"problem": "", "address": "B8:27:EB:00:00:99", "powered": True, "devices": {}}
+        ))),
+        ("adapter", "bad", "bluetoothd does not run", replace(
+            WELL, system=system(pairing={"problem": "bluetoothd does not run"})
+        )),
+        ("pairing", "warning", "not paired with r1", replace(WELL, system=system(
+            pairing={"problem": "", "address": "B8:27:EB:00:00:10", "powered": True, "devices": {}}
+        ))),
+        ("links", "bad", "no link to r1 (dead)", replace(WELL, bus=bus(
+            mesh_links={"links": [{"peer": "r1", "state": "down", "reason": "dead"}]}
+        ))),
+        ("body", "bad", "fell: 80 deg", replace(WELL, bus=bus(
+            balancer_fault={"name": "fell", "reason": "80 deg", "recovery": "stand"}
+        ))),
+        ("battery", "bad", "5.90 V", replace(WELL, bus=bus(balancer_battery={"voltage": 5.9}))),
+        ("battery", "warning", "6.50 V", replace(WELL, bus=bus(balancer_battery={"voltage": 6.5}))),
+        ("time", "bad", "no time", replace(WELL, bus=bus(mesh_clock={}))),
+    ],
+)  # fmt: skip
+def test_one_thing_is_wrong_and_named(check: str, state: str, part: str, robot: Robot) -> None:
+    found = doctor.examine(robot)[check]
+    assert (found.state, part in found.text) == (state, True), found
+    assert found.remedy
+
+
+def test_a_robot_of_which_nothing_is_known() -> None:
+    """No release, no bus, no bluetoothd: each check has something to say all the same."""
+    bare = replace(WELL, bus=None, key=None, system=system(current="", services={}, config=None, robot=None))
+    assert all(each.text for each in doctor.examine(bare).values())
+    simulated = doctor.examine(replace(WELL, system=None, disk=10**9))
+    assert not [name for name, each in simulated.items() if each.state in ("bad", "warning")]
+
+
+def test_what_must_be_the_same_on_all() -> None:
+    other = replace(
+        WELL, name="r1", system=system(current="1-b"), key={**(WELL.key or {}), "ids": ["00000002"]},
+        bus=bus(balancer_firmware={"layout": 1, "revision": 2}),
+    )  # fmt: skip
+    assert doctor.compare([WELL, replace(WELL, name="r1")]) == []
+    assert doctor.compare([WELL, other]) == [
+        "different releases (swarm deploy the same to all): 1-a: r0; 1-b: r1",
+        "different firmware (swarm flash the same to all): revision 1: r0; revision 2: r1",
+        "different keys (swarm deploy --key FILE to all): 00000001: r0; 00000002: r1",
+    ]
+
+
+def test_the_checklist_is_the_doctors() -> None:
+    text = (Path(__file__).parents[2] / "docs/build-a-robot.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.M)
+    assert rows == [(check.name, check.question) for check in doctor.CHECKS]

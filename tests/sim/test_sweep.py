@@ -1,0 +1,165 @@
+"""Sweeps: every combination with every seed, the same results on every engine; and the limit of a parameter."""
+
+import argparse
+import json
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.sim.sweep import engines, show
+from services.sim.sweep.limit import search
+from services.sim.sweep.measure import Found, measure, settled, together
+from services.sim.sweep.plan import Job, Point, jobs_of, points_of, seeds_of, setting_of, values_of
+from swarm.recording.trajectory import Trajectory
+
+
+def test_lists_of_values():
+    assert values_of("6,12") == ("6", "12")
+    assert values_of("[0,1],[1, 0]") == ("[0,1]", "[1, 0]")
+    assert setting_of("r2.value=3,4") == ("r2.value", ("3", "4"))
+    assert seeds_of("3") == (1, 2, 3)
+    assert seeds_of("5-7") == (5, 6, 7)
+
+
+@pytest.mark.parametrize(
+    ("convert", "text"),
+    [
+        (values_of, "6,,12"),
+        (setting_of, "gain"),
+        (setting_of, "=3"),
+        (seeds_of, "0"),
+        (seeds_of, "9-3"),
+        (seeds_of, "x"),
+    ],
+)
+def test_what_is_no_list_is_refused(convert, text):
+    with pytest.raises(argparse.ArgumentTypeError):
+        convert(text)
+
+
+def test_every_combination_with_every_seed():
+    points = points_of([("robots", ("3", "6")), ("algorithm", ("a", "b")), ("gain", ("0.1",))])
+    assert [dict(point.choices) for point in points] == [
+        {"robots": robots, "algorithm": algorithm, "gain": "0.1"} for robots in ("3", "6") for algorithm in ("a", "b")
+    ]
+    assert points[0].arguments() == ["--robots", "3", "--algorithm", "a", "--set", "gain=0.1"]
+    jobs = jobs_of("app", points, (1, 2), ["--jitter", "10ms"], 0.01)
+    assert [(job.point, job.seed) for job in jobs] == [(point, seed) for point in range(4) for seed in (1, 2)]
+    assert jobs[0].arguments[:3] == ("app", "--robots", "3")
+    assert jobs[0].arguments[-4:] == ("--seed", "1", "--jitter", "10ms")
+    assert points_of([]) == [Point(())]
+
+
+def path_of(*values):
+    times = {k: float(k) for k in range(len(values))}
+    return Trajectory(("x", "result.x"), times, {k: (repr(v), repr(v)) for k, v in enumerate(values)})
+
+
+def test_settled_is_when_the_last_result_of_all_has_come_to_stay():
+    assert settled([path_of(*[1.0] * 20)], 0.01) == 0
+    assert settled([path_of(5.0, 2.0, *[1.0] * 20), path_of(1.0, 5.0, 5.0, *[1.0] * 19)], 0.01) == 3
+    assert settled([path_of(*map(float, range(20)))], 0.01) is None
+    assert settled([path_of(float("nan"), float("nan"), *[1.0] * 20)], 0.01) == 2
+    assert settled([path_of(1.0)], 0.01) is None
+    assert settled([], 0.01) is None
+
+
+@given(st.lists(st.floats(-9, 9), min_size=2, max_size=30), st.floats(0.0, 3.0))
+def test_settled_says_what_it_means(values, within):
+    found = settled([path_of(*values)], within)
+    inside = [abs(value - values[-1]) <= within for value in values]
+    if found is not None:
+        assert all(inside[found:])
+        assert found == 0 or not inside[found - 1]
+
+
+def found_of(point, problem="", rounds=10, error=0.5):
+    return Found(point, 1, 100, rounds, error, 3.0, 0.03, 0.1, problem)
+
+
+def test_runs_of_a_point_together():
+    runs = [found_of(0), found_of(0, rounds=None), found_of(0, "r1 app boom", error=None), found_of(0, rounds=30)]
+    one = together(runs)
+    assert (one.runs, one.failed, one.unsettled) == (4, 1, 1)
+    assert (one.settled, one.settled_most) == (20, 30)
+    assert one.problem == "r1 app boom"
+    text = show.table([Point((("gain", "0.1"),))], runs)
+    assert "gain=0.1" in text
+    assert "boom" in text
+
+
+def test_a_run_gives_figures_and_a_wrong_one_says_so():
+    run = measure(Job(3, 1, ("consensus", "--robots", "6", "--iterations", "90", "--seed", "1"), 0.01))
+    assert (run.point, run.iterations, run.settled, run.problem) == (3, 90, 57, "")
+    assert run.error < 0.01
+    wrong = measure(Job(0, 1, ("consensus", "--set", "nonsense=3"), 0.01))
+    assert "nonsense" in wrong.problem
+
+
+UNSTABLE = """
+from swarm import SyncApp, parameter
+
+
+class Gain(SyncApp):
+    value: float
+    gain: float = parameter(0.1, low=0, high=10)
+
+    def start(self):
+        self.value = float(self.robot.swarm.index(self.robot.name) ** 2)
+
+    def step(self, neighbours):
+        self.value += self.gain * sum(n.value - self.value for n in neighbours)
+"""
+
+
+def test_the_limit_of_a_gain_is_found(tmp_path):
+    """x' = x - g L x settles up to g = 2 / (largest eigenvalue of L): 2/3 on a line of three, 1 on one of two."""
+    app = tmp_path / "gain.py"
+    app.write_text(UNSTABLE)
+    points = points_of([("robots", ("2", "3"))])
+    done = []
+    brackets = search(
+        str(app), points, (1,), ["--iterations", "300", "--latency", "0ms"], 0.01, "gain", (0.1, 2.0),
+        lambda jobs, each: [measure(job) for job in jobs], lambda: done.append(1), precision=0.02,
+    )  # fmt: skip
+    for bracket, limit in zip(brackets, (1.0, 2 / 3), strict=True):
+        assert bracket.good == pytest.approx(limit, rel=0.05)
+        assert bracket.good < bracket.bad
+    assert "gain settles" in show.limits(points, "gain", brackets)
+
+
+def test_the_command_on_processes_gives_what_one_process_gives(tmp_path):
+    command = ["consensus", "--robots", "3,4", "--seeds", "2", "--iterations", "30", "--jitter", "5ms"]
+    plot = tmp_path / "sweep.png"
+    done = subprocess.run(
+        [sys.executable, "-m", "services.sim.sweep", *command, "--json", "--jobs", "2", "--plot", str(plot)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert [point["robots"] for point in told["points"]] == ["3", "4"]
+    assert plot.stat().st_size > 1000
+    for index, point in enumerate(told["points"]):
+        for run in point["runs"]:
+            arguments = ("consensus", "--robots", point["robots"], "--seed", str(run["seed"]), "--iterations", "30")
+            here = measure(Job(index, run["seed"], (*arguments, "--jitter", "5ms"), 0.01))
+            assert (run["settled"], run["error"], run["seconds"]) == (here.settled, here.error, here.seconds)
+
+
+def test_a_wrong_command_is_refused_before_anything_runs():
+    command = [sys.executable, "-m", "services.sim.sweep", "consensus", "--robots", "3,none"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "none" in done.stderr
+
+
+def test_a_dask_cluster_gives_the_same():
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install distributed")
+    jobs = jobs_of("consensus", points_of([("robots", ("3", "4"))]), (1, 2), ["--iterations", "20"], 0.01)
+    with engines.dask(2, None) as run:
+        found = run(jobs, lambda: None)
+    assert [(each.point, each.seed, each.settled, each.error) for each in found] == [
+        (each.point, each.seed, each.settled, each.error) for each in map(measure, jobs)
+    ]

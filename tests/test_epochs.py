@@ -1,0 +1,183 @@
+"""Changes of a run's members, robot by robot and case by case; the state machine is in test_epochs_machine."""
+
+import pytest
+from strand_world import World, full, line, loop
+
+from swarm.core.epochs import Order
+from swarm.core.stopping import Rule
+
+
+def counters(world):
+    return {name: process.strand.epochs.epoch.counter for name, process in world.processes.items()}
+
+
+def running(edges, **options):
+    world = World(edges, **options)
+    world.start_all()
+    world.run(1.0)
+    assert all(process.strand.k > 5 for process in world.processes.values())
+    return world
+
+
+def test_nobody_says_anything_about_members_while_all_is_well():
+    world = running(loop(4))
+    assert set(counters(world).values()) == {0}
+    assert all(process.strand.epochs._mine.version == 0 for process in world.processes.values())
+
+
+def test_a_robot_that_dies_is_dropped_and_taken_in_again_with_its_state():
+    world = running(loop(5))
+    world.kill("r2")
+    assert world.run(6.0, until=lambda: set(counters(world).values()) == {1})
+    epoch = world.processes["r0"].strand.epochs.epoch
+    assert epoch.members == epoch.carried == ("r0", "r1", "r3", "r4")
+    assert world.run(5.0, until=lambda: all(p.strand.k > epoch.k + 10 for p in world.processes.values()))
+    world.start("r2")
+    assert world.run(5.0, until=world.together)
+    assert "r2" not in world.processes["r0"].strand.epochs.epoch.carried
+    assert world.moving()
+    version = world.processes["r0"].strand.epochs._mine.version
+    world.run(10.0)
+    assert world.processes["r0"].strand.epochs._mine.version == version
+
+
+def test_a_robot_that_reboots_comes_back_in_a_new_epoch():
+    world = running(loop(4))
+    world.reboot("r1")
+    world.start("r1")
+    assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
+    assert world.processes["r0"].strand.epochs.epoch.carried == ("r0", "r2", "r3")
+    assert world.moving()
+
+
+def test_the_whole_swarm_reboots_and_begins_anew():
+    world = running(line(3))
+    for name in world.names:
+        world.reboot(name)
+    world.start_all()
+    assert world.run(10.0, until=lambda: world.together() and 0 not in counters(world).values())
+    assert world.moving()
+
+
+def test_a_minority_never_goes_on():
+    world = running(line(5))
+    world.cut.add(("r1", "r2"))
+    assert world.run(8.0, until=lambda: counters(world)["r3"] == 1)
+    world.run(20.0)
+    assert counters(world) == {"r0": 0, "r1": 0, "r2": 1, "r3": 1, "r4": 1}
+    strand = world.processes["r0"].strand
+    assert strand.obstacle == "the members change: 2 of 5 have answered, more than half are needed"
+    world.cut.clear()
+    assert world.run(8.0, until=world.together)
+    assert world.moving()
+
+
+def test_two_equal_halves_wait_for_each_other_or_for_the_operator():
+    world = running(line(4))
+    world.cut.add(("r1", "r2"))
+    world.run(20.0)
+    assert set(counters(world).values()) == {0}
+    world.processes["r0"].take(lambda p: p.strand.order(Order(force=True), world.now))
+    assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 0, "r3": 0})
+    assert world.processes["r0"].strand.epochs.epoch.forced
+    world.run(3.0)
+    assert world.processes["r0"].strand.k > world.processes["r3"].strand.k
+    world.cut.clear()
+    assert world.run(10.0, until=world.together)
+    assert world.moving()
+
+
+def test_policy_wait_waits_until_the_operator_says_so():
+    world = running(loop(4), drop=False)
+    world.kill("r3")
+    world.run(20.0)
+    assert set(counters(world).values()) == {0}
+    world.processes["r1"].take(lambda p: p.strand.order(Order(drop=("r3",)), world.now))
+    assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
+    world.start("r3")
+    world.run(10.0)
+    assert counters(world)["r3"] == 1
+    assert world.processes["r3"].strand.obstacle == "r3 is not in epoch 1: only the operator lets it in again"
+    world.processes["r1"].take(lambda p: p.strand.order(Order(add=("r3",)), world.now))
+    assert world.run(3.0, until=world.together)
+    assert world.moving()
+
+
+def test_the_operator_sends_a_robot_away_that_is_well():
+    world = running(full(4))
+    world.processes["r0"].take(lambda p: p.strand.order(Order(drop=("r2",)), world.now))
+    assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
+    world.run(20.0)
+    assert set(counters(world).values()) == {1}
+    assert world.processes["r0"].strand.epochs.epoch.members == ("r0", "r1", "r3")
+
+
+def test_a_link_that_stays_cut_is_left_out():
+    world = running(loop(4))
+    world.cut.add(("r0", "r1"))
+    assert world.run(8.0, until=lambda: set(counters(world).values()) == {1})
+    assert world.processes["r0"].strand.epochs.epoch.edges == (("r0", "r3"), ("r1", "r2"), ("r2", "r3"))
+    assert world.moving()
+
+
+def test_a_run_is_carried_over_to_other_links():
+    world = running(full(4))
+    for process in list(world.processes.values()):
+        process.take(lambda p: p.strand.epochs.take_links(tuple(loop(4))))
+    assert world.run(5.0, until=lambda: set(counters(world).values()) == {1})
+    assert len(world.processes["r0"].strand.epochs.epoch.edges) == 4
+    assert world.moving()
+
+
+def test_an_app_in_fault_is_dropped_and_the_others_go_on():
+    world = running(loop(4))
+    world.processes["r2"].take(lambda p: p.strand.fail("it raises", world.now))
+    assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
+    assert world.processes["r0"].strand.epochs.epoch.members == ("r0", "r1", "r3")
+    before = world.processes["r0"].strand.k
+    assert world.run(3.0, until=lambda: world.processes["r0"].strand.k > before + 5)
+
+
+def test_robots_that_come_late_to_a_run_that_has_begun_without_them():
+    world = World(full(5))
+    for name in ("r0", "r1", "r2"):
+        world.start(name)
+    assert world.run(8.0, until=lambda: set(counters(world).values()) == {1})
+    world.start("r3")
+    world.run(1.0)
+    world.start("r4")
+    assert world.run(8.0, until=world.together)
+    assert world.moving()
+
+
+# -- stop rules --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("edges", [line(2), line(5), loop(6), full(4)])
+def test_all_stop_at_the_same_iteration_when_all_are_content(edges):
+    world = World(edges, rule=Rule(rounds=4), content=lambda x: x > 1.0, drop=False)
+    world.start_all()
+    assert world.run(60.0, until=lambda: all(p.finished is not None for p in world.processes.values()))
+    assert len({p.finished for p in world.processes.values()}) == 1
+
+
+def test_all_stop_at_the_same_iteration_when_the_time_of_the_first_is_up():
+    world = World(loop(5), rule=Rule(seconds=3.0), drop=False)
+    world.start("r3")
+    world.run(1.0)
+    world.start_all()
+    assert world.run(10.0, until=lambda: all(p.finished is not None for p in world.processes.values()))
+    assert len({p.finished for p in world.processes.values()}) == 1
+    assert 2.5 < world.now < 4.0
+
+
+def test_a_killed_robot_remembers_that_it_has_stopped():
+    world = World(line(3), rule=Rule(seconds=1.0), drop=False)
+    world.start_all()
+    world.run(10.0)
+    k = world.processes["r1"].finished
+    world.kill("r1")
+    world.start("r1")
+    world.run(1.0)
+    assert world.processes["r1"].finished == k is not None
+    assert world.processes["r1"].strand.phase == "done"

@@ -1,0 +1,194 @@
+"""The page in a real browser, with a real simulation behind it."""
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from virtual_run import recorded
+
+from bench.simulation import Simulation
+
+pytest.importorskip("aiohttp", reason="the lab extra is not installed")
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+PATIENCE_MS = 30_000
+LOST_WITHIN_MS = 2_000
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(300),
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+]
+
+
+class View:
+    """`swarm view` of a simulation."""
+
+    def __init__(self, simulation: Simulation, *options: str) -> None:
+        command = [
+            sys.executable,
+            "-m",
+            "swarm.cli",
+            "view",
+            "--no-open",
+            "--run-dir",
+            str(simulation.run_dir),
+            *options,
+        ]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.address = self.process.stdout.readline().strip()
+
+    def close(self) -> None:
+        self.process.terminate()
+        self.process.communicate(timeout=10)
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Iterator[Simulation]:
+    with Simulation("consensus", "--robots", "6", "--topology", "loop", "--seconds", "600") as simulation:
+        simulation.wait_for("r0", 3)
+        yield simulation
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser: Any, simulation: Simulation, request: pytest.FixtureRequest) -> Iterator[Any]:
+    view = View(simulation, *getattr(request, "param", ()))
+    page = browser.new_page(viewport={"width": 1400, "height": 1000})
+    problems: list[str] = []
+    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.view = view
+    page.goto(view.address)
+    yield page
+    page.close()
+    view.close()
+    # A server that the test has ended is complained of by the browser; nothing else may be.
+    assert [text for text in problems if "WebSocket" not in text] == []
+
+
+def until(page: Any, condition: str) -> None:
+    """Wait for a condition of the page; its policy forbids the browser's own way, which is `eval`."""
+    for _ in range(PATIENCE_MS // 50):
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(50)
+    pytest.fail(f"never: {condition}")
+
+
+def row(page: Any, robot: str) -> Any:
+    return page.locator(f"tr[data-robot={robot}]")
+
+
+def test_it_shows_six_robots_that_converge(page: Any) -> None:
+    expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
+    expect(page.locator("tbody tr")).to_have_count(6)
+    for robot in ("r0", "r3", "r5"):
+        expect(row(page, robot)).to_contain_text("balancing", timeout=PATIENCE_MS)
+        expect(row(page, robot)).to_contain_text("2/2", timeout=PATIENCE_MS)
+        expect(row(page, robot)).to_contain_text("consensus running", timeout=PATIENCE_MS)
+    row(page, "r2").click()
+    expect(page.locator("#keys h2")).to_have_text("swarm/r2")
+    value = page.locator("#keys button", has_text=re.compile(r"^state\.value=2\.58"))
+    expect(value).to_be_visible(timeout=PATIENCE_MS)
+    value.click()
+    expect(page.locator(".chart .u-title")).to_have_text("app/consensus/state state.value")
+    expect(page.locator(".chart .u-series")).to_have_count(7, timeout=PATIENCE_MS)
+
+
+def test_a_reload_loses_nothing(page: Any) -> None:
+    expect(row(page, "r0")).to_contain_text("consensus", timeout=PATIENCE_MS)
+    places = page.evaluate("[...swarmView.store.places.keys()].length")
+    page.reload()
+    expect(row(page, "r0")).to_contain_text("consensus", timeout=PATIENCE_MS)
+    until(page, f"swarmView.store.places.size >= {places}")
+
+
+def test_without_control_there_is_nothing_to_press_and_nothing_is_done(page: Any) -> None:
+    expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
+    expect(page.locator("#stop")).to_be_hidden()
+    row(page, "r0").click()
+    expect(page.locator("#hands")).to_be_hidden()
+
+
+@pytest.mark.parametrize("page", [("--control",)], indirect=True)
+def test_a_cut_link_turns_red_and_mends(page: Any) -> None:
+    row(page, "r0").click(timeout=PATIENCE_MS)
+    page.get_by_role("button", name="cut r1").click(timeout=PATIENCE_MS)
+    until(page, "swarmView.store.link('r0', 'r1')?.state === 'down'")
+    expect(page.locator("#events li.warn", has_text="link to r1 down").first).to_be_visible(timeout=PATIENCE_MS)
+    expect(row(page, "r0")).to_contain_text("1/2", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="mend r1").click()
+    until(page, "swarmView.store.link('r0', 'r1')?.state === 'up'")
+    expect(row(page, "r0")).to_contain_text("2/2", timeout=PATIENCE_MS)
+
+
+@pytest.mark.parametrize("page", [("--control",)], indirect=True)
+def test_a_killed_service_is_named_and_comes_back(page: Any) -> None:
+    row(page, "r4").click(timeout=PATIENCE_MS)
+    page.get_by_role("button", name="kill dwm").click(timeout=PATIENCE_MS)
+    expect(page.locator("#events li", has_text="r4 dwm is gone")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.locator("#events li", has_text="r4 dwm is back")).to_be_visible(timeout=PATIENCE_MS)
+
+
+@pytest.mark.parametrize("page", [("--control",)], indirect=True)
+def test_stop_stops_and_is_confirmed_by_the_robots(page: Any) -> None:
+    page.locator("#stop").click(timeout=PATIENCE_MS)
+    expect(page.locator("#stop")).to_have_text("STOPPED 6/6", timeout=PATIENCE_MS)
+    for robot in ("r0", "r5"):
+        expect(row(page, robot)).to_contain_text("fault", timeout=PATIENCE_MS)
+    page.locator("#arm").click()
+    expect(page.locator("#stop")).to_have_text("STOP", timeout=PATIENCE_MS)
+
+
+def test_a_lost_server_is_shown_as_lost(page: Any) -> None:
+    expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
+    page.view.close()
+    expect(page.locator("#connection")).to_have_text("server lost", timeout=LOST_WITHIN_MS)
+
+
+def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> None:
+    picture = tmp_path / "page.png"
+    command = [sys.executable, "-m", "swarm.cli", "view", "--run-dir", str(simulation.run_dir)]
+    subprocess.run([*command, "--screenshot", str(picture)], check=True, capture_output=True, timeout=100)
+    data = picture.read_bytes()
+    assert data.startswith(b"\x89PNG")
+    assert len(data) > 50_000  # an empty page has 15 kB
+
+
+def test_a_recording_is_scrubbed_to_an_instant(browser: Any, tmp_path: Path) -> None:
+    recorded(tmp_path, "consensus", "--robots", "3", "--iterations", "200")
+    program = [sys.executable, "-m", "swarm.cli", "view", "--no-open", str(tmp_path)]
+    process = subprocess.Popen(program, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        page = browser.new_page()
+        page.goto(process.stdout.readline().strip())
+        expect(page.locator("#player")).to_be_visible(timeout=PATIENCE_MS)
+        page.locator("#time").fill("3")
+        until(page, "swarmView.store.t === 3")
+        k = page.evaluate("swarmView.store.get('r1', 'app/consensus/state').k")
+        assert k == pytest.approx(98, abs=5)  # 30 ms an iteration
+        page.locator("#time").fill("0.9")
+        until(page, "swarmView.store.t === 0.9")
+        assert page.evaluate("swarmView.store.get('r1', 'app/consensus/state').k") == pytest.approx(28, abs=5)
+        page.close()
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)

@@ -1,0 +1,136 @@
+"""What is known of the swarm: from any samples, in any order."""
+
+import json
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm.codec import encode
+from swarm.messages import AppProgress, Links, LinkState, Pose, Status
+from swarm.view.picture import HISTORY_S, HISTORY_STEP_S, MAX_EVENTS, MAX_TOPICS, Picture
+
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**63)
+    | st.floats()
+    | st.text(max_size=5)
+    | st.binary(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=10,
+)
+
+
+def links(state: str, reason: str = "") -> Links:
+    return Links(1.0, (LinkState("r1", state, 1, None, 0, 0, reason),))
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(["", "r0", "r1"]), st.text(max_size=30), st.binary(max_size=40)), max_size=20)
+)
+def test_no_sample_harms_it(samples: list[tuple[str, str, bytes]]) -> None:
+    picture = Picture()
+    for bus, key, payload in samples:
+        picture.take(bus, key, payload, 0.0)
+        picture.take(bus, f"swarm/r0/mesh/{key}", payload, 0.0)
+    json.dumps([picture.since(0), picture.hops()], allow_nan=False)
+
+
+@given(VALUES)
+def test_whatever_a_key_holds_can_be_told_to_a_page(value: object) -> None:
+    from swarm.view.picture import plain
+
+    picture = Picture()
+    picture.put("r0", "mesh/links", plain(value), 0.0)
+    picture.put("r0", "app/x/progress", plain(value), 0.0)
+    json.dumps(
+        [picture.since(0), picture.history("r0", "mesh/links"), picture.trail("r0", "mesh/links", 9.0, 0.0)],
+        allow_nan=False,
+    )
+
+
+@given(st.lists(st.tuples(st.sampled_from(["r0", "r1"]), st.sampled_from(["a/b", "c/d"]), st.integers())), st.data())
+def test_a_page_that_asks_now_and_then_ends_with_what_is_there(
+    samples: list[tuple[str, str, int]], data: st.DataObject
+) -> None:
+    picture, page, version = Picture(), {}, 0
+    for robot, topic, value in samples:
+        picture.put(robot, topic, value, 0.0)
+        if data.draw(st.booleans()):
+            for name, topics in picture.since(version).items():
+                page.setdefault(name, {}).update(topics)
+            version = picture.version
+            assert picture.since(version) == {}
+    for name, topics in picture.since(version).items():
+        page.setdefault(name, {}).update(topics)
+    assert page == picture.since(0)
+
+
+def test_only_the_own_bus_speaks_for_a_robot_and_others_frames_are_counted() -> None:
+    picture = Picture()
+    state = encode(Status(1.0, "mesh", "ready", "", 1, 0.0, {}))
+    picture.take("r1", "swarm/r0/mesh/status", state, 0.0)
+    assert picture.since(0) == {}
+    picture.take("r0", "swarm/r0/mesh/status", state, 0.0)
+    assert set(picture.since(0)) == {"r0"}
+    for _ in range(3):
+        picture.take("r1", "swarm/r0/app/x/sync/a", b"\x01", 0.0)
+    picture.take("r0", "swarm/r0/app/x/sync/a", b"\x01", 0.0)
+    assert picture.hops() == {"r0>r1": 3}
+    picture.take("", "swarm/r5/mesh/status", state, 0.0)
+    assert set(picture.since(0)) == {"r0", "r5"}
+
+
+def test_a_link_that_is_lost_and_mended_makes_two_lines() -> None:
+    picture = Picture()
+    for state, reason in (
+        ("up", ""),
+        ("up", ""),
+        ("down", "silent for 3 s"),
+        ("down", "silent for 3 s"),
+        ("connecting", ""),
+        ("up", ""),
+    ):
+        picture.take("r0", "swarm/r0/mesh/links", encode(links(state, reason)), 1.0)
+    assert [(event.level, event.text) for event in picture.events] == [
+        ("warning", "link to r1 down: silent for 3 s"),
+        ("info", "link to r1 up"),
+    ]
+
+
+def test_a_fault_of_an_app_and_who_is_waited_for_are_told() -> None:
+    picture = Picture()
+    for phase, waiting, reason in (("running", (), ""), ("waiting", ("r1",), ""), ("fault", (), "step raised")):
+        picture.take("r0", "swarm/r0/app/x/progress", encode(AppProgress(1.0, phase, 3, waiting, reason)), 1.0)
+    assert [event.text for event in picture.events] == ["app/x waiting for r1", "app/x fault: step raised"]
+
+
+def test_a_service_that_goes_is_told_once() -> None:
+    picture = Picture()
+    for there in (True, True, False, False, True):
+        picture.alive("r0", "mesh", there, 0.0)
+    assert [event.text for event in picture.events] == ["mesh is gone", "mesh is back"]
+    assert picture.services() == {"r0": {"mesh": True}}
+
+
+def test_memory_is_bounded() -> None:
+    picture = Picture()
+    for number in range(2 * MAX_TOPICS):
+        picture.put("r0", f"app/x/out/{number}", number, 0.0)
+    assert len(picture.since(0)["r0"]) == MAX_TOPICS
+    assert picture.refused == MAX_TOPICS
+    for number in range(2 * MAX_EVENTS):
+        picture.alive("r0", "mesh", bool(number % 2), 0.0)
+    assert len(picture.events) == MAX_EVENTS
+    for number in range(10_000):
+        picture.put("r1", "dwm/pose", {"x": 1.0}, number * 0.1)
+    assert len(picture.history("r1", "dwm/pose")) <= HISTORY_S / HISTORY_STEP_S + 1
+
+
+def test_a_trail_is_where_it_was_and_nothing_that_is_no_number() -> None:
+    picture = Picture()
+    for t, x in enumerate((0.0, 1.0, math.nan, 2.0)):
+        picture.take("r0", "swarm/r0/dwm/pose", encode({"x": x, "y": 0.0}), float(t))
+    picture.take("r0", "swarm/r0/dwm/pose", encode(Pose(1.0, 1, 3.0, 0.0, None, 9, "ekf")), 4.0)
+    assert picture.trail("r0", "dwm/pose", 3.5, 4.0) == [(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)]

@@ -1,0 +1,100 @@
+"""A recorded run on the page: at any instant, from any other one."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("aiohttp", reason="the lab extra is not installed")
+from aiohttp.test_utils import TestClient, TestServer
+from virtual_run import recorded
+
+from swarm.errors import RecordingError
+from swarm.view.recording import Recording
+from swarm.view.server import application
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    recorded(folder, "consensus", "--robots", "3", "--iterations", "60")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(run: Path) -> Recording:
+    return Recording(run)
+
+
+def shown(page: dict[str, Any], step: dict[str, Any]) -> dict[str, Any]:
+    """What a page shows after a step."""
+    if step["fresh"]:
+        page = {}
+    for robot, topics in step["robots"].items():
+        page.setdefault(robot, {}).update(topics)
+    return page
+
+
+@given(st.lists(st.floats(-1.0, 4.0), max_size=8), st.floats(-1.0, 4.0))
+def test_an_instant_looks_the_same_wherever_one_comes_from(recording: Recording, way: list[float], end: float) -> None:
+    page: dict[str, Any] = {}
+    since = None
+    for t in (*way, end):
+        page = shown(page, recording.step(since, t))
+        since = t
+    assert page == shown({}, recording.step(None, end))
+
+
+def test_the_values_are_those_of_the_run(recording: Recording) -> None:
+    page = shown({}, recording.step(None, recording.last))
+    assert {robot: topics["app/consensus/state"]["k"] for robot, topics in page.items()} == {
+        "r0": 60,
+        "r1": 60,
+        "r2": 60,
+    }
+    rows = recording.history("r0", "app/consensus/state", recording.last)
+    assert sorted(row["k"] for _, row in rows) == list(range(61))
+    assert recording.config() is not None
+
+
+def test_a_torn_file_shows_what_is_whole_and_names_the_rest(run: Path, tmp_path: Path) -> None:
+    whole = next(run.glob("*.mcap")).read_bytes()
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(whole[: len(whole) * 2 // 3])
+    recording = Recording(tmp_path)
+    assert any("cut off" in text for text in recording.damage)
+    assert 0 < shown({}, recording.step(None, 1e9))["r0"]["app/consensus/state"]["k"] <= 60
+
+
+def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no recording"):
+        Recording(tmp_path)
+
+
+def test_a_page_asks_for_instants_and_anything_else_is_refused(recording: Recording) -> None:
+    async def main() -> None:
+        async with TestClient(TestServer(application(recording, None, "token"), host="127.0.0.1")) as client:
+            socket = await client.ws_connect("/live?token=token")
+            first = await socket.receive_json(timeout=10)
+            assert first["swarm"]["recording"]["last"] == recording.last
+            assert first["swarm"]["control"] is False
+            for asked in (
+                {"seek": 1},
+                {"seek": {}},
+                {"seek": {"t": "x"}},
+                {"do": {"act": "stop"}},
+                [],
+                {"history": {}},
+            ):
+                await socket.send_json(asked)
+                assert "refused" in await socket.receive_json(timeout=10)
+            await socket.send_json({"seek": {"since": None, "t": 1.0}})
+            step = await socket.receive_json(timeout=10)
+            assert (step["t"], step["fresh"], set(step["robots"])) == (1.0, True, {"r0", "r1", "r2"})
+            await socket.send_json({"history": {"robot": "r0", "topic": "app/consensus/state", "t": 1.0}})
+            assert (await socket.receive_json(timeout=10))["history"]["rows"]
+
+    asyncio.run(main())

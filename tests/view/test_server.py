@@ -1,0 +1,201 @@
+"""Who gets the page, and what it is told."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("aiohttp", reason="the lab extra is not installed")
+from aiohttp import WSServerHandshakeError
+from aiohttp.test_utils import TestClient, TestServer
+
+from swarm.codec import encode
+from swarm.errors import LocalError
+from swarm.messages import Status
+from swarm.simulations import claim
+from swarm.view.control import Control
+from swarm.view.feed import Simulation
+from swarm.view.server import application
+
+TOKEN = "a-token"
+
+
+class Bus:
+    """What is published ends here."""
+
+    def __init__(self) -> None:
+        self.published: list[tuple[str, object]] = []
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        self.published.append((key, message))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def feed(tmp_path: Path):
+    directory = tmp_path / "run"
+    with claim(directory):
+        feed = Simulation(directory, lambda: None)
+        feed.buses = {"r0": Bus(), "r1": Bus()}
+        yield feed
+        feed.close()
+
+
+def talk(feed: Simulation, act: Any, *, allowed: bool = False) -> None:
+    """Run `act(client)` against a server of the feed."""
+
+    async def main() -> None:
+        async with TestClient(
+            TestServer(application(feed, Control(feed, allowed=allowed), TOKEN), host="127.0.0.1")
+        ) as client:
+            await act(client)
+
+    asyncio.run(main())
+
+
+async def said(socket: Any, name: str) -> Any:
+    """The next message that has this field."""
+    while True:
+        message = await socket.receive_json(timeout=10)
+        if name in message:
+            return message[name]
+
+
+def test_the_page_needs_the_token_and_loads_nothing_from_elsewhere(feed: Simulation) -> None:
+    async def act(client: TestClient) -> None:
+        for query in ({}, {"token": "another"}):
+            assert (await client.get("/", params=query)).status == 403
+            assert (await client.get("/live", params=query)).status == 403
+        page = await client.get("/", params={"token": TOKEN})
+        assert page.status == 200
+        assert "default-src 'self'" in page.headers["Content-Security-Policy"]
+        text = await page.text()
+        assert "http" not in text
+        for part in ("main.js", "map.js", "style.css", "vendor/uPlot.iife.min.js"):
+            assert (await client.get(f"/page/{part}")).status == 200
+
+    talk(feed, act)
+
+
+@pytest.mark.parametrize("headers", [{"Origin": "http://evil.example"}, {"Host": "evil.example"}, {"Origin": "null"}])
+def test_other_origins_are_refused(feed: Simulation, headers: dict[str, str]) -> None:
+    async def act(client: TestClient) -> None:
+        assert (await client.get("/", params={"token": TOKEN}, headers=headers)).status == 403
+        with pytest.raises(WSServerHandshakeError, match="403"):
+            await client.ws_connect("/live?token=" + TOKEN, headers=headers)
+
+    talk(feed, act)
+
+
+def test_a_page_gets_all_first_and_then_what_changes_and_two_of_them_do_not_disturb_each_other(
+    feed: Simulation,
+) -> None:
+    status = encode(Status(1.0, "mesh", "ready", "", 1, 0.0, {}))
+    feed.picture.take("r0", "swarm/r0/mesh/status", status, 0.0)
+
+    async def act(client: TestClient) -> None:
+        one = await client.ws_connect("/live?token=" + TOKEN)
+        assert set(await said(one, "robots")) == {"r0"}
+        two = await client.ws_connect("/live?token=" + TOKEN)
+        assert set(await said(two, "robots")) == {"r0"}
+        with feed.lock:
+            feed.picture.take("r1", "swarm/r1/mesh/status", status, 0.0)
+        assert set(await said(one, "robots")) == {"r1"}
+        assert set(await said(two, "robots")) == {"r1"}
+        await one.close()
+        with feed.lock:
+            feed.picture.take("r0", "swarm/r0/mesh/status", status, 0.0)
+        assert set(await said(two, "robots")) == {"r0"}
+
+    talk(feed, act)
+
+
+def test_a_page_may_ask_for_the_history_of_a_key(feed: Simulation) -> None:
+    for t in range(3):
+        feed.picture.put("r0", "balancer/state", {"tilt": 0.1 * t}, float(t))
+
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect("/live?token=" + TOKEN)
+        await socket.send_json({"history": {"robot": "r0", "topic": "balancer/state"}})
+        history = await said(socket, "history")
+        assert [t for t, _ in history["rows"]] == [0.0, 1.0, 2.0]
+
+    talk(feed, act)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "1", "null", '{"history": 3}', '{"do": 3}', "{}", '"' + "x" * 100 + '"'])
+def test_what_is_no_question_is_refused_and_the_page_lives_on(feed: Simulation, text: str) -> None:
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect("/live?token=" + TOKEN)
+        await socket.send_str(text)
+        assert await said(socket, "refused")
+        assert await said(socket, "t") >= 0.0
+
+    talk(feed, act, allowed=True)
+
+
+def test_without_control_every_act_is_refused(feed: Simulation) -> None:
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect("/live?token=" + TOKEN)
+        for name in ("stop", "arm", "press", "push", "lay", "kill", "cut", "set"):
+            await socket.send_str(json.dumps({"do": {"act": name, "robot": "r0"}}))
+            assert "--control" in await said(socket, "refused")
+        assert all(not bus.published for bus in feed.buses.values())
+
+    talk(feed, act)
+
+
+def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulation) -> None:
+    control = Control(feed, allowed=True)
+    control.do({"act": "stop"})
+    feed.picture.put("r0", "mesh/stopped", {"stopped": True}, 0.0)
+    control.repeat()
+    assert [len(bus.published) for bus in feed.buses.values()] == [1, 2]
+    feed.picture.put("r1", "mesh/stopped", {"stopped": True}, 0.0)
+    control.repeat()
+    control.repeat()
+    assert [len(bus.published) for bus in feed.buses.values()] == [1, 2]
+    assert {key for key, _ in feed.buses["r1"].published} == {"swarm/stop"}
+    control.do({"act": "arm"})
+    assert feed.buses["r0"].published[-1][0] == "swarm/r0/mesh/set/arm"
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        ({"act": "press", "robot": "r9", "button": "A"}, "no robot"),
+        ({"act": "press", "robot": "r0", "button": "Z"}, "no button"),
+        ({"act": "push", "robot": "r0", "impulse": "hard"}, "push"),
+        ({"act": "push", "robot": "r0", "impulse": 99}, "impulse"),
+        ({"act": "lay", "robot": "r0"}, "lay"),
+        ({"act": "kill", "robot": "r0", "service": "../x"}, "no service"),
+        ({"act": "kill", "robot": "r0", "service": "mesh"}, "not running"),
+        ({"act": "cut", "robot": "r0", "peer": "r1", "seconds": 1e9}, "600"),
+        ({"act": "cut", "robot": "r0", "peer": "r1", "seconds": 1}, "cut"),
+        ({"act": "set", "app": "a/b", "name": "x", "value": 1}, "app"),
+        ({"act": "fly"}, "expected an act"),
+        ("stop", "expected an act"),
+    ],
+)
+def test_bad_acts_are_refused_in_words(feed: Simulation, act: object, said: str) -> None:
+    with pytest.raises(LocalError, match=said):
+        Control(feed, allowed=True).do(act)
+
+
+def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
+    control = Control(feed, allowed=True)
+    control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
+    control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5, "robot": "r1"})
+    assert [len(bus.published) for bus in feed.buses.values()] == [1, 2]
+    key, message = feed.buses["r1"].published[0]
+    assert key == "swarm/r1/app/x/set/parameters"
+    assert message.parameters == {"gain": 0.5}
+
+
+def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:
+    with pytest.raises(LocalError, match="no simulation is running"):
+        Simulation(tmp_path, lambda: None)
