@@ -20,7 +20,7 @@ from pathlib import Path
 from bench.restless import TURN
 from bench.rows import Row
 from bench.simulation import Simulation
-from services.sim.air import silence
+from swarm.air import silence
 from swarm.core.graph import Graph
 from swarm.recording.trajectory import Trajectory
 from swarm.simulations import pid_file
