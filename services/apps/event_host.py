@@ -217,7 +217,7 @@ class EventHost:
                 self._changed_at = clock.now()
             if call.handler == "start" and self._views:
                 self._open_channels()
-            if call.handler == "on_parameter":
+            if call.handler in ("start", "on_parameter"):
                 self._changes.tell()
             self._feed(partial(self._returned, own))
             self._keep()

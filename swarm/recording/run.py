@@ -90,7 +90,8 @@ class Run:
         of common time, which counts from `origin`. What two apps of a robot have both recorded comes once."""
         merged = heapq.merge(*(self._ordered(file, patterns) for file in self.files), key=_order)
         for _, same in groupby(merged, key=_order):
-            yield next(same)
+            # What came at the same instant stays in the order of its writing.
+            yield from {sample.data: sample for sample in same}.values()
 
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
@@ -131,15 +132,15 @@ class Run:
         def wanted(topic: str) -> bool:
             return not patterns or any(fnmatchcase(topic, pattern) for pattern in patterns)
 
-        waiting: list[tuple[tuple[float, str, bytes], Sample]] = []
+        waiting: list[tuple[float, str, int, Sample]] = []
         latest = float("-inf")
-        for sample in self._read(file, wanted):
-            heapq.heappush(waiting, (_order(sample), sample))
+        for number, sample in enumerate(self._read(file, wanted)):
+            heapq.heappush(waiting, (*_order(sample), number, sample))
             latest = max(latest, sample.t)
-            while waiting[0][1].t < latest - DISORDER_S:
-                yield heapq.heappop(waiting)[1]
+            while waiting[0][0] < latest - DISORDER_S:
+                yield heapq.heappop(waiting)[-1]
         while waiting:
-            yield heapq.heappop(waiting)[1]
+            yield heapq.heappop(waiting)[-1]
 
     def _origin(self) -> float:
         begun = self._begun[True] or self._begun[False]
@@ -151,5 +152,5 @@ def natural(text: str) -> tuple[object, ...]:
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text))
 
 
-def _order(sample: Sample) -> tuple[float, str, bytes]:
-    return sample.t, sample.topic, sample.data
+def _order(sample: Sample) -> tuple[float, str]:
+    return sample.t, sample.topic

@@ -179,7 +179,7 @@ class VirtualEventHost:
         except AppError as error:
             self._fail(str(error))
             return
-        if call.handler == "on_parameter":
+        if call.handler in ("start", "on_parameter"):
             self._changes.tell()
         if call.handler == "start" and self.channels is not None:
             for part in self.channels.strands:

@@ -23,6 +23,7 @@ from services.sim.virtual.mesh import FIRST_INCARNATION, Common, VirtualMesh
 from services.sim.virtual.strand import Measurements, Told
 from services.sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app import SyncApp
+from swarm.codec import Value
 from swarm.config import Config
 from swarm.core.epoch_notes import Epoch, first
 from swarm.core.graph import Graph
@@ -74,6 +75,8 @@ class World:
         self.time = EventQueue()
         self.air = Air(self.time, air)
         self.modules = ModuleField(config)
+        self.records: dict[str, Callable[[str, float, Value], None]] = {}
+        """By robot, what `robot.record` calls, where the run is recorded."""
         self._body = body
         self._lying = lying
         self._witness = witness
@@ -161,6 +164,7 @@ class World:
         robot.mesh_clock = MeshClock(bus, robot.name, now)
         robot.ranging = Ranging(bus, robot.name, now)
         robot.devices = Devices(bus, robot.name, now)
+        robot.recording = self.records.get(robot.name)
 
     def _settle(self, latency: float) -> None:
         times = round(max(latency * 1e4, 1.0))
