@@ -50,6 +50,8 @@ class SecondOrder(Consensus):
     """Of the plain step within the combination."""
     _radius: float = 0.0
     """Largest factor by which one plain step can leave disagreement."""
+    _begun: int = 0
+    """The iteration at which it began: 0, or that at which members or links have changed."""
 
     def start(self) -> None:
         """Every robot knows the graph, and so the eigenvalues of its weights."""
@@ -58,9 +60,14 @@ class SecondOrder(Consensus):
         low, high = spectrum.bounds(self.robot.graph, self.robot.name)
         self._tune(low, high)
 
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """Begin anew from where it is: a step that remembers other members would carry their values on."""
+        self._begun, self._before, self._omega = self.k, self.value, 1.0
+        self.start()
+
     def step(self, neighbours: Sequence[Any]) -> None:
         """x(k+1) = x(k-1) + omega (x(k) - x(k-1) + gain sum_j w_ij (x_j - x_i)); the first step is a plain one."""
-        if self.k > 0:
+        if self.k > self._begun:
             self._omega = self._next()
         pull = self._gain * sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
         self.value, self._before = self._before + self._omega * (self.value - self._before + pull), self.value
@@ -81,7 +88,7 @@ class Chebyshev(SecondOrder):
         self._radius = (high - low) / (2.0 - high - low)
 
     def _next(self) -> float:
-        if self.k == 1:
+        if self.k == self._begun + 1:
             return 1.0 / (1.0 - self._radius**2 / 2.0)
         return 1.0 / (1.0 - self._radius**2 * self._omega / 4.0)
 
@@ -95,6 +102,8 @@ class Flood(SyncApp):
     """Bit i: the value of the i-th robot of the swarm is there."""
     values: Annotated[Vector, ROOM]
     """First values, in the order of the swarm."""
+    _order: tuple[str, ...] = ()
+    """That order."""
 
     def start(self) -> None:
         """At first everybody knows one value, the own."""
@@ -102,8 +111,18 @@ class Flood(SyncApp):
         if len(swarm) > ROOM:
             raise AppError(f"flood has room for {ROOM} robots, the swarm has {len(swarm)}: take another algorithm")
         own = swarm.index(self.robot.name)
+        self._order = swarm
         self.known = 1 << own
         self.values = tuple(self.value if i == own else 0.0 for i in range(ROOM))
+
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """Forget who is no member; keep the others' values, in the new order."""
+        values = {self._order[i]: self.values[i] for i in _bits(self.known)}
+        self._order = tuple(members)
+        self.known = sum(1 << i for i, name in enumerate(members) if name in values)
+        self.values = tuple(values.get(name, 0.0) for name in (*members, *[""] * (ROOM - len(members))))
+        there = [values[name] for name in members if name in values]
+        self.value = math.fsum(there) / len(there)
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Take over what the neighbours know."""

@@ -11,6 +11,7 @@ from services.apps.stand_up import StandUp
 from services.sim.virtual.run import simulate
 from swarm.core.graph import Graph
 from swarm.errors import AppError
+from swarm.recording.run import Run
 from swarm.robot import Robot
 
 SIX = ("--robots", "6", "--topology", "line", "--jitter", "10ms")
@@ -162,3 +163,17 @@ def test_waypoints_that_are_none_are_refused(text: str) -> None:
 def test_waypoints_are_read() -> None:
     assert read_waypoints("") == ()
     assert read_waypoints(" 0.5,1.5  -1,2e-1 ") == ((0.5, 1.5), (-1.0, 0.2))
+
+
+def test_what_an_app_records_is_in_the_recording(tmp_path) -> None:
+    """The timeline of a flood: sent, heard everywhere, known to be complete (thesis figure 3.13)."""
+    simulate("flooding_demo", *SIX, "--press", "r0.A@1s", "--seconds", "3", "--record", str(tmp_path / "run"))
+    run = Run(tmp_path / "run")
+    told = {(s.topic.split("/")[1], s.topic.split("/")[-1]): s for s in run.samples("swarm/*/app/*/record/*")}
+    assert set(told) == {("r0", "sent"), ("r0", "took"), *((name, "complete") for name in run.robots)} | {
+        (name, "heard") for name in run.robots if name != "r0"
+    }
+    assert told["r0", "sent"].message["value"] == "r0 says a 1"
+    heard = [told[name, "heard"].t for name in run.robots[1:]]
+    assert told["r0", "sent"].t < heard[0] < heard[1] < heard[2] < heard[3] < heard[4] < told["r0", "complete"].t
+    assert 0.25 < told["r0", "took"].message["value"] < 0.6

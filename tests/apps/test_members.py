@@ -1,121 +1,79 @@
-"""Robots that stay away, come back, or fail, as processes: the others go on without them and take them in again."""
+"""A robot leaves in mid-run: the algorithms end where the members that are left belong."""
 
-import shutil
-import signal
+import math
 
-from apps_rig import NAMES, Rig
-from test_host import START, MakeRig, ask, make_rig
+import pytest
 
-from swarm.messages import AppEpoch, AppState, SetAppEpoch
+from services.apps import loader
+from services.apps.localization.leastsquares import refine
+from services.apps.rehearsal.scene import PLACES, TARGET, scene
+from services.apps.rehearsal.sync import SyncRehearsal
+from swarm.core.graph import Graph
+from swarm.messages import Measurement
 
-__all__ = ["make_rig"]
-
-DROP = ("--absent", "drop", "--drop-after", "1.5")
-
-
-def full(rig: Rig) -> None:
-    """Links between all three."""
-    rig._relay("r0", "r2")
-    rig._relay("r2", "r0")
-    rig.set_topology(("r0", "r1"), ("r0", "r2"), ("r1", "r2"))
+ALL = tuple(f"r{i}" for i in range(6))
+LEFT = ("r0", "r1", "r3", "r4", "r5")
+STARTS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 
 
-def until_members(rig: Rig, names: tuple[str, ...], *of: str) -> None:
-    rig.until(lambda: all(n in rig.epochs and rig.epochs[n].members == names for n in of), f"members {names}")
+def biased(name: str, k: int) -> Measurement:
+    """Each robot's range is wrong by an amount of its own, so that it matters who is there."""
+    index = int(name[1:])
+    return Measurement(0.0, k, math.dist(PLACES[index], TARGET) + 0.02 * (index - 2), *PLACES[index])
 
 
-def test_a_robot_that_dies_is_dropped_and_one_that_comes_back_is_taken_in(make_rig: MakeRig) -> None:
-    """First killed, then rebooted: its runtime directory is empty, what it has voted is not."""
-    rig = make_rig(START)
-    full(rig)
-    state = str(rig.directory / "state")
-    for name in NAMES:
-        rig.start(name, "apps", "consensus", *DROP, "--run", "77", SWARM_STATE=f"{state}.{name}")
-    rig.until_k(20)
-    rig.kill("r2")
-    until_members(rig, ("r0", "r1"), "r0", "r1")
-    k = rig.state["r0"].k
-    rig.until_k(k + 50, "r0", "r1")
-    # Metropolis on two robots: both end on the mean of what they had.
-    assert abs(rig.state["r0"].state["value"] - rig.state["r1"].state["value"]) < 1e-9
-    for file in (rig.directory / "r2").glob("app.*"):
-        file.unlink()
-    rig.start("r2", "apps", "consensus", *DROP, "--run", "77", SWARM_STATE=f"{state}.r2")
-    until_members(rig, NAMES, *NAMES)
-    k = rig.state["r0"].k
-    rig.until_k(k + 50)
-    assert len({ask(rig, name, "consensus/epoch", AppEpoch).frames for name in NAMES}) == 1
-    assert "has lost its state" in rig.log("r2")
-    shutil.rmtree(f"{state}.r2")
+def run(app: str, algorithm: str, before: int, after: int, **parameters: object) -> SyncRehearsal:
+    """`before` iterations on thesis-d, then r2 is gone and the others are in a line."""
+    found = loader.load(app)
+    swarm = SyncRehearsal(found, scene(found, 6, "thesis-d", {"algorithm": algorithm, **parameters}), measure=biased)  # type: ignore[arg-type]
+    swarm.run(before)
+    swarm.change(Graph.of_shape("line", LEFT))
+    swarm.run(after)
+    return swarm
 
 
-def test_an_operator_sends_a_robot_away_and_lets_it_come_back(make_rig: MakeRig) -> None:
-    rig = make_rig(START)
-    full(rig)
-    rig.start_all("consensus")
-    rig.until_k(5)
-    order = SetAppEpoch("one", ("r1",), (), force=False)
-    for _ in range(2):  # a repetition is not done again
-        rig.buses["r0"].publish("swarm/r0/app/consensus/set/epoch", order)
-    until_members(rig, ("r0", "r2"), *NAMES)
-    rig.until(
-        lambda: rig.progress["r1"].reason == "r1 is not in epoch 1: only the operator lets it in again", "r1 says so"
-    )
-    k = rig.state["r0"].k
-    rig.until_k(k + 30, "r0", "r2")
-    assert ask(rig, "r0", "consensus/epoch", AppEpoch).epoch == 1
-    rig.buses["r2"].publish("swarm/r2/app/consensus/set/epoch", SetAppEpoch("two", (), ("r1",), force=False))
-    until_members(rig, NAMES, *NAMES)
-    k = rig.state["r1"].k
-    rig.until_k(k + 30)
+@pytest.mark.parametrize("algorithm", ["metropolis", "second_order", "chebyshev"])
+def test_the_mean_of_what_the_members_have_stays(algorithm: str) -> None:
+    swarm = run("consensus", algorithm, 3, 0)
+    mean = math.fsum(float(swarm.result(name)["value"]) for name in LEFT) / 5  # type: ignore[arg-type]
+    swarm.run(150)
+    for name in LEFT:
+        assert swarm.result(name)["value"] == pytest.approx(mean, abs=1e-6)
 
 
-def test_a_step_that_hangs_is_named_and_the_others_go_on(make_rig: MakeRig) -> None:
-    rig = make_rig("")
-    full(rig)
-    app = rig.directory / "lazy.py"
-    app.write_text(
-        "import threading\nfrom services.apps import worker\nfrom swarm import SyncApp\n"
-        "worker.STUCK = 0.5\n"
-        "class Lazy(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
-        "        if self.robot.name == 'r1' and self.k == 7:\n            threading.Event().wait()\n"
-    )
-    rig.start_all(str(app), *DROP)
-    rig.until_phase("fault", "r1")
-    assert rig.progress["r1"].reason == "the step of iteration 7 has not ended within 0.5 s"
-    rig.until_k(30, "r0", "r2")
-    assert rig.stop("r1") == 3
+def test_flood_drops_the_value_of_who_is_gone() -> None:
+    swarm = run("consensus", "flood", 2, 4)
+    left = [x for i, x in enumerate(STARTS) if i != 2]
+    for name in LEFT:
+        assert swarm.result(name) == {"value": math.fsum(left) / 5, "known": 5}
 
 
-def test_an_app_that_diverges_is_named(make_rig: MakeRig) -> None:
-    rig = make_rig("[apps.wild]\ndiverges_above = 1e6\n")
-    app = rig.directory / "wild.py"
-    app.write_text(
-        "from swarm import SyncApp\nclass Wild(SyncApp):\n    x: float = 1.0\n"
-        "    def step(self, neighbours):\n        self.x *= -3\n"
-    )
-    rig.start_all(str(app))
-    rig.until_phase("fault")
-    reason = "Wild on r1, iteration 12: x: -1594323.0 is beyond diverges_above = 1e+06: the app diverges"
-    assert rig.progress["r1"].reason == reason
+@pytest.mark.parametrize("algorithm", ["nids", "flood"])
+def test_least_squares_of_the_members(algorithm: str) -> None:
+    swarm = run("localization", algorithm, 30, 400)
+    seen = [(m.distance, m.x, m.y) for m in (biased(name, 0) for name in LEFT)]
+    best = refine(seen, TARGET)
+    for name in LEFT:
+        result = swarm.result(name)
+        assert (result["x"], result["y"]) == pytest.approx(best, abs=1e-3)
 
 
-def test_all_stop_at_the_same_iteration_when_they_have_converged(make_rig: MakeRig) -> None:
-    rig = make_rig(START)
-    rig.start_all("consensus", "--until", "converged", "--rounds", "5", "--tolerance", "1e-6")
-    rig.until_phase("done")
-    ends = {name: ask(rig, name, "consensus/state", AppState) for name in NAMES}
-    assert len({state.k for state in ends.values()}) == 1
-    assert all(abs(state.state["value"] - 8.5 / 3) < 1e-4 for state in ends.values())
+@pytest.mark.parametrize("algorithm", ["info", "diging", "thesis"])
+def test_as_if_the_member_had_never_been_there(algorithm: str) -> None:
+    """The same end as of a swarm of five that begins without it."""
+    parameters = {"step_size": 0.02} if algorithm in ("diging", "thesis") else {}
+    swarm = run("localization", algorithm, 30, 900, **parameters)
+    anew = run("localization", algorithm, 0, 1500, **parameters)
+    for name in LEFT:
+        for axis in ("x", "y"):
+            assert swarm.result(name)[axis] == pytest.approx(anew.result(name)[axis], abs=1e-3)
+        assert swarm.result(name)["var_x"] == pytest.approx(anew.result(name)["var_x"], rel=0.02)
 
 
-def test_all_stop_at_the_same_iteration_when_the_time_is_up(make_rig: MakeRig) -> None:
-    rig = make_rig(START)
-    rig.start_all("consensus", "--for", "1.5")
-    rig.until_k(5)
-    rig.kill("r1")
-    rig.start("r1", "apps", "consensus", "--for", "1.5")
-    rig.processes["r2", "apps"].send_signal(signal.SIGSTOP)
-    rig.processes["r2", "apps"].send_signal(signal.SIGCONT)
-    rig.until_phase("done")
-    assert len({ask(rig, name, "consensus/state", AppState).k for name in NAMES}) == 1
+@pytest.mark.parametrize("algorithm", ["nids", "diging", "thesis"])
+def test_a_place_that_stands_still_has_converged(algorithm: str) -> None:
+    parameters = {"step_size": 0.02} if algorithm in ("diging", "thesis") else {}
+    swarm = run("localization", algorithm, 3, 1, **parameters)
+    assert not any(swarm.runners[name].content() for name in LEFT)
+    swarm.run(500)
+    assert all(swarm.runners[name].content() for name in LEFT)

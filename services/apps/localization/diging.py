@@ -4,6 +4,7 @@ With y = (z + gamma g) / gamma the thesis' eqs 4.4 and 4.5 are DIGing (Nedic, Ol
 x and y are all that has to be sent.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -45,10 +46,16 @@ class Diging(Judged):
         self._y = self._g = self._gradient()
         (self.x, self.y), (self.gx, self.gy) = self._x, self._y
 
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """Track anew from where it is, with the members there are."""
+        self._y = self._g
+        self.gx, self.gy = self._y
+        self.judge_anew()
+
     def step(self, neighbours: Sequence[Any]) -> None:
         """Both sums of differences are of values as sent, so that the sum of all y stays that of all gradients."""
         weighted = self.weighted(neighbours)
-        step = self.step_size
+        step, old = self.step_size, self._x
         self._x = (
             self._x[0] + sum(w * (n.x - self.x) for w, n in weighted) - step * self._y[0],
             self._x[1] + sum(w * (n.y - self.y) for w, n in weighted) - step * self._y[1],
@@ -59,7 +66,7 @@ class Diging(Judged):
             self._y[0] + sum(w * (n.gx - self.gx) for w, n in weighted) + self._g[0] - before[0],
             self._y[1] + sum(w * (n.gy - self.gy) for w, n in weighted) + self._g[1] - before[1],
         )
-        self.judge([(w, n.part) for w, n in weighted])
+        self.judge([(w, n.part) for w, n in weighted], math.dist(self._x, old))
         (self.x, self.y), (self.gx, self.gy) = self._x, self._y
 
     def result(self) -> Mapping[str, Value]:

@@ -32,6 +32,8 @@ class Flood(Localization):
     """Range and own place, smoothed."""
     _from: tuple[str, ...] = ()
     """By robot: the neighbour on a shortest way to it, who knows its newest."""
+    _order: tuple[str, ...] = ()
+    """The swarm that entries and ways are of."""
 
     smoothing: float = parameter(0.1, unit="1", low=0.001, high=1)
     """Share of a new measurement in range and own place."""
@@ -41,13 +43,15 @@ class Flood(Localization):
         robot = self.robot
         if len(robot.swarm) > ROOM:
             raise AppError(f"flood has room for {ROOM} robots, the swarm has {len(robot.swarm)}: take `info`")
-        away = {near: robot.graph.distances(near) for near in robot.neighbours}
-        far = len(robot.swarm)
-        self._from = tuple(
-            min(robot.neighbours, key=lambda near: away[near].get(name, far), default="") for name in robot.swarm
-        )
+        self._find_ways()
         self._seen = self.seen()
         self.entries = self._with_own((0.0,) * ROOM)
+
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """Forget who is no member; find the ways anew."""
+        known = dict(zip(self._order, self.entries, strict=False))
+        self._find_ways()
+        self.entries = tuple(known.get(name, 0.0) for name in (*self._order, *[""] * (ROOM - len(self._order))))
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Of each robot take what the neighbour nearest to it knows."""
@@ -69,6 +73,15 @@ class Flood(Localization):
         found = ranges.solve(mean, len(parts)) or UNKNOWN
         place = refine(seen, (found.x, found.y)) if found.rank == 3 else (found.x, found.y)
         return self.report(place, found)
+
+    def _find_ways(self) -> None:
+        robot = self.robot
+        away = {near: robot.graph.distances(near) for near in robot.neighbours}
+        far = len(robot.swarm)
+        self._order = robot.swarm
+        self._from = tuple(
+            min(robot.neighbours, key=lambda near: away[near].get(name, far), default="") for name in self._order
+        )
 
     def _with_own(self, entries: Sequence[float]) -> tuple[float, ...]:
         own = self.robot.swarm.index(self.robot.name)

@@ -27,6 +27,10 @@ class Info(Localization):
         """The first measurement is the first opinion."""
         self._m = self.q = self.statistics()
 
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """Agree anew: the sum of all q is to be that of the members' statistics, not of those who left."""
+        self.q = self._m
+
     def step(self, neighbours: Sequence[Any]) -> None:
         """One round of dynamic average consensus."""
         new, beta = self.statistics(), self.smoothing

@@ -43,10 +43,12 @@ class Nids(Judged):
         """Begin between the anchors."""
         self.begin_judging()
         self._seen = self.seen()
-        self._g = self._gradient()
-        self._x = (-self.gain * self._g[0], -self.gain * self._g[1])
-        before, self._g = self._g, self._gradient()
-        self._send((0.0, 0.0), before)
+        self._begin()
+
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """Begin anew from where it is, with the members there are."""
+        self.judge_anew()
+        self._begin()
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Half a step of consensus on the brackets gives the new estimate, and that the next bracket."""
@@ -54,18 +56,26 @@ class Nids(Judged):
         distance, x, y = (old + beta * (new - old) for old, new in zip(self._seen, self.seen(), strict=True))
         self._seen = (distance, x, y)
         weighted = self.weighted(neighbours)
-        self.judge([(w, n.part) for w, n in weighted])
         before, gradient = self._x, self._g
         self._x = (
             self._bracket[0] + sum(w * (n.x - self.x) for w, n in weighted) / 2,
             self._bracket[1] + sum(w * (n.y - self.y) for w, n in weighted) / 2,
         )
         self._g = self._gradient()
+        self.judge([(w, n.part) for w, n in weighted], math.dist(self._x, before))
         self._send(before, gradient)
 
     def result(self) -> Mapping[str, Value]:
         """Place of the target, m, and what the ranges of all say about it."""
         return self.report(self._x, self.judged())
+
+    def _begin(self) -> None:
+        """A plain gradient step, and the first bracket."""
+        start = self._x
+        self._g = self._gradient()
+        self._x = (start[0] - self.gain * self._g[0], start[1] - self.gain * self._g[1])
+        before, self._g = self._g, self._gradient()
+        self._send(start, before)
 
     def _send(self, before: Pair, gradient: Pair) -> None:
         self._bracket = (

@@ -9,6 +9,9 @@ from services.apps.localization.ranges import Estimate, Statistics
 from swarm import SyncApp, float32, parameter
 from swarm.codec import Value
 
+STANDS = 1e-4
+"""m an iteration: a place that moves by less has converged."""
+
 UNKNOWN = Estimate(0.0, 0.0, None, 0, (0.0, 0.0, 0.0))
 """Before the first measurement, which makes the first state."""
 
@@ -80,14 +83,26 @@ class Judged(Localization):
     """The own ones, smoothed."""
     _entered: Statistics = ranges.NOTHING
     """Those that went into `_q`."""
+    _moved: float = math.inf
+    """How far the place has moved in the last step, m."""
 
     def begin_judging(self) -> None:
         """For `start`."""
         self._m = self._entered = self._q = self.statistics()
         self.part = self._q[0]
 
-    def judge(self, neighbours: list[tuple[float, float]]) -> None:
-        """For `step`; `neighbours`: Metropolis weight and `part` of each."""
+    def judge_anew(self) -> None:
+        """For `on_epoch`: the sum is to be that of the members' statistics."""
+        self._q = self._entered = self._m
+        self.part = self._q[self.k % len(self._q)]
+
+    def converged(self) -> bool:
+        """Whether the place stands still; what is shared never does, since other numbers take turns."""
+        return self._moved < STANDS
+
+    def judge(self, neighbours: list[tuple[float, float]], moved: float) -> None:
+        """For `step`; `neighbours`: Metropolis weight and `part` of each; `moved`: by how much the place has, m."""
+        self._moved = moved
         smoothing = 0.1
         self._m = tuple(old + smoothing * (new - old) for old, new in zip(self._m, self.statistics(), strict=True))
         i = self.k % len(self._q)

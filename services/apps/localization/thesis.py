@@ -1,5 +1,6 @@
 """`thesis`: gradient tracking as published and as its program did it, to the last bit of a float32."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -49,6 +50,12 @@ class Thesis(Judged):
         (self.x, self.y), (self.zx, self.zy), (self.gx, self.gy) = self._own
         self.begin_judging()
 
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """Track anew from where it is, with the members there are."""
+        self._own = (self._own[0], (0.0, 0.0), (0.0, 0.0))
+        (self.x, self.y), (self.zx, self.zy), (self.gx, self.gy) = self._own
+        self.judge_anew()
+
     def step(self, neighbours: Sequence[Any]) -> None:
         """Algorithm 4. The measurement of this step enters with the new gradient (eq 4.6)."""
         own = Node(*self._own)
@@ -58,11 +65,12 @@ class Thesis(Judged):
         distance, place = CM * now.distance, (CM * now.x, CM * now.y)
         new = gradient.iterate(own, weighted, self.step_size / CM**2, distance, place)
         check_bounded(new.x, self.step_size)
+        moved = math.dist(new.x, own.x) / CM
         self._own = (new.x, new.z, new.g)
         (self.x, self.y), (self.zx, self.zy), (self.gx, self.gy) = self._own
         self._cost = gradient.cost(new.x, distance, place) / CM**4
         weights = self.robot.graph.metropolis_weights(self.robot.name)
-        self.judge([(weights[n.name], n.part) for n in neighbours])
+        self.judge([(weights[n.name], n.part) for n in neighbours], moved)
 
     def result(self) -> Mapping[str, Value]:
         """Place of the target, m, the own cost, m^4, and what the ranges of all say about the place."""

@@ -10,6 +10,7 @@ from services.apps.runner import Runner
 from swarm.app import SyncApp
 from swarm.codec import Value
 from swarm.config import Config
+from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import Measurement
 
@@ -23,7 +24,7 @@ class SyncRehearsal:
         """`measure(robot, k)` gives the measurement of step k to an app that wants one."""
         self.k = 0
         self.names = config.names
-        self.config = config
+        self.graph = config.graph
         self._measure = measure
         self._looks = 0
         self.runners: dict[str, Runner] = {}
@@ -52,7 +53,7 @@ class SyncRehearsal:
 
     def around(self, name: str) -> dict[str, bytes]:
         """The neighbours' states of this iteration."""
-        return {near: self.states[near][self.k] for near in self.config.neighbours(name)}
+        return {near: self.states[near][self.k] for near in self.graph.neighbours(name)}
 
     def run(
         self, iterations: int = 1, step: "Callable[[SyncRehearsal, str], tuple[bytes, bytes]] | None" = None
@@ -65,6 +66,15 @@ class SyncRehearsal:
                 self.states[name].append(own)
                 self.private[name] = private
                 self.results[name].append(self.runners[name].result())
+
+    def change(self, graph: Graph) -> None:
+        """Go over to other members and links now, as a swarm does that drops a robot: `on_epoch` of the app."""
+        self.graph, self.names = graph, graph.names
+        for name in self.names:
+            own, self.private[name] = self.runners[name].renew(
+                self.k, self.states[name][self.k], self.private[name], graph
+            )
+            self.states[name][self.k] = own
 
     def step(self, name: str) -> tuple[bytes, bytes]:
         """One robot's step: its next state, shared and private."""

@@ -93,7 +93,7 @@ class Run:
                     name,
                     app,
                     run=number,
-                    last=scenario.iterations,
+                    conduct=scenario.conduct,
                     recording=scenario.recordings.get(name),
                     told=Told(self._advanced, self._ended),
                 )
@@ -150,6 +150,7 @@ class Run:
         folder.begin(place, run, {folder.CONFIG_FILE: dump(self._scenario.config).encode()})
         self._recording = recording = PlainRecording(place / f"{app.name}{SUFFIX}", run)
         self._recorders = {name: Recorder(recording, name, app.name) for name in self._scenario.config.names}
+        self.world.records = {name: recorder.value for name, recorder in self._recorders.items()}
         for name, robot in self.world.robots.items():
             bus = VirtualBus(robot.router)
             watch = Watch(bus, name, app.name, recording, lambda: self.world.time.now)

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from services.apps import loader, topology
 from services.apps.event_runner import EventRunner
@@ -25,6 +25,8 @@ from services.sim.virtual.mesh import FIRST_INCARNATION, Common, VirtualMesh
 from services.sim.virtual.strand import Measurements, Told
 from services.sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app import SyncApp
+from swarm.codec import Value
+from swarm.conduct import Conduct
 from swarm.config import Config
 from swarm.core.epoch_notes import Epoch, first
 from swarm.core.graph import Graph
@@ -79,6 +81,8 @@ class World:
         self.modules = ModuleField(config)
         self._model = air
         self._mesh = mesh
+        self.records: dict[str, Callable[[str, float, Value], None]] = {}
+        """By robot, what `robot.record` calls, where the run is recorded."""
         self._body = body
         self._lying = lying
         self._witness = witness
@@ -103,13 +107,13 @@ class World:
         self.time.at(at, self.robots[robot].balancer.act, act)
 
     def start_app(
-        self, robot: str, app: loader.App, *, run: int, last: int | None, recording: Recording | None, told: Told
+        self, robot: str, app: loader.App, *, run: int, conduct: Conduct, recording: Recording | None, told: Told
     ) -> None:
         """Start an app's host; with an automatic topology it begins when that links all robots."""
-        self.time.soon(self._begin, robot, app, run, last, recording, told)
+        self.time.soon(self._begin, robot, app, run, conduct, recording, told)
 
     def _begin(
-        self, robot: str, app: loader.App, run: int, last: int | None, recording: Recording | None, told: Told
+        self, robot: str, app: loader.App, run: int, conduct: Conduct, recording: Recording | None, told: Told
     ) -> None:
         config, epoch = self.config, topology.CONFIGURED
         if config.auto:
@@ -117,7 +121,7 @@ class World:
             assert isinstance(mesh, VirtualMesh)  # an automatic topology is found by meshes
             in_force = mesh.node.overlays.topology(self.time.now)
             if topology.lacking(config, in_force, self.time.now):
-                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, app, run, last, recording, told)
+                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, app, run, conduct, recording, told)
                 return
             links = topology.of_edges(config, in_force.edges)
             config, epoch = links.config, links.epoch
@@ -125,7 +129,7 @@ class World:
         bus = VirtualBus(self.robots[robot].router)
         if epoch not in self._begin_with:
             self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
-        place = Place(robot, self._names, *self._begin_with[epoch], run, last, self.time, bus)
+        place = Place(robot, self._names, *self._begin_with[epoch], run, conduct, self.time, bus)
         self._equip(instance.robot, bus, place.prefix)
         host: VirtualHost | VirtualEventHost
         if isinstance(instance, EventApp):
@@ -137,7 +141,9 @@ class World:
                 measurements = Replayed(recording) if recording is not None else self._live(robot, bus)
             assert instance.robot.overlays is not None
             instance.robot.overlays.collect()
-            host = VirtualHost(app.name, {"": Runner(instance, app.source)}, app.digest, place, measurements, told)
+            host = VirtualHost(
+                app.name, {"": Runner(instance, app.source, conduct.tolerance)}, app.digest, place, measurements, told
+            )
         self.robots[robot].apps[app.name] = host
         host.start()
 
@@ -148,9 +154,18 @@ class World:
         if channels:
             for each in channels.values():
                 self._equip(each.app.robot, place.bus, place.prefix)
-            runners = {name: Runner(each.app, app.source) for name, each in channels.items()}
+            runners = {name: Runner(each.app, app.source, place.conduct.tolerance) for name, each in channels.items()}
             latest = {name: _taking(each) for name, each in channels.items()}
-            inner = VirtualHost(app.name, runners, app.digest, place._replace(last=None), None, told, latest)
+            endless = place._replace(conduct=replace(place.conduct, last=None, rule=None))
+            inner = VirtualHost(
+                app.name,
+                runners,
+                app.digest,
+                endless,
+                None,
+                told,
+                latest,
+            )
         return VirtualEventHost(
             app.name, EventRunner(instance, app.source), app.digest, place, self.config, inner, told
         )
@@ -173,6 +188,7 @@ class World:
         robot.mesh_clock = MeshClock(bus, robot.name, now)
         robot.ranging = Ranging(bus, robot.name, now)
         robot.devices = Devices(bus, robot.name, now)
+        robot.recording = self.records.get(robot.name)
 
     def _settle(self, latency: float) -> None:
         times = round(max(latency * 1e4, 1.0))
