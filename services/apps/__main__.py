@@ -60,7 +60,7 @@ def main() -> int:
         instance.robot.ranging = Ranging(service.bus, service.robot)
         instance.robot.devices = devices = Devices(service.bus, service.robot)
         place = place_of(app.name, number, wanted=options.record)
-        recording = Recording(service, app, number, seed, place) if place is not None else None
+        recording = Recording(service, app, number, seed, place, options.settings) if place is not None else None
         recorder = recording.recorder if recording is not None else None
         if recording is not None:
             instance.robot.recording = recording.recorder.value

@@ -180,6 +180,10 @@ def release() -> Path:
 
 
 def refuses_a_wrong_config() -> dict[str, float]:
+    # What an installation that was switched off in the middle has left behind.
+    half = Path("/opt/swarm/releases") / (release() / "ID").read_text().strip() / "bin"
+    half.mkdir(parents=True)
+    (half / "python").write_text("#!/bin/sh\nexit 1\n")
     wrong = RIG / "wrong.toml"
     wrong.write_text("network = 3\n")
     sh(str(release() / "install"), "--config", str(wrong), code=2)
@@ -190,10 +194,6 @@ def refuses_a_wrong_config() -> dict[str, float]:
 
 
 def installs() -> dict[str, float]:
-    # What an installation that was switched off in the middle has left behind.
-    half = Path("/opt/swarm/releases") / (release() / "ID").read_text().strip() / "bin"
-    half.mkdir(parents=True)
-    (half / "python").write_text("#!/bin/sh\nexit 1\n")
     began = time.monotonic()
     sh("/rig/install-first")
     for unit in SERVICES:
