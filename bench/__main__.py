@@ -15,11 +15,14 @@ AREAS = {
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "localization": "the pose of a moving robot beside moving averages and multilateration, and what it costs",
     "apps": "consensus and localization beside the thesis: table 4.1, rounds, errors, lines an author writes",
+    "recording": "what a recording costs an app's process, and what a kill -9 takes from it",
     "footprint": "proportional memory of one robot's processes",
     "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates",
     "dwm": "the UWB service: memory, and CPU time and allocations of an update",
     "teamwork": "apps that blink, stand and drive together: LED phases, stand-up, formation, crossings",
-    "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took",
+    "deploy": "a release to 8 robots beside one, and the second time; over real ssh servers",
+    "steady": "CPU time of each process of a robot, for a second of a run",
+    "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took; 1000 random faults",
 }
 
 

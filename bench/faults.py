@@ -1,9 +1,13 @@
-"""A service of one robot killed or stopped in mid-run: the same trajectory bit for bit, and what it cost in time."""
+"""A service of one robot killed or stopped in mid-run: the same trajectory bit for bit, and what it cost in time.
+
+Then a thousand random faults against six robots (random_faults.py), which takes half an hour.
+"""
 
 import math
 import time
 from collections.abc import Iterator
 
+from bench import random_faults
 from bench.rows import Row
 from bench.simulation import Simulation
 from swarm.recording.trajectory import Trajectory
@@ -14,6 +18,7 @@ VICTIM = "r1"
 ITERATIONS = 200
 FAULT_AT = 60
 STOPPED_S = 2.0
+RANDOM_FAULTS = 1000
 
 RUN = ("consensus", "--robots", "3", "--iterations", str(ITERATIONS))
 
@@ -35,6 +40,7 @@ def rows() -> Iterator[Row]:
     yield Row(f"app stopped {STOPPED_S:g} s, values that differ", differing(undisturbed, paths), "", 1.0, 0.0)
     beyond = longest_pause(paths) - STOPPED_S
     yield Row(f"app stopped {STOPPED_S:g} s, pause beyond that", beyond, "s", LONGEST_PAUSE_S, 1.0)
+    yield from random_faults.rows(RANDOM_FAULTS, seed=1)
 
 
 def disturbed(service: str, *, stop: bool = False) -> dict[str, Trajectory]:

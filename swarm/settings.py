@@ -18,6 +18,18 @@ class Setting:
     name: str
     value: Value
 
+    @property
+    def text(self) -> str:
+        """As people write it; `parse` reads it."""
+        value = self.value
+        if isinstance(value, bool):
+            shown = str(value).lower()
+        elif isinstance(value, tuple):
+            shown = f"[{','.join(map(repr, value))}]"
+        else:
+            shown = str(value)
+        return f"{f'{self.robot}.' if self.robot else ''}{self.name}={shown}"
+
 
 def parse(text: str) -> Setting:
     """A setting as people write it; raises `AppError`."""

@@ -109,7 +109,7 @@ class Swarm(RuleBasedStateMachine):
 
 
 EXAMPLES = settings(
-    max_examples=60,
+    max_examples=25,
     stateful_step_count=15,
     deadline=None,
     print_blob=True,

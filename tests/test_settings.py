@@ -21,6 +21,7 @@ NAMES = ("r0", "r1", "r2")
 )
 def test_a_setting_is_read(text: str, setting: Setting) -> None:
     assert parse(text) == setting
+    assert parse(setting.text) == setting
 
 
 @pytest.mark.parametrize("text", ["value", "=3", "r2.=3", ".value=3", "a b=3", "x=[a]"])

@@ -7,21 +7,18 @@ restart.
 
 import argparse
 import hashlib
-import math
 import os
 
 from services.apps import loader, topology
-from services.apps.core.strand import AFTER
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
-from services.apps.host import Conduct, Host, Part
+from services.apps.host import Host, Part
 from services.apps.measurements import source_of
 from services.apps.recording import Recording, place_of
-from services.apps.runner import TOLERANCE
+from swarm import conduct
 from swarm.app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
-from swarm.core.stopping import Rule
 from swarm.devices import Devices
 from swarm.errors import AppError, LocalError
 from swarm.event_app import EventApp
@@ -30,9 +27,6 @@ from swarm.overlays import Overlays
 from swarm.ranging import Ranging
 from swarm.service import Service, run
 from swarm.settings import Setting, parse, with_settings
-
-MAX_ROUNDS = 10_000
-"""Iterations that all robots may have to have converged for."""
 
 FAULT = 3
 """Exit code of a host whose app is in fault."""
@@ -66,21 +60,21 @@ def main() -> int:
         instance.robot.ranging = Ranging(service.bus, service.robot)
         instance.robot.devices = devices = Devices(service.bus, service.robot)
         place = place_of(app.name, number, wanted=options.record)
-        recording = Recording(service, app, number, seed, place) if place is not None else None
+        recording = Recording(service, app, number, seed, place, options.settings) if place is not None else None
         recorder = recording.recorder if recording is not None else None
         if recording is not None:
             instance.robot.recording = recording.recorder.value
             overlays.asked = recording.watch.asked
         code = (app.source, app.digest)
-        conduct = _conduct(options)
+        how = conduct.of(options)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
-            host = EventHost(service, app.name, events, code, number, links, conduct, overlays, devices, recorder)
+            host = EventHost(service, app.name, events, code, number, links, how, overlays, devices, recorder)
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
             parts = [Part("", instance, measurements)]
-            host = Host(service, app.name, parts, code, number, links, conduct, recorder)
+            host = Host(service, app.name, parts, code, number, links, how, recorder)
         service.stopping.wait()
         if measurements is not None:
             measurements.close()
@@ -94,17 +88,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="services.apps", description="Run one app on this robot.")
     parser.add_argument("app", help=f"{' or '.join(loader.BUILT_IN)}, or the path of a Python file with an app")
     parser.add_argument("--iterations", type=_iterations, metavar="K", help="the last iteration (without: no last one)")
-    end = parser.add_argument_group("where a lockstep ends, at the same iteration on all robots")
-    end.add_argument("--until", choices=("converged",), help="when all robots have converged")
-    end.add_argument("--rounds", type=_rounds, default=10, metavar="R", help="and that for R iterations (10)")
-    end.add_argument("--tolerance", type=_positive, default=TOLERANCE, metavar="X",
-                     help="an app that does not say when it has converged has where its state changes by no more "
-                     f"in a step ({TOLERANCE:g})")  # fmt: skip
-    end.add_argument("--for", dest="seconds", type=_positive, metavar="S", help="S seconds after the first one's start")
-    away = parser.add_argument_group("robots that stay away")
-    away.add_argument("--absent", choices=("wait", "drop"), default="wait", help="wait for them (default), or go on "
-                      "without them where a majority is there, and take them in again when they come back")  # fmt: skip
-    away.add_argument("--drop-after", type=_positive, default=AFTER, metavar="S", help=f"s after which ({AFTER:g})")
+    conduct.add_arguments(parser)
     parser.add_argument(
         "--run",
         metavar="HEX",
@@ -121,26 +105,6 @@ def _options() -> argparse.Namespace:
     text = options.run or os.environ.get("SWARM_RUN")
     options.run = None if not text else _number("--run or SWARM_RUN", text, 16)
     return options
-
-
-def _conduct(options: argparse.Namespace) -> Conduct:
-    rounds = options.rounds if options.until is not None else None
-    rule = Rule(rounds, options.seconds) if rounds is not None or options.seconds is not None else None
-    return Conduct(options.iterations, rule, options.absent == "drop", options.drop_after, options.tolerance)
-
-
-def _rounds(text: str) -> int:
-    number = int(text)
-    if not 1 <= number <= MAX_ROUNDS:
-        raise argparse.ArgumentTypeError(f"expected 1 to {MAX_ROUNDS}")
-    return number
-
-
-def _positive(text: str) -> float:
-    number = float(text)
-    if not (math.isfinite(number) and number > 0):
-        raise argparse.ArgumentTypeError("expected a number above zero")
-    return number
 
 
 def _iterations(text: str) -> int:

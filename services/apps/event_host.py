@@ -18,10 +18,11 @@ from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.event_runner import EventRunner, version
 from services.apps.hold import Hold
-from services.apps.host import Conduct, Host, Part
+from services.apps.host import Host, Part
 from services.apps.recorder import Recorder
 from swarm import clock
 from swarm.codec import Value, decode, encode
+from swarm.conduct import Conduct
 from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
 from swarm.core.lockstep_frames import Channel
 from swarm.devices import Devices
@@ -217,7 +218,7 @@ class EventHost:
                 self._changed_at = clock.now()
             if call.handler == "start" and self._views:
                 self._open_channels()
-            if call.handler == "on_parameter":
+            if call.handler in ("start", "on_parameter"):
                 self._changes.tell()
             self._feed(partial(self._returned, own))
             self._keep()

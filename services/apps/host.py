@@ -14,17 +14,17 @@ from dataclasses import dataclass
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
-from services.apps.core.strand import AFTER, Terms
+from services.apps.core.strand import Terms
 from services.apps.hold import Hold
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
-from services.apps.runner import TOLERANCE, Runner
+from services.apps.runner import Runner
 from services.apps.worker import CLOSE_WITHIN, Latest, Worker
 from swarm import clock
 from swarm.app import SyncApp
 from swarm.codec import decode
+from swarm.conduct import Conduct
 from swarm.core.lockstep import Channel
-from swarm.core.stopping import Rule
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import key
 from swarm.messages import Links, SetAppEpoch, Topology
@@ -34,22 +34,6 @@ TICK = 0.1
 """s between two looks of the ticker: state goes out at 10 Hz at most, for people and programs that watch. The
 lockstep's timers are never late for it: when set they are at least as far away (`WANT_AFTER`). At 25 Hz the ticker and
 what it published took a fifth of the app's CPU time."""
-
-
-@dataclass(frozen=True)
-class Conduct:
-    """How a run goes, the same on all robots."""
-
-    last: int | None = None
-    """The last iteration, if there is one."""
-    rule: Rule | None = None
-    """Another reason to stop."""
-    drop: bool = False
-    """Whether robots that stay away are given up (`swarm.core.epochs`); else they are waited for."""
-    after: float = AFTER
-    """s after which they are."""
-    tolerance: float = TOLERANCE
-    """Change within one step up to which an app has converged, if it does not say so itself."""
 
 
 @dataclass(frozen=True)

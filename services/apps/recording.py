@@ -1,6 +1,7 @@
 """Where the host of an app records: the folder of its run, and the file in it."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from services.apps import loader
@@ -11,6 +12,7 @@ from swarm.recording.file import RecordingFile
 from swarm.recording.reader import CLOCK, EPOCH, RUN, SUFFIX, run_of
 from swarm.recording.watch import Watch
 from swarm.service import Service
+from swarm.settings import Setting
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 """Names the machine's clock, which began when the machine did. Robots' services do not see it (ProcSubset of
@@ -20,9 +22,14 @@ systemd)."""
 class Recording:
     """The recording of one app's process; a context. Losing it does not stop the app: it is logged once and counted."""
 
-    def __init__(self, service: Service, app: loader.App, run: int, seed: int, place: Path) -> None:
-        """`place`: the run's folder. A file of this run that an earlier process has left is gone on with."""
+    def __init__(
+        self, service: Service, app: loader.App, run: int, seed: int, place: Path, settings: Sequence[Setting] = ()
+    ) -> None:
+        """`place`: the run's folder. A file of this run that an earlier process has left is gone on with. `settings`
+        were above the configuration."""
         entries = folder.describe(app.name, run, seed, app.digest)
+        if settings:
+            entries["set"] = " ".join(setting.text for setting in settings)
         files = {folder.CONFIG_FILE: service.config.path.read_bytes()}
         if app.name not in loader.BUILT_IN:
             files[f"{app.name}.py"] = Path(app.source).read_bytes()

@@ -10,15 +10,13 @@ from typing import TypeVar
 
 from swarm.app import App, SyncApp
 from swarm.codec import Value, as_value
+from swarm.conduct import TOLERANCE
 from swarm.core.graph import Graph
 from swarm.core.state import pack_private, unpack_private
 from swarm.errors import AppError, LocalError
 from swarm.messages import Measurement
 
 T = TypeVar("T")
-
-TOLERANCE = 1e-6
-"""Change of a state within one step up to which an app has converged, in the state's unit."""
 
 
 class AppRunner:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from services.sim.core.noise import ERRORS
 from services.sim.virtual.body import MODELS
-from swarm import settings
+from swarm import conduct, settings
+from swarm.conduct import Conduct
 from swarm.errors import AppError, ConfigError
 from swarm.settings import Setting
 
@@ -76,6 +77,8 @@ class Options:
     run_dir: Path | None
     record: Path | None
     """Where the trajectories are kept; without it they go with the run."""
+    conduct: Conduct
+    """When its lockstep ends but for `iterations`, and what becomes of robots that stay away."""
     demo: bool
     virtual: bool
     """In one process under a virtual clock."""
@@ -212,6 +215,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--seed", type=_at_least(0), default=1, metavar="S", help="of noise, jitter and random topologies (1)"
     )
+    conduct.add_arguments(p)
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
     run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
     run.add_argument("--record", type=Path, metavar="DIR", help="keep the recording of the run in this folder")
@@ -229,7 +233,8 @@ def parser() -> argparse.ArgumentParser:
 
 def parse(arguments: list[str]) -> Options:
     """Read the command line; argparse ends the process with code 2 and a message where it is wrong."""
-    options = Options(**vars(_tuples(parser().parse_args(arguments))))
+    read = _tuples(parser().parse_args(arguments))
+    options = Options(conduct=conduct.of(read), **vars(read))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
@@ -244,6 +249,8 @@ def parse(arguments: list[str]) -> Options:
         ):
             if given:
                 raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")
+        if options.conduct.words:
+            raise ConfigError("--until, --for and --absent need an APP, e.g. swarm sim consensus")
         if options.iterations is not None:
             raise ConfigError("--iterations needs an APP; without one use --seconds")
     return options

@@ -19,6 +19,7 @@ from services.sim.module import module_address
 from services.sim.options import Options
 from swarm import config as configuration
 from swarm.codec import Value
+from swarm.conduct import Conduct
 from swarm.config import Affine, Anchor, App, Config, Dwm, Linear, Mesh, Robot, Simulation
 from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY
@@ -74,6 +75,8 @@ class Scenario:
     """The algorithm the app runs, None where the app has no such parameter."""
     topology: str
     iterations: int | None
+    conduct: Conduct
+    """How its lockstep goes, `iterations` and all."""
     recordings: dict[str, Recording]
     """By robot; what --noise makes up, too."""
     synthetic: bool
@@ -130,7 +133,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         if press.robot not in config.names:
             raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
     iterations = options.iterations
-    if app is not None and iterations is None and options.seconds is None:
+    if app is not None and iterations is None and options.seconds is None and options.conduct.rule is None:
         iterations = ITERATIONS.get(app.name, DEFAULT_ITERATIONS)
     if recordings:
         rows = min(len(recording.rows) for recording in recordings)
@@ -146,6 +149,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         algorithm=_algorithm(config, app) if app is not None else None,
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
+        conduct=replace(options.conduct, last=iterations),
         recordings=recorded,
         synthetic=options.noise is not None,
         steps=app is not None and not _reacts_only(app),

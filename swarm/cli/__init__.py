@@ -17,9 +17,9 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "bundle", "command", "config", "deploy", "doctor", "estop", "export", "fetch", "import", "key", "kill",
-    "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay", "restart",
-    "run", "start", "status", "stop", "topology", "unplug", "view",
+    "arm", "bundle", "command", "config", "deploy", "doctor", "epoch", "estop", "export", "fetch", "import", "key",
+    "kill", "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay",
+    "restart", "run", "start", "status", "stop", "topology", "unplug", "view",
 )  # fmt: skip
 """Modules of this package."""
 

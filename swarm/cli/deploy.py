@@ -5,7 +5,7 @@ from pathlib import Path
 
 from swarm.fleet import everyone, transfer
 from swarm.fleet.everyone import Tell
-from swarm.fleet.install import install, read_files
+from swarm.fleet.install import check_name, install, read_files
 from swarm.fleet.ssh import Host
 
 HELP = "bring a release, config and key to all robots and switch to it, over ssh"
@@ -17,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "releases", nargs="+", type=Path, metavar="RELEASE", help="of deploy/release; one for each kind of robot"
     )
     parser.add_argument("--key", type=Path, metavar="FILE", help="the swarm's key (swarm key new), where it is new")
+    parser.add_argument("--rename", action="store_true", help="even where a robot has another name so far")
     everyone.add_arguments(parser, timeout_s=600)
 
 
@@ -27,6 +28,8 @@ def run(args: argparse.Namespace) -> int:
     files = read_files(config.path, args.key)
 
     async def job(host: Host, tell: Tell) -> str:
+        if not args.rename:
+            await check_name(ssh, host)
         said, sent = await install(ssh, host, releases, files, tell)
         return f"{said} ({sent} bytes sent)"
 

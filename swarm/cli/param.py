@@ -122,7 +122,7 @@ class Hosts:
                     self._there[robot].publish(key(robot, self._service, "set", "parameters"), request, urgent=True)
 
         self._until(lambda: len(answers) == len(requests), ask)
-        return {robot: problem for robot, problem in answers.items() if problem}
+        return {robot: answers[robot] for robot in sorted(answers) if answers[robot]}
 
     def _take(self, robot: str, found: AppParameters) -> None:
         with self._changed:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from swarm.config import Config, load
-from swarm.errors import LocalError
+from swarm.errors import ConfigError, LocalError
 from swarm.fleet import bundle, everyone, transfer
 from swarm.fleet.core.wish import Wish, wish
 from swarm.fleet.everyone import Tell
@@ -40,6 +40,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
     if args.key is not None:
         read_keys(args.key)  # a wrong one is better known now than on eight robots
     files = read_files(config.path, args.key)
+    unaddressed = _unaddressed(config)
     wifi = _wifi(args)
 
     def asked(host: Host) -> Wish:
@@ -53,6 +54,8 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
         ready = await robot.carry_out(reboot=not args.no_reboot)
         if not ready:
             return f"{robot.changed} steps changed; reboot it, then provision it again"
+        if unaddressed is not None:
+            return f"{robot.changed} steps changed; no release yet: swarm pair first ({unaddressed})"
         if not releases:
             return f"{robot.changed} steps changed; no release was given: --bundle with one, or swarm deploy"
         said, _ = await install(ssh, host, releases, files, tell)
@@ -68,13 +71,23 @@ def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
         raise LocalError("--robots names robots, and so do the arguments: one of them")
     if args.timeout <= 0:
         raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
-    config = load(args.config)
+    config = load(args.config, addressed=False)
     addresses = dict(text.partition("=")[::2] for text in args.which)
     if len(addresses) < len(args.which):
         raise LocalError("a robot is named twice")
     only = ",".join(addresses) if addresses else args.robots
     found = tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in hosts(config, only))
     return config, found, Ssh(args.ssh_config)
+
+
+def _unaddressed(config: Config) -> str | None:
+    """Which robots' Bluetooth addresses the file lacks, in words; a release refuses such a file."""
+    try:
+        load(config.path)
+    except ConfigError:
+        names = [robot.name for robot in config.robots if robot.bluetooth is None and robot.link is None]
+        return f"{config.path.name} lacks the Bluetooth address of {' '.join(names)}"
+    return None
 
 
 def _wifi(args: argparse.Namespace) -> tuple[str, str] | None:

@@ -30,7 +30,7 @@ SETTLE_S = 0.3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, what of it, how fast, and where to."""
     parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
-    parser.add_argument("keys", nargs="*", metavar="KEY", help="only these, e.g. '*/state' (* is anything; all)")
+    parser.add_argument("keys", nargs="*", metavar="KEY", help="only these, as z_sub takes them (all)")
     parser.add_argument("--speed", type=float, default=1.0, metavar="F", help="times as fast (1)")
     parser.add_argument("--start", type=float, metavar="S", help="from this time of the run on (its first message)")
     where = parser.add_mutually_exclusive_group()

@@ -7,6 +7,7 @@ import re
 import secrets
 from pathlib import Path
 
+from swarm import conduct
 from swarm.config import Config
 from swarm.errors import AppError, LocalError, RemoteError
 from swarm.fleet import everyone, versions
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The app, and how it runs."""
     parser.add_argument("app", help="the name of a built-in app, or a Python file of yours")
     parser.add_argument("--iterations", type=int, metavar="K", help="the last iteration (without: no last one)")
+    conduct.add_arguments(parser)
     parser.add_argument(
         "--set", dest="settings", action="append", default=[], metavar="[ROBOT.]NAME=VALUE",
         help="a parameter of the app, of all robots or one: --set gain=0.5 --set r2.value=3",
@@ -64,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
         arguments.append("--record")
     if args.iterations is not None:
         arguments += ["--iterations", str(args.iterations)]
+    arguments += conduct.of(args).words
     for setting in args.settings:
         arguments += ["--set", setting]
     place = name if source is None else f"{folder}/{name}.py"

@@ -76,7 +76,7 @@ async def _look(ssh: Ssh, robots: tuple[Host, ...], timeout_s: float) -> tuple[l
 
 def question(robot: str) -> str:
     """For the robot's shell; `parse` reads the answer."""
-    units = " ".join(f"swarm-{name}" for name in SERVICES)
+    units = " ".join(f"swarm-{name}.service" for name in SERVICES)  # a pattern here, so with its ending
     return (
         f"echo '{_MARK}release'; readlink /opt/swarm/current; echo '{_MARK}units'; "
         f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'; echo '{_MARK}bus'; "

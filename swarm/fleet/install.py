@@ -7,8 +7,10 @@ from pathlib import Path
 from swarm.errors import LocalError
 from swarm.fleet import transfer
 from swarm.fleet.everyone import Tell
-from swarm.fleet.ssh import Host, Ssh
+from swarm.fleet.ssh import Host, HostError, Ssh
 from swarm.fleet.transfer import Release
+from swarm.fleet.versions import OWN_NAME
+from swarm.keyfile import read_keys
 
 _WHAT = "uname -m; for v in 3.11 3.12 3.13 3.14; do command -v python$v >/dev/null && echo $v; done; true"
 
@@ -20,7 +22,10 @@ _INSTALL = (
 
 
 def read_files(config: Path, key: Path | None) -> dict[str, bytes]:
-    """What goes with a release, by the option of `install`; raises `LocalError` where it cannot be read."""
+    """What goes with a release, by the option of `install`; raises `LocalError` where it cannot be read, or is no key
+    that only its owner can read."""
+    if key is not None:
+        read_keys(key)
     files = {}
     for name, path in {"config": config, "key": key}.items():
         if path is not None:
@@ -29,6 +34,16 @@ def read_files(config: Path, key: Path | None) -> dict[str, bytes]:
             except OSError as error:
                 raise LocalError(f"{path} cannot be read: {error.strerror}") from None
     return files
+
+
+async def check_name(ssh: Ssh, host: Host) -> None:
+    """Raises `HostError` where the robot at this address was installed under another name."""
+    found = (await ssh.check(host, OWN_NAME)).strip()
+    if found not in ("", host.robot):
+        raise HostError(
+            f"at {host.address} is {found} by its own word: mend `host` in swarm.toml, "
+            f"or --rename makes it {host.robot}"
+        )
 
 
 async def install(

@@ -79,7 +79,7 @@ def fitting(releases: list[Release], machine: str, pythons: list[str]) -> Releas
         if release.machine == machine and release.python in pythons:
             return release
     have = ", ".join(f"{release.machine} Python {release.python}" for release in releases)
-    needs = f"{machine} Python {pythons[-1] if pythons else '3.11'}"
+    needs = f"{machine} Python {pythons[-1]}" if pythons else f"{machine} without any Python that we know"
     raise HostError(f"it is {needs}, the releases are for {have}: deploy/release --machine {machine} --python ...")
 
 

@@ -7,6 +7,10 @@ from dataclasses import dataclass
 
 from swarm.errors import RemoteError
 
+ROBOT_ENV = "/etc/swarm/robot.env"
+OWN_NAME = f"sed -n s/^SWARM_ROBOT=//p {ROBOT_ENV} 2>/dev/null; true"
+"""For the robot's shell: the name it was installed under."""
+
 _MARK = "== "
 _SUM = re.compile(r"[0-9a-f]{64}")
 
@@ -20,6 +24,8 @@ class Versions:
     """SHA-256 of its swarm.toml."""
     firmware: str | None
     """`revision R (layout L)`."""
+    name: str | None = None
+    """That it was installed under."""
 
 
 def question(robot: str) -> str:
@@ -27,6 +33,7 @@ def question(robot: str) -> str:
     firmware = f"swarm/{robot}/balancer/firmware"
     return (
         f"echo '{_MARK}release'; readlink /opt/swarm/current; "
+        f"echo '{_MARK}name'; {OWN_NAME}; "
         f"echo '{_MARK}config'; sha256sum /etc/swarm/swarm.toml; "
         f"echo '{_MARK}firmware'; sudo -n /opt/swarm/current/bin/z_sub {firmware} --count 1 --seconds 2.5 --json; true"
     )
@@ -39,7 +46,9 @@ def parse(text: str) -> Versions:
     if not release:
         raise RemoteError("Balboa Swarm is not installed on it: swarm deploy")
     found = _SUM.match(parts.get("config", ""))
-    return Versions(release, found[0] if found else None, firmware(parts.get("firmware", "")))
+    return Versions(
+        release, found[0] if found else None, firmware(parts.get("firmware", "")), parts.get("name") or None
+    )
 
 
 def firmware(line: str) -> str | None:
@@ -57,6 +66,8 @@ def differences(robots: Mapping[str, Versions], config: str) -> list[str]:
     A robot that does not tell its firmware is no difference: its balancer may be stopped.
     """
     found = []
+    if strange := {name: own for name, versions in robots.items() if (own := versions.name) not in (None, name)}:
+        found.append(f"other names than in swarm.toml ({_each(strange)}): mend `host` there")
     releases = {name: versions.release for name, versions in robots.items()}
     if len(set(releases.values())) > 1:
         found.append(f"different releases ({_each(releases)}): swarm deploy the same to all of them")

@@ -14,6 +14,9 @@ from swarm.recording.run import Run
 
 Place = tuple[float, float]
 
+CROWD = 24
+"""Links or robots from which on the mesh is drawn without words."""
+
 SIGMAS = 2.0
 """Standard deviations of the ellipses drawn: 86 % of a plane's normal distribution."""
 
@@ -82,22 +85,32 @@ def mesh(figure: Any, run: Run) -> None:
 
     scale = Normalize(0.0, 1e3 * max(known, default=1.0) * 1.05)
     ramp = colormaps["cividis_r"]
+    crowded = max(len(links), len(names)) > CROWD
     for (a, b), each in links.items():
         rtt = rtts[a, b]
         (xa, ya), (xb, yb) = places[a], places[b]
         up = each[-1]["state"] in ("up", "suspect")
         colour = style.GREY if rtt is None else ramp(scale(1e3 * rtt))
         axes.plot(
-            (xa, xb), (ya, yb), color=colour, linewidth=3.0 if up else 1.2, linestyle="-" if up else "--", zorder=1
+            (xa, xb),
+            (ya, yb),
+            color=colour,
+            linewidth=0.8 if crowded else 3.0 if up else 1.2,
+            linestyle="-" if up else "--",
+            zorder=1,
         )
-        lost = sum(link.get("dropped", 0) for link in (each[-1],))
+        if crowded:
+            continue
+        lost = each[-1].get("dropped", 0)
         text = "down" if not up else "" if rtt is None else f"{1e3 * rtt:.0f} ms"
         text += f"\n{lost} lost" if lost else ""
         axes.annotate(text, ((xa + xb) / 2, (ya + yb) / 2), ha="center", va="center", fontsize=7.5,
                       bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85})  # fmt: skip
     for name, (x, y) in places.items():
-        axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=21, zorder=2)
-        axes.annotate(name, (x, y), ha="center", va="center", fontsize=8.5, zorder=3)
+        size = 5 if crowded else 21
+        axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=size, zorder=2)
+        if not crowded:
+            axes.annotate(name, (x, y), ha="center", va="center", fontsize=8.5, zorder=3)
     if known:
         bar = figure.colorbar(ScalarMappable(scale, ramp), ax=axes, shrink=0.75, pad=0.02)
         bar.set_label("mean round-trip time / ms")

@@ -68,8 +68,8 @@ def _columns(run: Run) -> list[tuple[str, str, dict[str, Trajectory]]]:
     """Label, column and trajectories of all that can be drawn: a vector's parts one by one."""
     found = []
     for channel in run.states():
-        paths = run.trajectories(channel=channel)
-        for column in next(iter(paths.values())).columns:
+        paths = {name: path for name, path in run.trajectories(channel=channel).items() if path.rows}
+        for column in next(iter(paths.values())).columns if paths else ():
             if any(_is_number(path, column) for path in paths.values()):
                 found.append((f"{channel}.{column}" if channel else column, column, paths))
     return found

@@ -3,7 +3,6 @@
 import heapq
 import re
 from collections.abc import Callable, Iterator
-from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path
 
@@ -85,12 +84,15 @@ class Run:
                 self.damage += [] if note in self.damage else [note]
         return {robot: builder.known() for robot, builder in found.items()}
 
-    def samples(self, *patterns: str) -> Iterator[Sample]:
-        """All messages of the topics that match one of `patterns` (`*` matches slashes, too; none: all), in the order
-        of common time, which counts from `origin`. What two apps of a robot have both recorded comes once."""
+    def samples(self, *keys: str) -> Iterator[Sample]:
+        """All messages of the topics that one of `keys` names (as on the bus `*` is any one chunk, `**` any number of
+        them; none: all), in the order of common time, which counts from `origin`. What two apps of a robot have both
+        recorded comes once."""
+        patterns = tuple(map(_pattern, keys))
         merged = heapq.merge(*(self._ordered(file, patterns) for file in self.files), key=_order)
         for _, same in groupby(merged, key=_order):
-            yield next(same)
+            # What came at the same instant stays in the order of its writing.
+            yield from {sample.data: sample for sample in same}.values()
 
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
@@ -125,25 +127,32 @@ class Run:
     def _axis(self, clock: str) -> Axis:
         return self._axes.get(clock, float)
 
-    def _ordered(self, file: Path, patterns: tuple[str, ...]) -> Iterator[Sample]:
+    def _ordered(self, file: Path, patterns: tuple[re.Pattern[str], ...]) -> Iterator[Sample]:
         """A file's messages by time: those written late are waited for."""
 
         def wanted(topic: str) -> bool:
-            return not patterns or any(fnmatchcase(topic, pattern) for pattern in patterns)
+            return not patterns or any(pattern.fullmatch(topic) for pattern in patterns)
 
-        waiting: list[tuple[tuple[float, str, bytes], Sample]] = []
+        waiting: list[tuple[float, str, int, Sample]] = []
         latest = float("-inf")
-        for sample in self._read(file, wanted):
-            heapq.heappush(waiting, (_order(sample), sample))
+        for number, sample in enumerate(self._read(file, wanted)):
+            heapq.heappush(waiting, (*_order(sample), number, sample))
             latest = max(latest, sample.t)
-            while waiting[0][1].t < latest - DISORDER_S:
-                yield heapq.heappop(waiting)[1]
+            while waiting[0][0] < latest - DISORDER_S:
+                yield heapq.heappop(waiting)[-1]
         while waiting:
-            yield heapq.heappop(waiting)[1]
+            yield heapq.heappop(waiting)[-1]
 
     def _origin(self) -> float:
         begun = self._begun[True] or self._begun[False]
         return min((self._axis(clock)(t) for clock, t in begun.items()), default=0.0)
+
+
+def _pattern(key: str) -> re.Pattern[str]:
+    """What a key expression of the bus matches."""
+    chunks = (".*" if chunk == "**" else re.escape(chunk).replace(r"\*", "[^/]*") for chunk in key.split("/"))
+    text = "/".join(chunks).replace("/.*/", "/(?:.*/)?")
+    return re.compile(re.sub(r"^\.\*/", "(?:.*/)?", re.sub(r"/\.\*$", "(?:/.*)?", text)))
 
 
 def natural(text: str) -> tuple[object, ...]:
@@ -151,5 +160,5 @@ def natural(text: str) -> tuple[object, ...]:
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text))
 
 
-def _order(sample: Sample) -> tuple[float, str, bytes]:
-    return sample.t, sample.topic, sample.data
+def _order(sample: Sample) -> tuple[float, str]:
+    return sample.t, sample.topic

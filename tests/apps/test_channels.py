@@ -12,7 +12,8 @@ __all__ = ["make_rig"]
 PAIR = """
 import sys
 from services.apps import loader, topology
-from services.apps.host import Conduct, Host, Part
+from services.apps.host import Host, Part
+from swarm.conduct import Conduct
 from swarm.service import Service, run
 
 def main():

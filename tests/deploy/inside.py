@@ -21,6 +21,9 @@ PYTHON = "/opt/swarm/current/bin/python"
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
 APP = "swarm-app@consensus"
 PORTS = {"r0": 5501, "r1": 5502}
+DISK = Path("/var/lib/swarm/runs")
+"""Of the recordings."""
+RECORDING = DISK / "consensus-0000000000000001/r0.consensus.mcap"
 
 CONFIG = """network = "rig"
 [topology]
@@ -144,7 +147,14 @@ def surroundings() -> None:
     drop_in.write_text(f"[Service]\nExecStart=\nExecStart={PYTHON} -m services.sim.body\n")
     apps = Path("/etc/swarm/apps")
     apps.mkdir(parents=True, exist_ok=True)
-    (apps / "consensus.env").write_text("ARGUMENTS=--run 1\n")
+    (apps / "consensus.env").write_text("ARGUMENTS=--run 1 --record\n")
+    # A disk of its own for the recordings, so small that it can be filled.
+    DISK.mkdir(parents=True, exist_ok=True)
+    sh("mount", "-t", "tmpfs", "-o", "size=96m", "recordings", str(DISK))
+    # Commands for robots go through sudo, which a minimal system does not have.
+    sudo = Path("/usr/local/bin/sudo")
+    sudo.write_text('#!/bin/sh\nshift\nexec "$@"\n')
+    sudo.chmod(0o755)
     for robot, port in PORTS.items():
         (RIG / f"{robot}.toml").write_text(CONFIG.format(port=port))
 
@@ -170,6 +180,10 @@ def release() -> Path:
 
 
 def refuses_a_wrong_config() -> dict[str, float]:
+    # What an installation that was switched off in the middle has left behind.
+    half = Path("/opt/swarm/releases") / (release() / "ID").read_text().strip() / "bin"
+    half.mkdir(parents=True)
+    (half / "python").write_text("#!/bin/sh\nexit 1\n")
     wrong = RIG / "wrong.toml"
     wrong.write_text("network = 3\n")
     sh(str(release() / "install"), "--config", str(wrong), code=2)
@@ -258,6 +272,57 @@ def the_robot_stands_without_a_bus() -> dict[str, float]:
     return {}
 
 
+def a_full_disk_costs_recordings_only() -> dict[str, float]:
+    before = {unit: pid(unit) for unit in (*SERVICES, APP)}
+    wait(RECORDING.exists, "there is a recording")
+    filler = DISK / "filler"
+    with filler.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        while file.write(bytes(4096)):
+            pass
+    k, size = iteration(), RECORDING.stat().st_size
+    wait(lambda: iteration() > k + 20, "the app goes on")
+    expect(before == {unit: pid(unit) for unit in (*SERVICES, APP)}, "services were restarted")
+    filler.unlink()
+    wait(lambda: RECORDING.stat().st_size > size + 10_000, "the recording goes on")
+    return {}
+
+
+STATUS = """
+import dataclasses, json, subprocess
+from swarm.cli import status
+from swarm.fleet import journal, versions
+
+def ask(command):
+    return subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout
+
+row = dataclasses.asdict(status.parse("r0", ask(status.question("r0"))))
+row["versions"] = dataclasses.asdict(versions.parse(ask(versions.question("r0"))))
+logs = ask(
+    f"journalctl --no-pager --lines=200 --output=json --output-fields={journal.FIELDS} --unit='swarm*'"
+).splitlines()
+row["entries"] = [journal.entry(line) is not None for line in logs].count(True)
+row["lines"] = len(logs)
+print(json.dumps(row))
+"""
+"""What `swarm status`, `run` and `fetch` ask a robot by ssh, and how they read it."""
+
+
+def the_fleet_can_ask_it() -> dict[str, float]:
+    found = json.loads(ask(STATUS))
+    expect(found["failed"] == [], f"not running: {found['failed']}")
+    expect(found["links"] == {"r1": "up"}, f"links: {found['links']}")
+    expect(found["battery_v"] and found["battery_left_s"], f"battery: {found['battery_v']} {found['battery_left_s']}")
+    expect(found["mode"] == "balancing" and found["fault"] is None, f"body: {found['mode']} {found['fault']}")
+    expect(found["pose"], "no pose")
+    expect(found["apps"]["consensus"]["phase"] == "running", f"apps: {found['apps']}")
+    expect(found["release"] == Path("/opt/swarm/current").resolve().name, f"release: {found['release']}")
+    expect(found["firmware"] == "1.1", f"firmware: {found['firmware']}")
+    expect(found["versions"]["release"] == found["release"], f"versions: {found['versions']}")
+    expect(found["versions"]["config"] and found["versions"]["firmware"], f"versions: {found['versions']}")
+    expect(found["lines"] and found["entries"] == found["lines"], f"{found['entries']} of {found['lines']} log entries")
+    return {}
+
+
 def a_release_that_does_not_run_is_taken_back() -> dict[str, float]:
     good = Path("/opt/swarm/current").resolve()
     bad = RIG / "bad"
@@ -301,6 +366,7 @@ def uninstalls() -> dict[str, float]:
     expect(not units, f"still there: {units}")
     expect(not Path("/opt/swarm").exists() and not Path("/run/swarm").exists(), "files are left")
     expect(Path("/etc/swarm/swarm.toml").exists(), "the config is gone")
+    sh("umount", str(DISK))
     sh(str(release() / "uninstall"), "--purge")
     expect(not Path("/etc/swarm").exists(), "the config is still there")
     return {}
@@ -340,6 +406,8 @@ def main() -> None:
         for unit in (*SERVICES, APP):
             report(f"{unit} killed and hung", lambda unit=unit: killed_and_hung(unit, others[unit]))
         report("stands without a bus", the_robot_stands_without_a_bus)
+        report("a full disk", a_full_disk_costs_recordings_only)
+        report("the fleet can ask it", the_fleet_can_ask_it)
         report("memory", memory)
         report("a release that does not run", a_release_that_does_not_run_is_taken_back)
         sh("systemctl", "enable", "--quiet", APP)
@@ -347,6 +415,7 @@ def main() -> None:
         processes = neighbour()
         report("is up after a reboot", is_up_after_a_reboot)
         report("everything talks after it", everything_talks)
+        report("the fleet can ask it after that", the_fleet_can_ask_it)
         report("uninstalls", uninstalls)
     for process in processes:
         process.kill()

@@ -41,10 +41,13 @@ CHECKS = (
     "holds its privileges",
     *(f"{service} killed and hung" for service in SERVICES),
     "stands without a bus",
+    "a full disk",
+    "the fleet can ask it",
     "memory",
     "a release that does not run",
     "is up after a reboot",
     "everything talks after it",
+    "the fleet can ask it after that",
     "uninstalls",
 )
 LIMITS = {"pss_mib": 140.0}

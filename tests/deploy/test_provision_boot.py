@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pytest
 
-from swarm.cli import provision
+from swarm.cli import doctor, provision
 from swarm.fleet import debs
 from swarm.fleet.core.wish import PACKAGES, SUITES
 from swarm.fleet.provision import Rig
@@ -193,6 +193,22 @@ def test_a_fresh_system_becomes_a_robot_and_again_changes_nothing(
     assert set(states.values()) == {"ok"}, states
     assert text == "0 steps changed, all others were ok"
     assert changed_after(pi.root, moment) == []
+
+
+def test_the_doctor_finds_it_well_but_for_what_a_container_lacks(
+    pi: Booted, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parser = ArgumentParser()
+    doctor.add_arguments(parser)
+    words = ["r0", "--real", "--json", "--config", pi.folder / "swarm.toml", "--ssh-config", pi.folder / "ssh_config"]
+    assert doctor.run(parser.parse_args([str(word) for word in words]), Rig(places=PLACES)) == 1
+    found = json.loads(capsys.readouterr().out)["robots"]["r0"]
+    # Another processor, no module at its port, no radio.
+    wrong = {name: each["text"] for name, each in found.items() if each["state"] == "bad"}
+    assert set(wrong) == {"system", "module", "adapter"}, wrong
+    assert "bluetoothd" in wrong["adapter"]
+    for check in ("packages", "boot", "name", "release", "config", "key", "services", "devices", "body", "battery"):
+        assert found[check]["state"] == "ok", found[check]
 
 
 def test_a_robot_that_was_left_half_done_is_finished(pi: Booted, capsys: pytest.CaptureFixture[str]) -> None:

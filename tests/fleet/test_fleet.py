@@ -11,6 +11,7 @@ from fake_robots import FakeRobots, Run, needs_ssh, outcomes
 
 from swarm.cli import status
 from swarm.fleet.everyone import Outcome
+from swarm.keyfile import new_key_file
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
@@ -173,17 +174,75 @@ def test_an_install_that_fails_says_why(robots: FakeRobots, run: Run, capsys: py
     assert outcomes(capsys)["r0"]["text"] == "install: no room"
 
 
+def test_a_key_that_others_may_read_reaches_no_robot(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = robots.add("r0")
+    key = robots.folder / "key"
+    new_key_file(key, 1)
+    key.chmod(0o644)
+    release = make_release(robots.folder / "a.tar.gz", "1-a", {})
+    assert run("deploy", str(release), "--key", str(key)) == 2
+    assert "others than its owner may use it (mode 0644): chmod 600" in capsys.readouterr().err
+    assert not (home / ".cache").exists()
+
+
+def test_a_host_that_is_another_robot_is_named(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A config whose hosts are mixed up must not make one robot another."""
+    homes = [robots.add(name) for name in ("r0", "r1")]
+    for home in homes:
+        add_python(home)
+    robots.script("r1", "sed", 'case $2 in s/^SWARM_ROBOT*) echo r4 ;; *) exec /usr/bin/sed "$@" ;; esac')
+    release = make_release(robots.folder / "a.tar.gz", "1-a", {})
+    assert run("deploy", str(release), "--json") == 1
+    found = outcomes(capsys)
+    assert (found["r0"]["ok"], found["r1"]["ok"]) == (True, False)
+    assert found["r1"]["text"] == ("at r1 is r4 by its own word: mend `host` in swarm.toml, or --rename makes it r1")
+    assert not (homes[1] / "installed").exists()
+    assert run("deploy", str(release), "--rename") == 0
+    assert (homes[1] / "installed").exists()
+
+
+def test_a_robot_with_another_python_is_named(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    home = robots.add("r0", hook="PATH=$HOME/bin:$HOME/tools")
+    tools = home / "tools"
+    tools.mkdir()
+    for name in ("sh", "uname", "sed", "tar", "cat", "sha256sum", "find", "mkdir", "true"):
+        (tools / name).symlink_to(f"/usr/bin/{name}")
+    release = make_release(robots.folder / "a.tar.gz", "1-a", {})
+    assert run("deploy", str(release), "--json") == 1
+    machine = os.uname().machine
+    said = (
+        f"it is {machine} without any Python that we know, the releases are for {machine} Python 3.11: deploy/release"
+    )
+    assert str(outcomes(capsys)["r0"]["text"]).startswith(said)
+
+
+def test_a_robot_that_does_not_let_us_in_is_named(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots.add("r0")
+    (robots.folder / "id").rename(robots.folder / "lost")
+    assert run("command", "true", "--json") == 1
+    assert outcomes(capsys)["r0"]["text"] == "it takes none of your ssh keys: ssh-copy-id r0"
+
+
 # -- run ---------------------------------------------------------------------------------------------------------
 
 PATHS = "s#/etc/swarm#etc#g; s#/var/lib/swarm#lib#g"
 
 
-def add_robot(robots: FakeRobots, name: str, release: str = "1-a", revision: int = 1, config: bytes = b"") -> Path:
+def add_robot(
+    robots: FakeRobots, name: str, release: str = "1-a", revision: int = 1, config: bytes = b"", own: str = ""
+) -> Path:
     """A robot that says what it runs, with the system's folders in its home."""
     home = robots.add(name)
     (home / "etc/apps").mkdir(parents=True)
     (home / "lib/apps").mkdir(parents=True)
     (home / "config").write_bytes(config)
+    robots.script(name, "sed", f'case $2 in s/^SWARM_ROBOT*) echo {own} ;; *) exec /usr/bin/sed "$@" ;; esac')
     robots.script(name, "readlink", f"echo /opt/swarm/releases/{release}")
     # The config of the others is the one here, which is complete when all robots are added.
     robots.script(name, "sha256sum", f"[ -s $HOME/config ] || exec /usr/bin/sha256sum {robots.config}; echo {'0' * 64}")
@@ -245,6 +304,7 @@ def test_a_start_that_breaks_changes_nothing(robots: FakeRobots, run: Run, capsy
     [
         ({"release": "1-b"}, "different releases (r0 1-a, r1 1-b): swarm deploy the same"),
         ({"revision": 2}, "different firmware (r0 revision 1 (layout 1), r1 revision 2 (layout 1)): swarm flash"),
+        ({"own": "r4"}, "other names than in swarm.toml (r1 r4): mend `host` there"),
         ({"config": b"other"}, "another swarm.toml than here (r1): swarm deploy brings this one"),
     ],
 )

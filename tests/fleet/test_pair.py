@@ -1,10 +1,10 @@
 """`swarm pair` on robots with a real D-Bus each, and bluetoothds that are played by another D-Bus implementation."""
 
+import asyncio
 import json
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,6 +13,8 @@ from fake_robots import SSHD, FakeRobots
 
 from swarm.cli import main
 from swarm.config import load
+from swarm.fleet import remote
+from swarm.fleet.ssh import Host, Ssh
 
 PYTHON = "/usr/bin/python3"
 """Debian's own, which has python3-dbus and python3-gi."""
@@ -193,13 +195,34 @@ def test_a_robot_that_is_another_one(air: Air, pair: Pair) -> None:
     assert air.said() == []
 
 
+def test_a_stranger_is_refused_while_a_robot_waits_for_its_neighbour(air: Air) -> None:
+    for name in ("r0", "r1", "r2"):
+        air.add(name)
+    air.start(config("r0 r1 r2"))
+    ssh = Ssh(air.robots.ssh_config)
+    first, second = str(air.spec["r0"]["address"]), str(air.spec["r1"]["address"])
+
+    async def both() -> tuple[str, str]:
+        listening, end = asyncio.Event(), asyncio.Event()
+        wait = {"do": "listen", "peer": first, "inquiry": 9.0}
+        waiting = asyncio.create_task(
+            remote.call(ssh, Host("r1", "r1"), "pairing", wait, told=lambda _: listening.set(), until=end)
+        )
+        await listening.wait()
+        call = {"do": "call", "peer": second, "inquiry": 9.0}
+        stranger = await remote.call(ssh, Host("r2", "r2"), "pairing", call)
+        end.set()  # as a laptop that gives it up, or is closed
+        return stranger["problem"], (await waiting)["problem"]
+
+    assert asyncio.run(both()) == ("the other side's agent said no", f"{first} has not paired with it")
+
+
 def test_nothing_is_left_behind(air: Air, pair: Pair) -> None:
     air.add("r0")
     air.add("r1")
     air.start(config("r0 r1"))
     assert pair()[0] == 0
-    sent = sys.modules["swarm.fleet.remote"].BOOT
-    running = [path for path in Path("/proc").glob("[0-9]*/cmdline") if sent[:60].encode() in _read(path)]
+    running = [path for path in Path("/proc").glob("[0-9]*/cmdline") if remote.BOOT[:60].encode() in _read(path)]
     assert running == []
 
 

@@ -126,6 +126,17 @@ def test_a_fresh_pi_becomes_a_robot_and_stays_one(robots: FakeRobots, run: Provi
     assert only_looks == []
 
 
+def test_without_their_addresses_robots_are_made_ready_for_pairing(robots: FakeRobots, run: Provision) -> None:
+    home = add_pi(robots, "r0", packages="bluez python3 python3-bluez python3-venv rfkill")
+    add_pi(robots, "r1", packages="bluez python3 python3-bluez python3-venv rfkill")
+    lines = robots.config.read_text().splitlines()
+    robots.config.write_text("\n".join(line for line in lines if line[:4] != "link") + "\n")
+    code, _, text = run()
+    assert code == 0
+    assert "no release yet: swarm pair first (swarm.toml lacks the Bluetooth address of r0 r1)" in text["r0"]
+    assert (home / "root/etc/hostname").read_text() == "r0\n"
+
+
 def test_a_dry_run_says_it_all_and_touches_nothing(robots: FakeRobots, run: Provision) -> None:
     home = add_pi(robots, "r0")
     before = tree(home)

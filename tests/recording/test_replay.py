@@ -54,7 +54,7 @@ def test_what_was_none_is_there_again(tmp_path):
 
 def test_as_text(recorded, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["replay", str(recorded), "swarm/r1/*/state", "--json"])
+        main(["replay", str(recorded), "swarm/r1/**/state", "--json"])
     assert ended.value.code == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     states = [line for line in lines if line["key"].endswith("localization/state")]

@@ -35,7 +35,7 @@ def test_one_machine_has_one_clock(tmp_path):
     write(tmp_path / "r1.x.mcap", "r1", "boot", 5.1, clock(99.0, 7.0), state(0, 100.5))
     run = Run(tmp_path)
     assert run.origin == 100.0
-    assert [(s.topic, round(s.t, 6)) for s in run.samples("*/state")] == [
+    assert [(s.topic, round(s.t, 6)) for s in run.samples("**/state")] == [
         ("swarm/r0/app/x/state", 0.0),
         ("swarm/r1/app/x/state", 0.5),
         ("swarm/r0/app/x/state", 1.0),
@@ -120,3 +120,28 @@ def test_channels_are_told_apart(tmp_path):
 
 def test_ten_comes_after_nine():
     assert sorted(["r10", "r9", "r1", "base"], key=natural) == ["base", "r1", "r9", "r10"]
+
+
+@pytest.mark.parametrize(
+    ("key", "names"),
+    [
+        ("swarm/*/app/x/state", "ab"),
+        ("swarm/r0/**", "acd"),
+        ("**/state", "abd"),
+        ("**", "abcd"),
+        ("swarm/r0/app/*/state", "a"),
+        ("swarm/*/app/**/state", "abd"),
+        ("swarm/r0/app/x/st*", "a"),
+        ("swarm/r.", ""),
+    ],
+)
+def test_topics_are_chosen_as_on_the_bus(tmp_path, key, names):
+    keys = {"a": "swarm/r0/app/x/state", "b": "swarm/r1/app/x/state", "c": "swarm/r0/dwm/pose",
+            "d": "swarm/r0/app/x/record/state"}  # fmt: skip
+    writer = Writer("test", epoch_ns=0)
+    for topic in keys.values():
+        writer.write(topic, 1.0, {"t": 1.0})
+    writer.finish()
+    (tmp_path / "x.mcap").write_bytes(writer.take())
+    found = {sample.topic for sample in Run(tmp_path / "x.mcap").samples(key)}
+    assert found == {keys[name] for name in names}

@@ -76,7 +76,7 @@ def test_localization_has_measurements_in_metres(tmp_path):
     run, back = round_trip(source, tmp_path)
     assert back == files(source)
     assert run.trajectories()["r0"].value(1, "result.y") == 1.0
-    (measured,) = run.samples("*/measurement")
+    (measured,) = run.samples("**/measurement")
     assert measured.message["k"] == 0
     assert measured.message["distance"] == pytest.approx(0.624)
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from swarm.conduct import AFTER
 from swarm.core import epochs, lockstep
 from swarm.core.epoch_notes import Epoch, Kept
 from swarm.core.epochs import Epochs, Keep, Order, Switch, Tell
@@ -23,9 +24,6 @@ from swarm.messages import Measurement
 
 ALONE = 0.03
 """s of an iteration of a robot without neighbours, who has nobody to wait for."""
-
-AFTER = 10.0
-"""s after which a robot that is not heard is given up, where robots are."""
 
 _STAMP = struct.Struct("<dd")  # before the private fields in a snapshot: when its state was computed, and the first one
 
@@ -402,4 +400,4 @@ class Strand:
         return _STAMP.pack(self.computed_at, self._began_at) + private
 
 
-__all__ = ["AFTER", "ALONE", "Action", "Advanced", "Program", "Renew", "Strand", "Tell", "Terms"]
+__all__ = ["ALONE", "Action", "Advanced", "Program", "Renew", "Strand", "Tell", "Terms"]

@@ -65,7 +65,7 @@ class VirtualEventHost:
             period=runner.period,
             barrier=app.barrier and runner.period is not None,
             handled=runner.handled,
-            last=place.last,
+            last=place.conduct.last,
         )
         self._latest = key(place.robot, f"app/{name}", "latest", channel.text)
         self._state_key = key(place.robot, f"app/{name}", "state")
@@ -179,7 +179,7 @@ class VirtualEventHost:
         except AppError as error:
             self._fail(str(error))
             return
-        if call.handler == "on_parameter":
+        if call.handler in ("start", "on_parameter"):
             self._changes.tell()
         if call.handler == "start" and self.channels is not None:
             for part in self.channels.strands:

@@ -10,6 +10,7 @@ from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
 from services.sim.virtual.strand import Measurements, Told, VirtualStrand
 from swarm.codec import decode
+from swarm.conduct import Conduct
 from swarm.core.epoch_notes import Epoch
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
@@ -31,8 +32,7 @@ class Place(NamedTuple):
     """Its members and links, the same object for all robots."""
     graph: Graph
     run: int
-    last: int | None
-    """The last iteration, if there is one."""
+    conduct: Conduct
     time: EventQueue
     bus: VirtualBus
 
@@ -72,7 +72,8 @@ class VirtualHost:
         self._connections: dict[str, int] = {}
         for part, runner in runners.items():
             schema = schema_of(runner, part, digest)
-            terms = Terms(place.run, schema, place.last)
+            how = place.conduct
+            terms = Terms(place.run, schema, how.last, how.rule, how.drop, how.after)
             begin, graph = place.begin, place.graph
             strand = Strand(place.robot, place.names, terms, begin, graph, INCARNATION, runner)
             self.strands[part] = self._by_schema[schema] = self._notes[terms.notes] = VirtualStrand(

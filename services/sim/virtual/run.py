@@ -91,7 +91,7 @@ class Run:
                     name,
                     app,
                     run=number,
-                    last=scenario.iterations,
+                    conduct=scenario.conduct,
                     recording=scenario.recordings.get(name),
                     told=Told(self._advanced, self._ended),
                 )

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from services.apps import loader, topology
 from services.apps.event_runner import EventRunner
@@ -24,6 +24,7 @@ from services.sim.virtual.strand import Measurements, Told
 from services.sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app import SyncApp
 from swarm.codec import Value
+from swarm.conduct import Conduct
 from swarm.config import Config
 from swarm.core.epoch_notes import Epoch, first
 from swarm.core.graph import Graph
@@ -96,19 +97,19 @@ class World:
         self.time.at(at, self.robots[robot].balancer.act, act)
 
     def start_app(
-        self, robot: str, app: loader.App, *, run: int, last: int | None, recording: Recording | None, told: Told
+        self, robot: str, app: loader.App, *, run: int, conduct: Conduct, recording: Recording | None, told: Told
     ) -> None:
         """Start an app's host; with an automatic topology it begins when that links all robots."""
-        self.time.soon(self._begin, robot, app, run, last, recording, told)
+        self.time.soon(self._begin, robot, app, run, conduct, recording, told)
 
     def _begin(
-        self, robot: str, app: loader.App, run: int, last: int | None, recording: Recording | None, told: Told
+        self, robot: str, app: loader.App, run: int, conduct: Conduct, recording: Recording | None, told: Told
     ) -> None:
         config, epoch = self.config, topology.CONFIGURED
         if config.auto:
             in_force = self.robots[robot].mesh.node.overlays.topology(self.time.now)
             if topology.lacking(config, in_force, self.time.now):
-                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, app, run, last, recording, told)
+                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, app, run, conduct, recording, told)
                 return
             links = topology.of_edges(config, in_force.edges)
             config, epoch = links.config, links.epoch
@@ -116,7 +117,7 @@ class World:
         bus = VirtualBus(self.robots[robot].router)
         if epoch not in self._begin_with:
             self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
-        place = Place(robot, self._names, *self._begin_with[epoch], run, last, self.time, bus)
+        place = Place(robot, self._names, *self._begin_with[epoch], run, conduct, self.time, bus)
         self._equip(instance.robot, bus, place.prefix)
         host: VirtualHost | VirtualEventHost
         if isinstance(instance, EventApp):
@@ -128,7 +129,9 @@ class World:
                 measurements = Replayed(recording) if recording is not None else self._live(robot, bus)
             assert instance.robot.overlays is not None
             instance.robot.overlays.collect()
-            host = VirtualHost(app.name, {"": Runner(instance, app.source)}, app.digest, place, measurements, told)
+            host = VirtualHost(
+                app.name, {"": Runner(instance, app.source, conduct.tolerance)}, app.digest, place, measurements, told
+            )
         self.robots[robot].apps[app.name] = host
         host.start()
 
@@ -139,9 +142,18 @@ class World:
         if channels:
             for each in channels.values():
                 self._equip(each.app.robot, place.bus, place.prefix)
-            runners = {name: Runner(each.app, app.source) for name, each in channels.items()}
+            runners = {name: Runner(each.app, app.source, place.conduct.tolerance) for name, each in channels.items()}
             latest = {name: _taking(each) for name, each in channels.items()}
-            inner = VirtualHost(app.name, runners, app.digest, place._replace(last=None), None, told, latest)
+            endless = place._replace(conduct=replace(place.conduct, last=None, rule=None))
+            inner = VirtualHost(
+                app.name,
+                runners,
+                app.digest,
+                endless,
+                None,
+                told,
+                latest,
+            )
         return VirtualEventHost(
             app.name, EventRunner(instance, app.source), app.digest, place, self.config, inner, told
         )

@@ -34,7 +34,7 @@ def _step(step: Step) -> Callable[[Robot], Finding]:
             return ok(verdict.text)
         if verdict.state == "change":
             return bad(f"not as it should be: {verdict.text}", PROVISION.format(robot=robot.name))
-        return bad(verdict.text, "see there")
+        return bad(verdict.text, f"mend that, then: {PROVISION.format(robot=robot.name)}")
 
     return judge
 

@@ -7,6 +7,7 @@ import fcntl
 import hashlib
 import os
 import pwd
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -99,7 +100,7 @@ def _read(bus: int, address: int, index: int, count: int) -> bytes | None:
     try:
         fcntl.ioctl(bus, I2C_SLAVE, address)
         os.write(bus, bytes([index]))
-        run("sleep", "0.001")  # the ATmega's STOP has to be handled before the next START
+        time.sleep(0.001)  # the ATmega's STOP has to be handled before the next START
         return os.read(bus, count)
     except OSError:
         return None

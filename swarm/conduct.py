@@ -1,0 +1,91 @@
+"""How a lockstep run goes, the same on all robots: when it ends, and what becomes of robots that stay away.
+
+The options of `swarm run`, `swarm sim` and of the app host itself, which are handed on from the one to the other.
+"""
+
+import argparse
+import math
+from dataclasses import dataclass
+
+from swarm.core.stopping import Rule
+
+AFTER = 10.0
+"""s after which a robot that is not heard is given up, where robots are."""
+
+TOLERANCE = 1e-6
+"""Change of a state within one step up to which an app has converged, in the state's unit."""
+
+ROUNDS = 10
+"""Iterations for which all robots must have converged."""
+
+MAX_ROUNDS = 10_000
+
+WAIT, DROP = "wait", "drop"
+
+
+@dataclass(frozen=True)
+class Conduct:
+    """How a run goes."""
+
+    last: int | None = None
+    """The last iteration, if there is one."""
+    rule: Rule | None = None
+    """Another reason to stop."""
+    drop: bool = False
+    """Whether robots that stay away are given up (`swarm.core.epochs`); else they are waited for."""
+    after: float = AFTER
+    """s after which they are."""
+    tolerance: float = TOLERANCE
+    """Change within one step up to which an app has converged, if it does not say so itself."""
+
+    @property
+    def words(self) -> list[str]:
+        """The options that say the same, without the last iteration."""
+        words = []
+        if self.rule is not None and self.rule.rounds is not None:
+            words += ["--until", "converged", "--rounds", str(self.rule.rounds), "--tolerance", repr(self.tolerance)]
+        if self.rule is not None and self.rule.seconds is not None:
+            words += ["--for", repr(self.rule.seconds)]
+        if self.drop:
+            words += ["--absent", DROP, "--drop-after", repr(self.after)]
+        return words
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """All but `--iterations`."""
+    end = parser.add_argument_group("where a lockstep ends, at the same iteration on all robots")
+    end.add_argument("--until", choices=("converged",), help="when all robots have converged")
+    end.add_argument(
+        "--rounds", type=_rounds, default=ROUNDS, metavar="R", help=f"and that for R iterations ({ROUNDS})"
+    )
+    end.add_argument("--tolerance", type=_positive, default=TOLERANCE, metavar="X",
+                     help="an app that does not say when it has converged has where its state changes by no more "
+                     f"in a step ({TOLERANCE:g})")  # fmt: skip
+    end.add_argument("--for", dest="run_for", type=_positive, metavar="S", help="S seconds after the first one's start")
+    away = parser.add_argument_group("robots that stay away")
+    away.add_argument("--absent", choices=(WAIT, DROP), default=WAIT, help="wait for them (default), or go on without "
+                      "them where a majority is there, and take them in again when they come back")  # fmt: skip
+    away.add_argument("--drop-after", type=_positive, default=AFTER, metavar="S", help=f"s after which ({AFTER:g})")
+
+
+def of(options: argparse.Namespace) -> Conduct:
+    """What the arguments say; they are taken out of `options`."""
+    values = vars(options)
+    until, rounds, seconds = values.pop("until"), values.pop("rounds"), values.pop("run_for")
+    absent, after, tolerance = values.pop("absent"), values.pop("drop_after"), values.pop("tolerance")
+    rule = Rule(rounds if until else None, seconds) if until or seconds is not None else None
+    return Conduct(values["iterations"], rule, absent == DROP, after, tolerance)
+
+
+def _rounds(text: str) -> int:
+    number = int(text)
+    if not 1 <= number <= MAX_ROUNDS:
+        raise argparse.ArgumentTypeError(f"expected 1 to {MAX_ROUNDS}")
+    return number
+
+
+def _positive(text: str) -> float:
+    number = float(text)
+    if not (math.isfinite(number) and number > 0):
+        raise argparse.ArgumentTypeError("expected a number above zero")
+    return number

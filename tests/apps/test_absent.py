@@ -1,0 +1,124 @@
+"""Robots that stay away, come back, or fail, as processes: the others go on without them and take them in again."""
+
+import shutil
+import signal
+
+from apps_rig import NAMES, Rig
+from test_host import START, MakeRig, ask, make_rig
+
+from swarm.messages import AppEpoch, AppState, SetAppEpoch
+
+__all__ = ["make_rig"]
+
+DROP = ("--absent", "drop", "--drop-after", "1.5")
+
+
+def full(rig: Rig) -> None:
+    """Links between all three."""
+    rig._relay("r0", "r2")
+    rig._relay("r2", "r0")
+    rig.set_topology(("r0", "r1"), ("r0", "r2"), ("r1", "r2"))
+
+
+def until_members(rig: Rig, names: tuple[str, ...], *of: str) -> None:
+    rig.until(lambda: all(n in rig.epochs and rig.epochs[n].members == names for n in of), f"members {names}")
+
+
+def test_a_robot_that_dies_is_dropped_and_one_that_comes_back_is_taken_in(make_rig: MakeRig) -> None:
+    """First killed, then rebooted: its runtime directory is empty, what it has voted is not."""
+    rig = make_rig(START)
+    full(rig)
+    state = str(rig.directory / "state")
+    for name in NAMES:
+        rig.start(name, "apps", "consensus", *DROP, "--run", "77", SWARM_STATE=f"{state}.{name}")
+    rig.until_k(20)
+    rig.kill("r2")
+    until_members(rig, ("r0", "r1"), "r0", "r1")
+    k = rig.state["r0"].k
+    rig.until_k(k + 50, "r0", "r1")
+    # Metropolis on two robots: both end on the mean of what they had.
+    assert abs(rig.state["r0"].state["value"] - rig.state["r1"].state["value"]) < 1e-9
+    for file in (rig.directory / "r2").glob("app.*"):
+        file.unlink()
+    rig.start("r2", "apps", "consensus", *DROP, "--run", "77", SWARM_STATE=f"{state}.r2")
+    until_members(rig, NAMES, *NAMES)
+    k = rig.state["r0"].k
+    rig.until_k(k + 50)
+    assert len({ask(rig, name, "consensus/epoch", AppEpoch).frames for name in NAMES}) == 1
+    assert "has lost its state" in rig.log("r2")
+    shutil.rmtree(f"{state}.r2")
+
+
+def test_an_operator_sends_a_robot_away_and_lets_it_come_back(make_rig: MakeRig) -> None:
+    rig = make_rig(START)
+    full(rig)
+    rig.start_all("consensus")
+    rig.until_k(5)
+    drop = rig.launch("r0", "cli", ["-m", "swarm.cli", "epoch", "drop", "r1", "--app", "consensus"])
+    assert drop.wait(30) == 0
+    assert "r0  epoch 1 from iteration" in rig.log("r0", "cli")
+    until_members(rig, ("r0", "r2"), *NAMES)
+    rig.until(
+        lambda: rig.progress["r1"].reason == "r1 is not in epoch 1: only the operator lets it in again", "r1 says so"
+    )
+    k = rig.state["r0"].k
+    rig.until_k(k + 30, "r0", "r2")
+    assert ask(rig, "r0", "consensus/epoch", AppEpoch).epoch == 1
+    order = SetAppEpoch("two", (), ("r1",), force=False)
+    for _ in range(2):  # a repetition is not done again
+        rig.buses["r2"].publish("swarm/r2/app/consensus/set/epoch", order)
+    until_members(rig, NAMES, *NAMES)
+    k = rig.state["r1"].k
+    rig.until_k(k + 30)
+    assert ask(rig, "r0", "consensus/epoch", AppEpoch).epoch == 2
+
+
+def test_a_step_that_hangs_is_named_and_the_others_go_on(make_rig: MakeRig) -> None:
+    rig = make_rig("")
+    full(rig)
+    app = rig.directory / "lazy.py"
+    app.write_text(
+        "import threading\nfrom services.apps import worker\nfrom swarm import SyncApp\n"
+        "worker.STUCK = 0.5\n"
+        "class Lazy(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
+        "        if self.robot.name == 'r1' and self.k == 7:\n            threading.Event().wait()\n"
+    )
+    rig.start_all(str(app), *DROP)
+    rig.until_phase("fault", "r1")
+    assert rig.progress["r1"].reason == "the step of iteration 7 has not ended within 0.5 s"
+    rig.until_k(30, "r0", "r2")
+    assert rig.stop("r1") == 3
+
+
+def test_an_app_that_diverges_is_named(make_rig: MakeRig) -> None:
+    rig = make_rig("[apps.wild]\ndiverges_above = 1e6\n")
+    app = rig.directory / "wild.py"
+    app.write_text(
+        "from swarm import SyncApp\nclass Wild(SyncApp):\n    x: float = 1.0\n"
+        "    def step(self, neighbours):\n        self.x *= -3\n"
+    )
+    rig.start_all(str(app))
+    rig.until_phase("fault")
+    reason = "Wild on r1, iteration 12: x: -1594323.0 is beyond diverges_above = 1e+06: the app diverges"
+    assert rig.progress["r1"].reason == reason
+
+
+def test_all_stop_at_the_same_iteration_when_they_have_converged(make_rig: MakeRig) -> None:
+    rig = make_rig(START)
+    rig.start_all("consensus", "--until", "converged", "--rounds", "5", "--tolerance", "1e-6")
+    rig.until_phase("done")
+    ends = {name: ask(rig, name, "consensus/state", AppState) for name in NAMES}
+    assert len({state.k for state in ends.values()}) == 1
+    assert all(abs(state.state["value"] - 8.5 / 3) < 1e-4 for state in ends.values())
+
+
+def test_all_stop_at_the_same_iteration_when_the_time_is_up(make_rig: MakeRig) -> None:
+    rig = make_rig(START)
+    rig.start_all("consensus", "--for", "1.5")
+    rig.until_k(5)
+    rig.kill("r1")
+    rig.start("r1", "apps", "consensus", "--for", "1.5")
+    rig.processes["r2", "apps"].send_signal(signal.SIGSTOP)
+    rig.processes["r2", "apps"].send_signal(signal.SIGCONT)
+    rig.until_phase("done")
+    assert len({ask(rig, name, "consensus/state", AppState).k for name in NAMES}) == 1
