@@ -97,8 +97,8 @@ class Process:
     def _carry_out(self, action):
         world = self.world
         match action:
-            case Save(data):
-                world.disk[self.robot] = data
+            case Save(snapshot):
+                world.disk[self.robot] = snapshot.encode()
             case Send(data, to):
                 world.send(self, data, to)
             case Advanced(k, value):

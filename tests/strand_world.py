@@ -100,10 +100,10 @@ class Process:
     def _do(self, action):
         world, robot, strand = self.world, self.robot, self.strand
         match action:
-            case Save(data):
+            case Save(snapshot):
                 pages = world.pages[robot]
                 k = max(pages, default=-1) + 1
-                pages[k] = data
+                pages[k] = snapshot.encode()
                 pages.pop(k - len(world.names) - 1, None)
                 world.enters(robot, strand.channel.epoch, strand._history[-1])
             case Keep(kept):

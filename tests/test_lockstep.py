@@ -207,13 +207,13 @@ def test_actions_come_in_the_order_of_the_rule():
     one = core(last=1)
     one.start(b"a0", 0.0, b"p")
     save, *rest = one.actions()
-    assert Snapshot.decode(save.data).private == b"p"
+    assert Snapshot.decode(save.snapshot.encode()).private == b"p"
     assert rest == [Send(encode_step(0, b"a0", None), None), Advanced(0, b"a0")]
     one.receive("r1", THEIRS, step_of(0), 0.0)
     assert one.actions() == [Compute(0, b"a0", {"r1": b"b0"})]
     one.computed(b"a1", b"q", 0.0)
     save, *rest = one.actions()
-    assert Snapshot.decode(save.data).private == b"q"
+    assert Snapshot.decode(save.snapshot.encode()).private == b"q"
     assert rest == [Send(encode_step(1, b"a1", b"a0"), None), Advanced(1, b"a1"), Finished(1)]
 
 
@@ -433,7 +433,7 @@ def last_save(one, k):
     for i in range(one.k, k):
         one.receive("r1", THEIRS, step_of(i), 0.0)
         one.computed(b"a%d" % (i + 1), b"private %d" % (i + 1), 0.0)
-    return [action.data for action in one.actions() if isinstance(action, Save)][-1]
+    return [action.snapshot.encode() for action in one.actions() if isinstance(action, Save)][-1]
 
 
 def resumed(saved, incarnation=4, **options):

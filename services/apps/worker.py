@@ -329,8 +329,8 @@ class Worker:
 
     def _do(self, action: Action) -> None:
         match action:
-            case Save(data):
-                self._keep(lambda: self._snapshots.write(data))
+            case Save(snapshot):
+                self._keep(lambda: self._snapshots.write(snapshot.encode()))
             case Keep(kept):
                 self._keep(lambda: self._ballots.write(kept))
             case Tell(data):

@@ -354,7 +354,7 @@ class Lockstep:
     def _frame(self) -> bytes:
         return encode_step(self.k, self._value, self._previous)
 
-    def _snapshot(self, private: bytes) -> bytes:
+    def _snapshot(self, private: bytes) -> Snapshot:
         channel = self.channel
         return Snapshot(
             run=channel.run,
@@ -366,7 +366,7 @@ class Lockstep:
             previous=self._previous,
             heard=self._peers,
             private=private,
-        ).encode()
+        )
 
     def _check_fresh(self) -> None:
         if self.k >= 0:

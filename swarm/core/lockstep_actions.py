@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from swarm.core.lockstep_frames import Snapshot
+
 
 @dataclass(frozen=True, slots=True)
 class Compute:
@@ -16,9 +18,11 @@ class Compute:
 
 @dataclass(frozen=True, slots=True)
 class Save:
-    """Write this atomically in place of the last one, before the `Send` that follows (R5)."""
+    """Write this, encoded, atomically in place of the last one, before the `Send` that follows (R5).
 
-    data: bytes
+    It shares what is known of the neighbours with the core: to be carried out before the core hears anything new."""
+
+    snapshot: Snapshot
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,8 +81,8 @@ class MemorySwarm:
         while actions := core.actions():
             for action in actions:
                 match action:
-                    case Save(data):
-                        self.saved[name] = data
+                    case Save(snapshot):
+                        self.saved[name] = snapshot.encode()
                     case Send(data, to):
                         receivers = self._config.neighbours(name) if to is None else (to,)
                         self.messages += len(receivers)
