@@ -8,6 +8,7 @@ AREAS = {
     "lockstep": "time of a lockstep iteration and of a start, beside the links' latency",
     "outage": "lockstep over links that are cut again and again: time, and the trajectory bit for bit",
     "cpu": "CPU time of one robot's bus, mesh and app for 100 lockstep iterations",
+    "virtual": "swarms of all sizes under virtual time, beside the time they may take",
     "start": "all robots at once until all links are up, beside the time a radio takes to connect",
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
     "transfer": "a megabyte over three hops of 78 kB/s, by unicast and by flood, beside lockstep",

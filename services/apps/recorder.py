@@ -5,7 +5,7 @@ from typing import Protocol
 
 from swarm.codec import Value
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState, Measurement
+from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
 
 
 class Sink(Protocol):
@@ -40,6 +40,12 @@ class Recorder:
         self._sink.write(topic, progress.t, progress)
         if progress.phase in ("done", "fault"):
             self._sink.flush()
+
+    def epoch(self, epoch: AppEpoch, channel: str = "") -> None:
+        """Record that the members have changed: what was recorded of its first iteration and later ones is void, they
+        are done again with other members."""
+        topic, _ = self._topic(channel, "epoch")
+        self._sink.write(topic, epoch.t, epoch)
 
     def measurement(self, k: int, t: float, it: Measurement) -> None:
         """Record what step k computed with, which gives state k + 1."""

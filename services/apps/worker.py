@@ -339,7 +339,10 @@ class Worker:
                 self._service.log.info(
                     "epoch %d from iteration %d on: %s", epoch.counter, epoch.k, " ".join(epoch.members)
                 )
-                self._publish("epoch", self._epoch())
+                told = self._epoch()
+                self._publish("epoch", told)
+                if self._recorder is not None:
+                    self._recorder.epoch(told, self._part)
             case Send(data, to):
                 if self._channel is not self._strand.channel:
                     self._channel = self._strand.channel

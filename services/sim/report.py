@@ -13,6 +13,9 @@ from swarm.recording.trajectory import Trajectory
 
 Json = dict[str, object]
 
+MOST_ROWS = 50
+"""Robots that the table shows."""
+
 TARGET_COLUMNS = ("result.x", "result.y")
 
 
@@ -158,12 +161,15 @@ def replay_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> 
 def table(report: Json, outcome: Outcome) -> str:
     """The report for people."""
     rows = [("robot", "iterations", *_headings(outcome), "restarts")]
-    for name in outcome.scenario.config.names:
+    names = outcome.scenario.config.names
+    for name in names[:MOST_ROWS]:
         path = outcome.trajectories.get(name, trajectory.EMPTY)
         rows.append((name, str(max(path.last, 0)), *_cells(outcome, name), str(outcome.restarts[name])))
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
     lines.insert(1, "  ".join("-" * width for width in widths))
+    if len(names) > MOST_ROWS:
+        lines.append(f"... and {len(names) - MOST_ROWS} robots more (--json has all)")
     return "\n".join([*lines, "", *_sentences(report, outcome)])
 
 

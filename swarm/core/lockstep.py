@@ -118,14 +118,12 @@ class Lockstep:
         """When `handle_timer` wants to be called, on the clock of `now`; None: no timer runs."""
         if self.k < 0 or self.fault is not None or self.done:
             return None
-        deadlines = []
-        if self._lacking():
-            deadlines.append(self._want_at)
+        lacking = self._lacking()  # once: this is asked after each frame
         if self.k == self._last:
-            deadlines.append(self._leave_at)
-        elif self.waiting_for and not self._named:
-            deadlines.append(self._name_at)
-        return min(deadlines, default=None)
+            return min(self._want_at, self._leave_at) if lacking else self._leave_at
+        if not lacking:
+            return None
+        return self._want_at if self._named else min(self._want_at, self._name_at)
 
     # What the host tells
 
@@ -327,7 +325,8 @@ class Lockstep:
         """Neighbours whose x(k) is missing; at the last iteration those not known to be there (R7)."""
         if self.k == self._last:
             return tuple(name for name, peer in self._peers.items() if peer.reached < self.k)
-        return tuple(name for name, peer in self._peers.items() if self.k not in peer.slots)
+        k = self.k  # of a list: after each frame, and a generator takes twice the time
+        return tuple([name for name, peer in self._peers.items() if k not in peer.slots])
 
     def _ask(self, peers: tuple[str, ...], now: float) -> None:
         """Ask each of `peers` for its x(k); ask again later and later, for ever (R4)."""

@@ -11,7 +11,7 @@ from swarm.errors import RecordingError
 from swarm.recording import folder
 from swarm.recording.axis import Axis, Clocks, Relation
 from swarm.recording.reader import SUFFIX, Reader, Sample
-from swarm.recording.trajectory import Builder, Trajectory, is_state
+from swarm.recording.trajectory import Builder, Trajectory, epoch_topic, is_state
 
 _NO_SCHEMA = Schema(0, "", "", b"{}")
 
@@ -75,9 +75,13 @@ class Run:
         later one counts, and `damage` says so where they differ."""
         topics = {topic: robot for robot, topic in self.states(app).get(channel, {}).items()}
         found = {robot: Builder(strict=False) for robot in topics.values()}
+        changes = {epoch_topic(topic): robot for topic, robot in topics.items()}
         for file in self.files:
-            for sample in self._read(file, topics.__contains__):
-                found[topics[sample.topic]].add(sample.message | {"t": sample.t}, file)
+            for sample in self._read(file, {*topics, *changes}.__contains__):
+                if sample.topic in changes:
+                    found[changes[sample.topic]].go_back(sample.message)
+                else:
+                    found[topics[sample.topic]].add(sample.message | {"t": sample.t}, file)
         for robot, builder in found.items():
             if builder.forks:
                 note = f"{robot}: {len(builder.forks)} iterations stand there twice and differ (it began anew)"

@@ -88,6 +88,13 @@ class Builder:
             self._rows[k], self._times[k] = row, t
         self._times.setdefault(k, t)
 
+    def go_back(self, epoch: Mapping[str, Any]) -> None:
+        """The members have changed: the iterations from the epoch's first one on are done again."""
+        k = epoch.get("k")
+        if isinstance(k, int):
+            for later in [other for other in self._rows if other >= k]:
+                del self._rows[later], self._times[later]
+
 
 class TrajectoryReader:
     """Reads one app's trajectory from a recording, and goes on with it while the file grows."""
@@ -106,13 +113,16 @@ class TrajectoryReader:
                 return EMPTY
             self._reader = Reader(self._path)
         for sample in self._reader.samples(self._wanted):
-            self._builder.add(sample.message, self._path)
+            if is_state(sample.topic):
+                self._builder.add(sample.message, self._path)
+            else:
+                self._builder.go_back(sample.message)
         return self._builder.known()
 
     def _wanted(self, topic: str) -> bool:
         if not self._topic and is_state(topic):
             self._topic = topic
-        return topic == self._topic
+        return topic == self._topic or topic == epoch_topic(self._topic)
 
 
 def read(path: Path) -> Trajectory:
@@ -124,6 +134,11 @@ def is_state(topic: str) -> bool:
     """Whether an app's states travel under this topic."""
     chunks = topic.split("/")
     return len(chunks) in (5, 6) and chunks[2] == "app" and chunks[-1] == "state"
+
+
+def epoch_topic(states: str) -> str:
+    """The topic of an app's changes of members, by that of its states."""
+    return states.removesuffix("state") + "epoch"
 
 
 def _cells(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

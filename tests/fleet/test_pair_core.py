@@ -133,11 +133,11 @@ def test_what_is_written_is_read(case: tuple[list[str], tuple[Any, ...]]) -> Non
 
 
 def test_a_call_is_these_bytes() -> None:
-    """Hello, as libdbus writes it but for the order of the header's fields (any order is allowed)."""
+    """Hello, as libdbus writes it but for the flag and the order of the header's fields (any order is allowed)."""
     name = "org.freedesktop.DBus"
     fields = {"path": "/org/freedesktop/DBus", "destination": name, "interface": name, "member": "Hello"}
     assert wire.encode(Message(wire.CALL, 1, fields)).hex(" ", 8) == (
-        "6c01000100000000 010000006e000000 01016f0015000000 2f6f72672f667265 656465736b746f70 2f44427573000000"
+        "6c01020100000000 010000006e000000 01016f0015000000 2f6f72672f667265 656465736b746f70 2f44427573000000"
         " 0601730014000000 6f72672e66726565 6465736b746f702e 4442757300000000 0201730014000000 6f72672e66726565"
         " 6465736b746f702e 4442757300000000 0301730005000000 48656c6c6f000000"
     )

@@ -263,6 +263,23 @@ def test_a_journal_that_is_too_small_for_a_full_disk_takes_nothing_back(open_fil
     assert numbers(path)[0] == list(range(31))
 
 
+def test_a_journal_that_overflowed_while_the_disk_was_full_takes_nothing_back(open_file, tmp_path):
+    path, journal = tmp_path / "x.mcap", tmp_path / "journal"
+    file = open_file(journal=journal, min_free=1 << 62)
+    file.write(TOPIC, 0.0, {"i": 0})
+    file.flush()  # there is no room: the other half waits from now on
+    for i in range(1, 31):
+        file.write(TOPIC, float(i), {"i": i, "text": "x" * 20_000})
+    file.flush()
+    file._min_free = 0
+    file.flush()
+    killed(file)
+    assert numbers(path)[0] == list(range(31))
+    again = open_file(journal=journal, append=True)
+    again.close()
+    assert numbers(path)[0] == list(range(31))
+
+
 def test_a_new_run_does_not_take_the_journal_of_another(open_file, tmp_path):
     journal = tmp_path / "journal"
     file = open_file(journal=journal)

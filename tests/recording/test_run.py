@@ -63,6 +63,7 @@ def test_a_robot_without_mesh_clock_goes_by_its_time_of_day_and_is_named(tmp_pat
     write(tmp_path / "r1.x.mcap", "r1", "b", 20.0, state(0, 41.0))
     run = Run(tmp_path)
     assert run.trajectories()["r1"].times[0] == pytest.approx(1.0)
+    assert run.epoch == pytest.approx(50.0)
     assert run.damage == ["clock b: no samples of the mesh clock, its time of day has to do"]
 
 

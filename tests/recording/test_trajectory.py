@@ -2,7 +2,7 @@ import pytest
 
 from swarm.core.recording import Writer
 from swarm.errors import RecordingError
-from swarm.messages import AppState
+from swarm.messages import AppEpoch, AppState
 from swarm.recording import trajectory
 
 TOPIC = "swarm/r0/app/consensus/state"
@@ -43,6 +43,22 @@ def test_a_repeated_iteration_must_be_equal(tmp_path):
     assert again.times[3] == 10.0
     with pytest.raises(RecordingError, match=r"iteration 3 stands there twice"):
         trajectory.read(write(tmp_path, value(3, 10.0, 0.0), value(3, 11.0, -0.0)))
+
+
+def test_what_is_done_again_with_other_members_counts_from_then_on(tmp_path):
+    writer = Writer("test", epoch_ns=0)
+    for k, value_of_it in ((0, 0.0), (1, 1.0), (2, 2.0), (3, 3.0)):
+        writer.write(TOPIC, float(k), AppState(float(k), k, {"value": value_of_it}, {}))
+    epoch = AppEpoch(4.0, 1, 1, ("r0",), (("r0", "r1"),), (), forced=False, frames=7)
+    writer.write("swarm/r0/app/consensus/epoch", 4.0, epoch)
+    for k, value_of_it in ((1, 1.0), (2, 2.5)):
+        writer.write(TOPIC, 4.0 + k, AppState(4.0 + k, k, {"value": value_of_it}, {}))
+    writer.finish()
+    path = tmp_path / "epochs.mcap"
+    path.write_bytes(writer.take())
+    found = trajectory.read(path)
+    assert [found.rows[k] for k in sorted(found.rows)] == [("0.0",), ("1.0",), ("2.5",)]
+    assert found.times == {0: 0.0, 1: 5.0, 2: 6.0}
 
 
 def test_a_state_has_the_same_fields_throughout(tmp_path):

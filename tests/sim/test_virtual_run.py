@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from services.apps import loader
 from services.sim.virtual.run import simulate
 from swarm.recording.run import Run
 
@@ -229,3 +230,19 @@ def test_a_periodic_app_follows_an_automatic_topology(tmp_path):
     results = report["result"].values()
     assert all(result["near"] == result["links"] for result in results)
     assert max(result["changes"] for result in results) == 2
+
+
+@pytest.mark.parametrize("app", loader.BUILT_IN)
+def test_every_built_in_app_records_the_same_bytes_twice(app, tmp_path):
+    def files(name):
+        folder = tmp_path / name
+        report, _ = simulate(
+            app, "--robots", "3", "--seconds", "2", "--jitter", "10ms", "--seed", "4",
+            "--press", "r2.A@0.5s", "--record", str(folder),
+        )  # fmt: skip
+        assert report["problems"] == []
+        return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+    first = files("a")
+    assert first
+    assert first == files("b")

@@ -72,16 +72,25 @@ class DelayLine:
 
     def push(self, data: bytes, stamp: float) -> float:
         """Take in a chunk that was sent at `stamp`; b"" stands for the end of the stream. Returns when it arrives."""
+        arrival = self.arrival(len(data), stamp)
+        self._chunks.append((arrival, data))
+        return arrival
+
+    def arrival(self, size: int, stamp: float) -> float:
+        """When so many bytes arrive that were sent at `stamp`: after all that was sent before."""
         model = self._model
         self.free_at = max(self.free_at, stamp)
         if model.bandwidth is not None:
-            self.free_at += len(data) / model.bandwidth
+            self.free_at += size / model.bandwidth
         delay = model.latency
         if model.jitter:
             delay = max(self._gauss(delay, model.jitter), model.shortest)
-        self._last_arrival = max(self._last_arrival, self.free_at + delay)
-        self._chunks.append((self._last_arrival, data))
-        return self._last_arrival
+        return self.hold(max(self._last_arrival, self.free_at + delay))
+
+    def hold(self, arrival: float) -> float:
+        """Nothing sent later arrives before this time."""
+        self._last_arrival = arrival
+        return arrival
 
     def next_arrival(self) -> float | None:
         """When the oldest chunk on the air arrives."""

@@ -47,7 +47,8 @@ class Air:
         self._time = time
         self._model = model
         self._meshes: dict[str, VirtualMesh] = {}
-        self._cuts: dict[frozenset[str], float] = {}
+        self.cuts: dict[frozenset[str], float] = {}
+        """Until when nothing passes between two robots."""
 
     def add(self, mesh: "VirtualMesh") -> None:
         """A robot that can be dialled."""
@@ -60,7 +61,7 @@ class Air:
     def cut(self, a: str, b: str, seconds: float) -> None:
         """Nothing passes between two robots for a while; what is under way arrives afterwards."""
         pair = frozenset((a, b))
-        self._cuts[pair] = max(self._cuts.get(pair, 0.0), self._time.now + seconds)
+        self.cuts[pair] = max(self.cuts.get(pair, 0.0), self._time.now + seconds)
 
     def dial(self, caller: "VirtualMesh", peer: str) -> None:
         """Make a connection, and tell both ends of it; or tell the caller that there is none."""
@@ -101,7 +102,7 @@ class Air:
         mesh.accepted(far)
 
     def _line(self, sender: str, receiver: str) -> DelayLine:
-        return DelayLine(self._model, _gauss(self._model, sender, receiver))
+        return line_of(self._model, sender, receiver)
 
     def _send(self, end: End) -> None:
         """From the socket onto the air at its own pace."""
@@ -120,12 +121,12 @@ class Air:
         self._time.at(end.line.push(data, self._time.now), self._arrive, end)
 
     def _cut_until(self, a: str, b: str) -> float:
-        return self._cuts.get(frozenset((a, b)), 0.0) if self._cuts else 0.0
+        return self.cuts.get(frozenset((a, b)), 0.0) if self.cuts else 0.0
 
     def _arrive(self, sender: End) -> None:
         """The oldest chunk on the way from `sender` arrives."""
         receiver = sender.other
-        if self._cuts:
+        if self.cuts:
             until = self._cut_until(sender.mesh.robot, receiver.mesh.robot)
             if until > self._time.now:
                 # What follows is planned later for the same moment, so the order stays.
@@ -139,6 +140,11 @@ class Air:
         else:
             receiver.alive = False
             receiver.mesh.transport_down(receiver)
+
+
+def line_of(model: AirModel, sender: str, receiver: str) -> DelayLine:
+    """The way from one robot to another; both names and the seed decide its randomness."""
+    return DelayLine(model, _gauss(model, sender, receiver))
 
 
 def _gauss(model: AirModel, sender: str, receiver: str) -> Callable[[float, float], float]:

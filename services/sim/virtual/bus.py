@@ -70,6 +70,10 @@ class VirtualBus:
         """Call `callback(True)`."""
         self._time.soon(callback, True)
 
+    def hearers(self, key: str) -> tuple[OnSample, ...]:
+        """Who hears what this session publishes there."""
+        return self._targets(key)
+
     def wanted(self, key: str) -> bool:
         """Whether anybody hears what this session publishes there: making a message may cost more than sending it."""
         return bool(self._targets(key))

@@ -8,6 +8,8 @@ from typing import Any
 
 _NEVER = float("inf")
 
+_Call = tuple[Callable[..., object], tuple[Any, ...]]
+
 
 class EventQueue:
     """Time passes only in `run`."""
@@ -18,14 +20,24 @@ class EventQueue:
         self.done = 0
         """Calls made so far."""
         self._stop = False
-        self._count = 0
-        self._heap: list[tuple[float, int, Callable[..., object], tuple[Any, ...]]] = []
-        self._soon: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
+        # Large swarms do most things at once: a heap of times, each with its calls, is much smaller than one of calls.
+        self._times: list[float] = []
+        self._calls: dict[float, deque[_Call]] = {}
+        self._present: deque[_Call] = deque()
+        """What is planned for this moment."""
+        self._soon: deque[_Call] = deque()
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
         """Call at `time`; at once, but not before what is planned already, where it is past."""
-        self._count += 1
-        heapq.heappush(self._heap, (time if time > self.now else self.now, self._count, call, arguments))
+        if time <= self.now:
+            self._present.append((call, arguments))
+            return
+        calls = self._calls.get(time)
+        if calls is None:
+            self._calls[time] = deque(((call, arguments),))
+            heapq.heappush(self._times, time)
+        else:
+            calls.append((call, arguments))
 
     def soon(self, call: Callable[..., object], *arguments: Any) -> None:
         """Call at this moment, after what runs now and before anything that was planned by `at`."""
@@ -38,14 +50,18 @@ class EventQueue:
     def run(self, until: float = _NEVER) -> bool:
         """Let time pass to `until`, or to the last thing planned. False where `stop` ended it."""
         self._stop = False
-        heap, soon, pop = self._heap, self._soon, heapq.heappop
+        times, soon = self._times, self._soon
         done = 0
         try:
             while not self._stop:
                 if soon:
                     call, arguments = soon.popleft()
-                elif heap and heap[0][0] <= until:
-                    self.now, _, call, arguments = pop(heap)
+                elif self._present:
+                    call, arguments = self._present.popleft()
+                elif times and times[0] <= until:
+                    self.now = heapq.heappop(times)
+                    self._present = self._calls.pop(self.now)
+                    continue
                 else:
                     if until != _NEVER:
                         self.now = max(self.now, until)

@@ -134,6 +134,11 @@ class VirtualMesh:
         # Robots are not switched on in the same microsecond: their reports do not all fall on one moment.
         time.at(time.now + REPORT_PERIOD * numbers.random(), self._report_regularly)
 
+    @property
+    def sent(self) -> int:
+        """Messages of apps that left, counted once for each neighbour."""
+        return self.counters["sent_sync"]
+
     # -- what the air calls ------------------------------------------------------------------------------------
 
     def dialled(self, peer: str, end: End) -> None:

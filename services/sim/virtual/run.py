@@ -13,7 +13,7 @@ from services.apps.recorder import Recorder
 from services.mesh.core.delay import AirModel
 from services.sim import scene
 from services.sim.core.witness import Witness
-from services.sim.options import FROM_START, PRESS_S, SETTLED, Options
+from services.sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from services.sim.options import parse as arguments_of
 from services.sim.report import Json, Outcome, summary
 from services.sim.scenario import Scenario, build
@@ -25,7 +25,7 @@ from services.sim.virtual.tape import Tape
 from services.sim.virtual.world import World
 from swarm.config.dump import dump
 from swarm.core import hands
-from swarm.errors import LocalError
+from swarm.errors import ConfigError, LocalError
 from swarm.recording import folder
 from swarm.recording.plain import PlainRecording
 from swarm.recording.reader import SUFFIX
@@ -55,6 +55,8 @@ class Run:
         self._rows = rows or bool(scenario.recordings) or options.plot is not None
         names = scenario.config.names
         mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
+        if mesh == DELAY and scenario.config.auto:
+            raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed)
         self._witness = Witness(names) if scenario.app in scene.WATCHED else None
         self.world = World(
@@ -62,7 +64,7 @@ class Run:
             model,
             options.seed,
             body=options.body,
-            settled=mesh == SETTLED,
+            mesh=mesh,
             lying=scenario.lying,
             witness=self._witness,
         )
@@ -178,7 +180,7 @@ class Run:
     def _outcome(self, ended_at: float) -> Outcome:
         names = self._scenario.config.names
         started = self._started
-        frames = sum(robot.mesh.counters["sent_sync"] for robot in self.world.robots.values())
+        frames = sum(robot.mesh.sent for robot in self.world.robots.values())
         return Outcome(
             scenario=self._scenario,
             seed=self._options.seed,

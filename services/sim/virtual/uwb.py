@@ -16,7 +16,7 @@ from services.sim.module import module_address
 from services.sim.virtual.balancer import VirtualBalancer
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
-from swarm.config import Config
+from swarm.config import Config, Robot
 from swarm.keys import key
 
 _SILENT = logging.getLogger("virtual.dwm")
@@ -75,20 +75,20 @@ class VirtualDwm:
     def __init__(
         self,
         config: Config,
-        robot: str,
+        known: Robot,
         field: ModuleField,
         balancer: VirtualBalancer,
         time: EventQueue,
         bus: VirtualBus,
         seed: int,
     ) -> None:
+        robot = known.name
         self.config, self.robot, self.bus = config, robot, bus
         self.counters: Counter[str] = Counter()
         self.log = _SILENT
         self._field = field
         self._balancer = balancer
         self._time = time
-        known = config.robot(robot)
         if known.uwb_role == "anchor":
             field.carry(robot, known.uwb or module_address(config.names.index(robot)), balancer)
         self._is_tag = known.uwb_role == "tag"

@@ -11,10 +11,12 @@ from services.mesh.core.delay import AirModel
 from services.mesh.core.linkstate import Known
 from services.mesh.core.packets import Advertisement
 from services.sim.core.witness import Witness
+from services.sim.options import DELAY, FROM_START, SETTLED
 from services.sim.virtual.air import Air
 from services.sim.virtual.balancer import VirtualBalancer
 from services.sim.virtual.body import DIFFERENTIAL
 from services.sim.virtual.bus import VirtualBus, VirtualRouter
+from services.sim.virtual.delays import DelayMesh
 from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.events import EventQueue
 from services.sim.virtual.host import Place, VirtualHost
@@ -48,7 +50,9 @@ class VirtualRobot:
 
     name: str
     router: VirtualRouter
-    mesh: VirtualMesh
+    mesh: VirtualMesh | DelayMesh
+    meshes_bus: VirtualBus
+    """Where the messages of others appear."""
     balancer: VirtualBalancer
     dwm: VirtualDwm
     apps: dict[str, VirtualHost | VirtualEventHost] = field(default_factory=dict)
@@ -64,18 +68,19 @@ class World:
         seed: int,
         *,
         body: str = DIFFERENTIAL,
-        settled: bool = False,
+        mesh: str = FROM_START,
         lying: str | None = None,
         witness: Witness | None = None,
     ) -> None:
-        """`body`: which model of `services.sim.virtual.body`; `settled`: the link state is known to all, as
-        it is some seconds after the start; `lying`: the side on which robots begin, if they do not
-        stand; `witness`: who is told what is to be seen."""
+        """`body`: which model of `services.sim.virtual.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
+        which robots begin, if they do not stand; `witness`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
         self.air = Air(self.time, air)
         self.modules = ModuleField(config)
+        self._model = air
+        self._mesh = mesh
         self.records: dict[str, Callable[[str, float, Value], None]] = {}
         """By robot, what `robot.record` calls, where the run is recorded."""
         self._body = body
@@ -85,8 +90,13 @@ class World:
         self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
-        if settled:
+        if mesh == SETTLED:
             self._settle(air.latency)
+        for robot in self.robots.values():
+            if isinstance(robot.mesh, DelayMesh):
+                near = self._common.near[robot.name]
+                robot.mesh.buses = {peer: self.robots[peer].meshes_bus for peer in near}
+                robot.mesh.cuts = self.air.cuts
 
     def cut(self, a: str, b: str, at: float, seconds: float) -> None:
         """Let nothing pass between two robots from `at` on."""
@@ -107,7 +117,9 @@ class World:
     ) -> None:
         config, epoch = self.config, topology.CONFIGURED
         if config.auto:
-            in_force = self.robots[robot].mesh.node.overlays.topology(self.time.now)
+            mesh = self.robots[robot].mesh
+            assert isinstance(mesh, VirtualMesh)  # an automatic topology is found by meshes
+            in_force = mesh.node.overlays.topology(self.time.now)
             if topology.lacking(config, in_force, self.time.now):
                 self.time.at(self.time.now + ASK_EVERY, self._begin, robot, app, run, conduct, recording, told)
                 return
@@ -183,19 +195,26 @@ class World:
         links = {name: dict.fromkeys(near, times) for name, near in self._common.near.items()}
         others = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
         for name, robot in self.robots.items():
+            assert isinstance(robot.mesh, VirtualMesh)
             robot.mesh.node.overlays.settle(
                 links[name], {other: known for other, known in others.items() if other != name}, self.time.now
             )
 
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
-        mesh = VirtualMesh(self._common, name, self.time, self.air, VirtualBus(router), self.seed)
-        bus = VirtualBus(router)
+        meshes_bus, bus = VirtualBus(router), VirtualBus(router)
+        mesh: VirtualMesh | DelayMesh
+        if self._mesh == DELAY:
+            mesh = DelayMesh(self.config, name, self._common.near[name], self._model, self.time, meshes_bus)
+        else:
+            mesh = VirtualMesh(self._common, name, self.time, self.air, meshes_bus, self.seed)
         balancer = VirtualBalancer(self.config, name, self._body, self.time, bus, self.seed, self._witness)
         if self._lying is not None:
             balancer.body.lay(self._lying, self.time.now)
-        dwm = VirtualDwm(self.config, name, self.modules, balancer, self.time, VirtualBus(router), self.seed)
-        return VirtualRobot(name, router, mesh, balancer, dwm)
+        dwm = VirtualDwm(
+            self.config, self._common.robots[name], self.modules, balancer, self.time, VirtualBus(router), self.seed
+        )
+        return VirtualRobot(name, router, mesh, meshes_bus, balancer, dwm)
 
 
 def _taking(channel: Channel) -> Callable[[int, bytes], None]:

@@ -13,6 +13,9 @@ from typing import Any
 CALL, RETURN, ERROR, SIGNAL = 1, 2, 3, 4
 """Types of messages."""
 
+NO_AUTO_START = 2
+"""Flag of a call: a service that does not run is not started for it (it would be waited for for 25 s, in vain)."""
+
 MAX_MESSAGE = 1 << 27
 """Bytes, of the specification."""
 
@@ -210,8 +213,9 @@ def unmarshal(signature: str, data: bytes, *, little: bool = True) -> list[Any]:
 def encode(message: Message) -> bytes:
     """A message as bytes; its `signature` must be that of its body."""
     body = marshal(message.fields.get("signature", ""), message.body)
+    flags = NO_AUTO_START if message.kind == CALL else 0
     fields = [(_CODES[name][0], (_CODES[name][1], value)) for name, value in message.fields.items()]
-    out = bytearray(struct.pack("<cBBBII", b"l", message.kind, 0, 1, len(body), message.serial))
+    out = bytearray(struct.pack("<cBBBII", b"l", message.kind, flags, 1, len(body), message.serial))
     marshal("a(yv)", [fields], out)
     _pad(out, "(")
     return bytes(out + body)

@@ -1,0 +1,45 @@
+"""`--mesh delay` computes what meshes compute, in the same time of the links; and says what it cannot do."""
+
+import pytest
+
+from services.sim.virtual.run import simulate
+from swarm.errors import ConfigError, LocalError
+
+ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterations", "60")
+
+
+@pytest.mark.parametrize(
+    "links", [(), ("--jitter", "10ms"), ("--bandwidth", "5kB"), ("--cut", "r1-r2@0.3s,1s", "--topology", "line")]
+)
+def test_states_are_bit_equal_and_times_alike(links):
+    with_mesh, first = simulate(*ARGUMENTS, *links, rows=True)
+    delays, second = simulate(*ARGUMENTS, *links, "--mesh", "delay", rows=True)
+    for name, path in first.trajectories.items():
+        assert second.trajectories[name].rows == path.rows
+    assert delays["iteration_s_median"] == pytest.approx(with_mesh["iteration_s_median"], rel=0.06)
+    assert delays["seconds"] == pytest.approx(with_mesh["seconds"], rel=0.1)
+    assert delays["messages"] == pytest.approx(with_mesh["messages"], rel=0.1)
+
+
+def test_periodic_apps_and_devices_run_on_delays():
+    report, _ = simulate("examples/follow_leds.py", "--robots", "4", "--iterations", "10", "--mesh", "delay")
+    assert report["iterations"] == 10
+    assert report["problems"] == []
+
+
+def test_what_needs_a_mesh_is_refused():
+    with pytest.raises(LocalError, match="neighbours alone"):
+        simulate("flooding_demo", "--robots", "3", "--press", "r0.A@1s", "--seconds", "3", "--mesh", "delay")
+    with pytest.raises(ConfigError, match="automatic"):
+        simulate("consensus", "--topology", "auto", "--mesh", "delay")
+
+
+def test_a_large_swarm_has_a_short_table(capsys):
+    from services.sim.report import MOST_ROWS, summary, table
+
+    arguments = ("consensus", "--robots", "60", "--topology", "loop", "--iterations", "3", "--mesh", "delay")
+    report, outcome = simulate(*arguments)
+    text = table(summary(outcome), outcome)
+    assert "and 10 robots more" in text
+    assert len(report["result"]) == 60
+    assert text.count("value=") == MOST_ROWS
