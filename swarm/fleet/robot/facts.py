@@ -71,7 +71,7 @@ def _link(root: str, path: str) -> str | None:
     place = below(root, path)
     if not place.exists():
         return None
-    return os.readlink(place) if place.is_symlink() else ""  # noqa: PTH115 - from Python 3.9 on
+    return str(place.readlink()) if place.is_symlink() else ""
 
 
 def _packages(names: list[str]) -> dict[str, str]:
