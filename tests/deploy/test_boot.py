@@ -45,6 +45,7 @@ CHECKS = (
     "the fleet can ask it",
     "memory",
     "a release that does not run",
+    "stops and is armed",
     "is up after a reboot",
     "everything talks after it",
     "the fleet can ask it after that",
