@@ -91,6 +91,7 @@ def lead(process, board, answer, off=(0.0, 0.0), told=lambda _: None):
     return "".join(said)
 
 
+@pytest.mark.slow
 def test_a_session_makes_a_file_that_the_service_takes_and_a_check_confirms(processes, router, swarm, board, runtime):
     text = processes.config.read_text()
     processes.config.write_text(text.replace("calibration =", "# calibration ="))

@@ -160,6 +160,7 @@ def test_anchors_and_target_are_at_ports_of_their_own(board, tmp_path):
     assert found["C933"][1].quality == 0
 
 
+@pytest.mark.slow
 def test_an_anchor_that_is_made_a_tag_takes_its_turn_at_ranging(board, tmp_path):
     with serial.Serial(str(tmp_path / "anchors" / "D002.tty"), 115200, timeout=0, exclusive=True) as line:
         ask(board, line, cfg_set(Settings(anchor=False)))

@@ -58,6 +58,7 @@ def wrong(report: Report, robot: str) -> dict[str, str]:
     return {check: each["text"] for check, each in report[robot].items() if each["state"] == "bad"}
 
 
+@pytest.mark.slow
 def test_a_swarm_that_is_well_then_one_with_faults(ask: Ask, simulation: Simulation) -> None:
     last: dict[str, Report] = {}
 

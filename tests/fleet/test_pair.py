@@ -26,10 +26,13 @@ def _has_dbus() -> bool:
     return subprocess.run([PYTHON, "-c", "import dbus, gi"], capture_output=True).returncode == 0
 
 
-pytestmark = pytest.mark.skipif(
-    not os.environ.get("CI") and not _has_dbus(),
-    reason="needs: apt-get install openssh-server dbus python3-dbus python3-gi",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not os.environ.get("CI") and not _has_dbus(),
+        reason="needs: apt-get install openssh-server dbus python3-dbus python3-gi",
+    ),
+]
 
 DAEMON = """<busconfig>
 <type>system</type><listen>unix:path={path}</listen><auth>EXTERNAL</auth>

@@ -17,10 +17,13 @@ from swarm.cli import provision
 from swarm.fleet.provision import Rig
 from swarm.keyfile import new_key_file
 
-pytestmark = pytest.mark.skipif(
-    not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),
-    reason="needs an ssh server and client: sudo apt-get install openssh-server openssh-client",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),
+        reason="needs an ssh server and client: sudo apt-get install openssh-server openssh-client",
+    ),
+]
 
 ALL = "python3-bluez python3-venv bluez-firmware linux-image-rpi-v8"
 INSTALL = """#!/bin/sh

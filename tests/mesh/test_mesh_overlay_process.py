@@ -65,6 +65,7 @@ def test_apps_flood_and_send_and_learn_what_became_of_it(build: Build) -> None:
     wait_until(lambda: answers == ["there is no robot r9"])
 
 
+@pytest.mark.slow
 def test_large_payloads_of_apps_cross_the_swarm(build: Build) -> None:
     swarm = build(edges=LINE, model="latency=0.005,bandwidth=400000")
     swarm.start()

@@ -158,6 +158,7 @@ def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):
             assert max(at - found.times[k - 1] for k, at in found.times.items() if k) > 0.8
 
 
+@pytest.mark.slow
 def test_robots_without_an_app_just_balance():
     report = simulate("--robots", "2", "--seconds", "2")
     assert report["app"] is None

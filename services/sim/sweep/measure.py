@@ -36,11 +36,14 @@ class Found:
 
 def measure(job: Job) -> Found:
     """Run it. What is wrong with a run is a result like any other."""
+    before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # twenty runs at once would tell the same twenty times
     try:
         report, outcome = simulate(*job.arguments, rows=True)
     except SwarmError as error:
         return Found(job.point, job.seed, 0, None, None, 0.0, None, 0.0, str(error))
+    finally:
+        logging.disable(before)
     path_error = report.get("error", report.get("error_cm"))
     iteration = report["iteration_s_median"]
     return Found(
