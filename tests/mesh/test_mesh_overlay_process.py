@@ -2,6 +2,7 @@
 
 import os
 
+import pytest
 from conftest import stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
