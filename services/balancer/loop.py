@@ -140,8 +140,8 @@ class Loop:
             self._keep_zero()
         elif not self._announced and self._balancer.ready:
             self._announced = True
-            notify("READY=1", timeout_s=0.0)
             self._keep_zero()
+            notify("READY=1", timeout_s=0.0)
 
     def _keep_zero(self) -> None:
         if (zero := self._balancer.gyro_zero) is not None:
