@@ -27,6 +27,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from swarm.core.epoch_notes import NONE, Ballot, Epoch, Kept, Note, Offer, Vote, following
+from swarm.core.epoch_roster import Roster
 from swarm.core.graph import Graph
 from swarm.errors import PayloadError
 
@@ -38,8 +39,6 @@ TELL_EVERY = 1.0
 """s between two notes of a robot that wants something."""
 TELL_AGAIN = 0.2
 """s between two notes to robots that seem not to know."""
-FRESH = 3.5
-"""A robot is there if its newest note is at most so old, s."""
 STAGGER = 0.3
 """s by which each member waits longer than the one before it to make a ballot: mostly one of them does."""
 
@@ -100,12 +99,11 @@ class Epochs:
         self.stalled = False
         self._names = frozenset(names)
         self._of = of
-        self._notes: dict[str, Note] = {}
-        self._heard: dict[str, float] = {}
         if kept is not None and (kept.run, kept.schema) == of:
             mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
         else:
             mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None)
+        self._roster = Roster(me, mine)
         self._mine = mine
         self._become()
         self.k = mine.epoch.k
@@ -157,7 +155,7 @@ class Epochs:
             return f"{self.me} is not in epoch {self.epoch.counter}: {how}"
         if self._mine.promised == NONE:
             return ""
-        answers, members = len(self._answered(self._mine.promised)), len(self.epoch.members)
+        answers, members = len(self._roster.answered(self._mine.promised)), len(self.epoch.members)
         return f"the members change: {answers} of {members} have answered, more than half are needed"
 
     def actions(self) -> list[Action]:
@@ -234,7 +232,7 @@ class Epochs:
                 self._become(birth=note.birth + 1, version=0)
                 self._tell(now)
             return
-        known = self._notes.get(note.robot)
+        known = self._roster.notes.get(note.robot)
         if note.robot not in self._names:
             self.counters["unknown robot"] += 1
             return
@@ -244,8 +242,7 @@ class Epochs:
                 self._reminded_at = now
                 self._actions.append(Tell(known.encode()))
             return
-        self._notes[note.robot] = note
-        self._heard[note.robot] = now
+        self._roster.take(note, now)
         self._actions.append(Tell(data))  # who has it passes it on no more
         self._weigh(note, now)
 
@@ -267,7 +264,7 @@ class Epochs:
 
     def _become(self, **changes: object) -> None:
         """Have something else to say. What is asked with each frame is worked out here."""
-        self._mine = mine = replace(self._mine, **changes)  # type: ignore[arg-type]
+        self._mine = self._roster.mine = mine = replace(self._mine, **changes)  # type: ignore[arg-type]
         self.number = mine.epoch.number
         """Of the newest epoch known."""
         self.member = self.me in mine.epoch.members
@@ -335,10 +332,10 @@ class Epochs:
         offer = self._mine.offer
         if offer is None or offer.epoch is not None:
             return
-        notes = self._answered(offer.ballot)
+        notes = self._roster.answered(offer.ballot)
         if frozenset(notes) != self._answers:
             self._answers, self._answered_at = frozenset(notes), now
-        complete = len(notes) == len(self.epoch.members) and not self._newcomers(now)
+        complete = len(notes) == len(self.epoch.members) and not self._roster.newcomers(now)
         if not complete and now < self._collected_at:
             return
         epoch = self._choose(offer, notes, now)
@@ -357,8 +354,8 @@ class Epochs:
                 return max(votes, key=lambda vote: vote.ballot).epoch
         order = self._order or Order()
         away = tuple(sorted((set(self.epoch.away) | set(order.drop)) - set(order.add)))
-        there = {**notes, **self._newcomers(now, *order.add)}
-        there = {n: note for n, note in there.items() if note.well and n not in away and self._is_there(n, now)}
+        there = {**notes, **self._roster.newcomers(now, *order.add)}
+        there = {n: note for n, note in there.items() if note.well and n not in away and self._roster.is_there(n, now)}
         deaf = {frozenset((n, other)) for n, note in there.items() for other in note.deaf}
         edges = [(a, b) for a, b in self._edges if a in there and b in there and frozenset((a, b)) not in deaf]
         parts = Graph(tuple(sorted(there)), edges).components()
@@ -376,7 +373,7 @@ class Epochs:
         """As everybody: see whether an epoch has votes enough."""
         votes: dict[Ballot, set[str]] = {}
         epochs: dict[Ballot, Epoch] = {}
-        for name, note in self._members_notes().items():
+        for name, note in self._roster.of_members().items():
             if note.accepted is not None:
                 votes.setdefault(note.accepted.ballot, set()).add(name)
                 epochs[note.accepted.ballot] = note.accepted.epoch
@@ -407,64 +404,18 @@ class Epochs:
         if not self.member or not self.well or not self._settled:
             return False
         if mine.promised != NONE:
-            return self._orphaned(now)
+            return self._roster.orphaned(now)
         if self._order is not None:
             return True
         if not self.auto:
             return False
         if self._deaf or self._relink:
             return True
-        if not self._notes:
+        if not self._roster.notes:
             return False
-        members = self._members_notes()
+        members = self._roster.of_members()
         lost = any(not note.well or note.k < 0 for name, note in members.items() if name != self.me)
-        return lost or bool(self._newcomers(now))
-
-    def _orphaned(self, now: float) -> bool:
-        """Whether the ballot under way has lost its proposer: another one has to end what it began."""
-        mine = self._mine
-        newest = max(self._members_notes().values(), key=lambda note: note.promised)
-        by = newest.promised.robot
-        if by == self.me:
-            return mine.offer is None
-        proposer = self._notes.get(by)
-        return not (
-            self._is_there(by, now)
-            and proposer is not None
-            and proposer.well
-            and proposer.offer is not None
-            and proposer.offer.ballot >= newest.promised
-        )
-
-    def _newcomers(self, now: float, *added: str) -> dict[str, Note]:
-        """Robots that are there and know that they have no part in this epoch; `added`: whom the operator lets in."""
-        away = set(self.epoch.away) - set(added)
-        return {
-            name: note
-            for name, note in self._notes.items()
-            if note.well and name not in away and self._is_there(name, now) and self._outside(note)
-        }
-
-    def _outside(self, note: Note) -> bool:
-        """Whether a robot is in no epoch, or in one of its own. Who has not heard of this one yet will: no matter."""
-        if note.epoch.number == self.epoch.number:
-            return note.robot not in self.epoch.members
-        return not note.epoch.supersedes(self.epoch) and not self.epoch.supersedes(note.epoch)
-
-    def _answered(self, ballot: Ballot) -> dict[str, Note]:
-        """The notes of members who take part in a ballot."""
-        return {name: note for name, note in self._members_notes().items() if note.promised == ballot}
-
-    def _members_notes(self) -> dict[str, Note]:
-        """The notes of members who know of this epoch, the own one too."""
-        return {
-            name: note
-            for name, note in ((n, self._mine if n == self.me else self._notes.get(n)) for n in self.epoch.members)
-            if note is not None and note.epoch.number == self.epoch.number
-        }
-
-    def _is_there(self, name: str, now: float) -> bool:
-        return name == self.me or now - self._heard.get(name, float("-inf")) <= FRESH
+        return lost or bool(self._roster.newcomers(now))
 
     def _tell(self, now: float) -> None:
         mine = self._mine

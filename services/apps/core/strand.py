@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 from swarm.conduct import AFTER
 from swarm.core import epochs, lockstep
 from swarm.core.epoch_notes import Epoch, Kept
+from swarm.core.epoch_roster import FRESH
 from swarm.core.epochs import Epochs, Keep, Order, Switch, Tell
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
@@ -278,7 +279,7 @@ class Strand:
             awaited = self._awaited()
             self.epochs.stalled = bool(awaited) and now >= self._stalled_at
             silent = {n for n, at in awaited if now >= at}
-            silent |= {n for n in self.epochs.deaf if now - self._heard.get(n, float("-inf")) > epochs.FRESH}
+            silent |= {n for n in self.epochs.deaf if now - self._heard.get(n, float("-inf")) > FRESH}
             self.epochs.suspect(tuple(sorted(silent)), now)
         self.epochs.handle_timer(now)
 
