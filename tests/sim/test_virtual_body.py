@@ -80,7 +80,7 @@ def test_how_often_one_looks_changes_nothing_but_rounding(commands):
         body.advance(now + 5.0)
         return body.x, body.y
 
-    assert end(0.5) == pytest.approx(end(0.037), abs=2e-2)
+    assert end(0.5) == pytest.approx(end(0.037), abs=1e-3)
 
 
 def test_a_point_follows_at_once_and_knows_its_way_exactly():

@@ -153,7 +153,9 @@ class VirtualBody:
                     self._rest(now - self._now)
                     self._now = now
                     return
-                self._step(min(PERIOD, now - self._now))
+                # A command ends when it ends, wherever in a period that is.
+                left = self._until - self._now
+                self._step(min(PERIOD, now - self._now, max(left, 1e-9) if left > 0.0 else PERIOD))
             elif self.mode in (STANDING, FALLING):
                 self._step(min(PERIOD, now - self._now, max(self._until - self._now, 1e-9)))
                 if self._now >= self._until:
