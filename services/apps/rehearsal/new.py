@@ -21,7 +21,8 @@ def main() -> int:
     for path in write(options.file, options.kind):
         sys.stdout.write(f"wrote {path}\n")
     file, test = options.file, beside(options.file)
-    sys.stdout.write(f"next: swarm check {file}; pytest {test}; swarm sim {file} --robots 6\n")
+    start = " --set r2.value=6" if options.kind == "sync" else ""  # all begin at zero otherwise: nothing would move
+    sys.stdout.write(f"next: swarm check {file}; pytest {test}; swarm sim {file} --robots 6{start}\n")
     return 0
 
 
