@@ -16,27 +16,16 @@ from services.mesh.core.node import Node
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.topology import Ground
+from services.mesh.door import Door
 from services.mesh.links.pipe import describe
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock, service
-from swarm.codec import MAX_BINARY, encode
+from swarm.codec import MAX_BINARY
 from swarm.config import Config
-from swarm.errors import PayloadError
 from swarm.keyfile import read_keys
-from swarm.keys import STOP, key
-from swarm.messages import (
-    Arm,
-    Clock,
-    EchoRequest,
-    FloodRequest,
-    Links,
-    Reminder,
-    SendRequest,
-    Stop,
-    TopologyRequest,
-    read,
-)
+from swarm.keys import key
+from swarm.messages import Clock, Links
 from swarm.paths import state_dir
 from swarm.service import Service
 
@@ -105,34 +94,6 @@ class _Mesh(Runner):
             self._counters["too_large"] += 1
 
 
-class _Commands:
-    """What others on this robot want of the overlays."""
-
-    def __init__(self, service: Service, mesh: Runner) -> None:
-        self._service = service
-        self._mesh = mesh
-
-    def obey(self, key: str, payload: bytes) -> None:
-        """A sample of `swarm/stop` or of a key with `set`."""
-        try:
-            message = read(key, payload)
-        except PayloadError as error:
-            self._service.counters["refused_requests"] += 1
-            self._service.log.warning("request refused: %s", error)
-            return
-        match message:
-            case FloodRequest() | SendRequest() | Reminder() | TopologyRequest():
-                self._mesh.ask(lambda each, now: each.request(message, now))
-            case EchoRequest():
-                self._mesh.ping(message)
-            case Stop(_, origin, reason):
-                self._service.log.warning("stop of the swarm by=%s reason=%s", origin, reason)
-                self._mesh.ask(lambda each, now: each.stop(message, now))
-            case Arm(_, origin):
-                self._service.log.warning("stops taken back by=%s", origin)
-                self._mesh.ask(lambda each, now: each.arm(now))
-
-
 def main() -> None:
     """Run until SIGTERM."""
     with Service("mesh") as this:
@@ -155,21 +116,7 @@ def main() -> None:
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
         mesh = _Mesh(node, network, this)
-        for source, expression in enumerate(relay.subscriptions):
-            this.bus.subscribe(expression, partial(mesh.publish, source))
-        commands = _Commands(this, mesh)
-        this.bus.subscribe([STOP, key(this.robot, "mesh", "set", "*")], commands.obey)
-        members = key(this.robot, "mesh", "members")
-        this.bus.serve(members, lambda *_: encode(mesh.look(lambda each, now: each.members(now))))
-        stopped = key(this.robot, "mesh", "stopped")
-        this.bus.serve(stopped, lambda *_: encode(mesh.look(lambda each, now: each.stopped(now))))
-        topology = key(this.robot, "mesh", "topology")
-        this.bus.serve(topology, lambda *_: encode(mesh.look(lambda each, now: each.topology(now))))
-        this.bus.serve(key(this.robot, "mesh", "clock"), lambda *_: encode(Clock(*mesh.clock())))
-        graph = key(this.robot, "mesh", "graph")
-        this.bus.serve(
-            graph, lambda _, asked: encode(mesh.look(lambda each, now: each.graph(now, asked.get("after", ""))))
-        )
+        Door(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):

@@ -3,37 +3,29 @@ node, without threads and sockets."""
 
 import random
 from collections import Counter
+from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
+from services.mesh.core.clock import ClockState
 from services.mesh.core.dialler import can_link, dials
 from services.mesh.core.events import Received
 from services.mesh.core.handshake import Local
 from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
-from services.mesh.core.orders import Close, Dial, LinksChanged, Note
+from services.mesh.core.orders import Close, Dial, LinksChanged
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.session import Session
 from services.mesh.core.topology import Ground
+from services.mesh.door import Door
 from services.sim.virtual.air import Air, End
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
-from swarm.codec import MAX_BINARY, encode
+from swarm.codec import MAX_BINARY
 from swarm.config import Config
-from swarm.errors import PayloadError
-from swarm.keys import STOP, key
-from swarm.messages import (
-    Arm,
-    Clock,
-    EchoRequest,
-    FloodRequest,
-    Links,
-    Reminder,
-    SendRequest,
-    Stop,
-    TopologyRequest,
-    read,
-)
+from swarm.keys import key
+from swarm.messages import Clock, EchoRequest, Links
 
 REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links`, `mesh/clock` and `mesh/topology`, as the service has it."""
@@ -42,6 +34,8 @@ FIRST_INCARNATION = 1
 """Of every robot's floods: nobody is started anew."""
 
 _NEVER = float("inf")
+
+T = TypeVar("T")
 
 
 class Common:
@@ -74,8 +68,6 @@ class VirtualMesh:
         self.robot = robot
         self.running = True
         self.counters: Counter[str] = Counter()
-        self.notes: list[tuple[float, str]] = []
-        """What it would have put into its log as a warning."""
         self._time = time
         self._air = air
         self._bus = bus
@@ -116,19 +108,10 @@ class VirtualMesh:
             nonce=partial(numbers.randbytes, 16),
             counters=self.counters,
         )
-        for source, expression in enumerate(relay.subscriptions):
-            bus.subscribe(expression, partial(self._publish, source))
-        bus.subscribe([STOP, key(robot, "mesh", "set", "*")], self._obey)
+        Door(bus, robot, self, relay.subscriptions, self.counters, lambda _: None)
         self._links_key = key(robot, "mesh", "links")
         self._clock_key = key(robot, "mesh", "clock")
         self._topology_key = key(robot, "mesh", "topology")
-        bus.serve(key(robot, "mesh", "members"), lambda *_: encode(overlays.members(time.now)))
-        bus.serve(key(robot, "mesh", "stopped"), lambda *_: encode(overlays.stopped(time.now)))
-        bus.serve(self._topology_key, lambda *_: encode(overlays.topology(time.now)))
-        bus.serve(self._clock_key, lambda *_: encode(Clock(*self.node.clock(time.now))))
-        bus.serve(
-            key(robot, "mesh", "graph"), lambda _, asked: encode(overlays.graph(time.now, asked.get("after", "")))
-        )
         air.add(self)
         time.soon(self._carry_out)
         # Robots are not switched on in the same microsecond: their reports do not all fall on one moment.
@@ -138,6 +121,34 @@ class VirtualMesh:
     def sent(self) -> int:
         """Messages of apps that left, counted once for each neighbour."""
         return self.counters["sent_sync"]
+
+    # -- what the bus wants -------------------------------------------------------------------------------------
+
+    def publish(self, source: int, key: str, payload: bytes) -> None:
+        """A sample of the own bus."""
+        if self.running:
+            self.node.publish(source, key, payload, self._time.now)
+            self._carry_out()
+
+    def ask(self, step: Callable[[Overlays, float], object]) -> None:
+        """Something for the overlays."""
+        if self.running:
+            self.node.ask(step, self._time.now)
+            self._carry_out()
+
+    def look(self, question: Callable[[Overlays, float], T]) -> T:
+        """Something the overlays know."""
+        return question(self.node.overlays, self._time.now)
+
+    def ping(self, request: EchoRequest) -> None:
+        """Measure a link; what comes of it is published."""
+        if self.running:
+            self.node.ping(request, self._time.now)
+            self._carry_out()
+
+    def clock(self) -> ClockState:
+        """The mesh clock now."""
+        return self.node.clock(self._time.now)
 
     # -- what the air calls ------------------------------------------------------------------------------------
 
@@ -192,34 +203,6 @@ class VirtualMesh:
 
     # -- inside ------------------------------------------------------------------------------------------------
 
-    def _publish(self, source: int, key: str, payload: bytes) -> None:
-        """A sample of the own bus."""
-        if self.running:
-            self.node.publish(source, key, payload, self._time.now)
-            self._carry_out()
-
-    def _obey(self, key: str, payload: bytes) -> None:
-        """A sample of `swarm/stop` or of a key with `set`."""
-        if not self.running:
-            return
-        try:
-            message = read(key, payload)
-        except PayloadError as error:
-            self.counters["refused_requests"] += 1
-            self.notes.append((self._time.now, f"request refused: {error}"))
-            return
-        now = self._time.now
-        match message:
-            case FloodRequest() | SendRequest() | Reminder() | TopologyRequest():
-                self.node.ask(lambda each, now: each.request(message, now), now)
-            case EchoRequest():
-                self.node.ping(message, now)
-            case Stop():
-                self.node.ask(lambda each, now: each.stop(message, now), now)
-            case Arm():
-                self.node.ask(lambda each, now: each.arm(now), now)
-        self._carry_out()
-
     def _carry_out(self) -> None:
         """Send what is to be sent, and do what the node asks for."""
         node, ends = self.node, self._ends
@@ -239,8 +222,6 @@ class VirtualMesh:
             elif type(action) is Close and (end := ends.pop(action.session, None)) is not None:
                 self._air.flush(end)
                 self._air.close(end)
-            elif type(action) is Note and action.problem:
-                self.notes.append((self._time.now, action.text))
         deadline = node.next_deadline()
         if deadline < self._timer:
             self._timer = deadline
@@ -272,4 +253,4 @@ class VirtualMesh:
         if bus.wanted(self._links_key):
             bus.publish(self._links_key, Links(now, self.node.links()))
         if bus.wanted(self._clock_key):
-            bus.publish(self._clock_key, Clock(*self.node.clock(now)))
+            bus.publish(self._clock_key, Clock(*self.clock()))
