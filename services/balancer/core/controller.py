@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 
 from services.balancer.core import faults
-from services.balancer.core.drive import LONGEST_S, Drive
+from services.balancer.core.drive import Drive, check_command
 from services.balancer.core.estimator import Estimate
 from services.balancer.core.faults import Fault
 from services.balancer.core.lie_down import LieDown
@@ -137,10 +137,7 @@ class Controller:
 
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> str:
         """Drive for a time. Returns what was cut to the limits, or ""; `LocalError` where it cannot be done."""
-        if not (math.isfinite(speed) and math.isfinite(turn_rate)):
-            raise LocalError(f"velocity ({speed}, {turn_rate}) is not finite")
-        if not 0.0 < seconds <= LONGEST_S:
-            raise LocalError(f"velocity: seconds: expected a time above 0 up to {LONGEST_S:g} s, got {seconds:.6g}")
+        check_command(speed, turn_rate, seconds)
         if self.mode != BALANCING:
             raise LocalError(f"velocity: only a balancing robot drives, this one is {self.mode}")
         return self._drive.command(speed, turn_rate, now + seconds)

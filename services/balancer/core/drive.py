@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from services.balancer.core.body import BodyModel
 from services.balancer.core.regulator import Demand, limited
+from swarm.errors import LocalError
 
 LONGEST_S = 10.0
 """A velocity command may hold so long at most: who drives for longer says so again."""
@@ -37,6 +38,14 @@ class Limits(NamedTuple):
     """m/s^2."""
     turn_acceleration: float
     """rad/s^2."""
+
+
+def check_command(speed: float, turn_rate: float, seconds: float) -> None:
+    """Raises `LocalError` for a velocity command that cannot be meant: m/s, rad/s, and s for which it holds."""
+    if not (math.isfinite(speed) and math.isfinite(turn_rate)):
+        raise LocalError(f"velocity ({speed}, {turn_rate}) is not finite")
+    if not 0.0 < seconds <= LONGEST_S:
+        raise LocalError(f"velocity: seconds: expected a time above 0 up to {LONGEST_S:g} s, got {seconds:.6g}")
 
 
 class Drive:

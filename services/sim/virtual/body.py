@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from services.balancer.core.body import body_model
-from services.balancer.core.drive import LONGEST_S, Drive, Limits
+from services.balancer.core.drive import Drive, Limits, check_command
 from swarm.config.types import Balancing, Body
 from swarm.errors import LocalError
 from swarm.messages import Odometry
@@ -122,10 +122,7 @@ class VirtualBody:
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> str:
         """Drive for a time. Returns what was cut to the limits, or ""; `LocalError` where it cannot be done."""
         self.advance(now)
-        if not (math.isfinite(speed) and math.isfinite(turn_rate)):
-            raise LocalError(f"velocity ({speed}, {turn_rate}) is not finite")
-        if not 0.0 < seconds <= LONGEST_S:
-            raise LocalError(f"velocity: seconds: expected a time above 0 up to {LONGEST_S:g} s, got {seconds:.6g}")
+        check_command(speed, turn_rate, seconds)
         if self.mode != BALANCING:
             raise LocalError(f"velocity: only a balancing robot drives, this one is {self.mode}")
         self._until = now + seconds
