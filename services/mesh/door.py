@@ -1,4 +1,4 @@
-"""What a robot's bus wants of its mesh: values to relay, commands, questions; alike in a process and in virtual time."""
+"""What a robot's bus wants of its mesh: values to relay, commands, questions; the same code for virtual time."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence

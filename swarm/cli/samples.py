@@ -1,7 +1,6 @@
 """How a sample of the bus looks on a terminal and as JSON. Whatever the payload is, it can be shown."""
 
 import json
-import math
 import re
 import struct
 import time
@@ -12,9 +11,7 @@ from swarm.core.lockstep_frames import STEP, WANT
 from swarm.errors import PayloadError
 from swarm.keys import parse
 from swarm.messages import read, type_of
-
-_DEPTH = 12
-"""Levels of nesting shown; msgpack allows a thousand, which would end in a RecursionError here."""
+from swarm.plain import cut, plain
 
 _SHOWN_BYTES = 48
 """Bytes of a raw payload on a terminal; JSON has all."""
@@ -47,7 +44,7 @@ def as_json(sample: Sample) -> str:
         data |= {"frame": frame[0], frame[1]: frame[2], "bytes": len(sample.payload), "hex": sample.payload.hex()}
     else:
         try:
-            data["value"] = _plain(unpack(sample.payload))
+            data["value"] = plain(unpack(sample.payload))
         except PayloadError as error:
             data |= {"error": str(error), "bytes": len(sample.payload), "hex": sample.payload.hex()}
         else:
@@ -112,10 +109,10 @@ def _fault(sample: Sample) -> str | None:
 def value_text(value: object, depth: int = 0) -> str:
     """A msgpack value in short: `t=1.5 mode=idle ranges=[{anchor=C933 distance=1.2}]`."""
     if isinstance(value, dict):
-        inner = " ".join(f"{_word(str(name))}={value_text(item, depth + 1)}" for name, item in _cut(value, depth))
+        inner = " ".join(f"{_word(str(name))}={value_text(item, depth + 1)}" for name, item in cut(value, depth))
         return inner if depth == 0 and inner else "{" + inner + "}"
     if isinstance(value, list):
-        return "[" + " ".join(value_text(item, depth + 1) for _, item in _cut(value, depth)) + "]"
+        return "[" + " ".join(value_text(item, depth + 1) for _, item in cut(value, depth)) + "]"
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -126,25 +123,6 @@ def value_text(value: object, depth: int = 0) -> str:
     if isinstance(value, bytes):
         return _raw(value)
     return str(value) if isinstance(value, int) else _word(str(value))
-
-
-def _cut(value: dict[object, object] | list[object], depth: int) -> list[tuple[object, object]]:
-    if depth >= _DEPTH:
-        return [("...", "...")] if value else []
-    return list(value.items() if isinstance(value, dict) else enumerate(value))
-
-
-def _plain(value: object, depth: int = 0) -> object:
-    """What `json.dumps` takes: no bytes, no endless depth, no NaN (which is no JSON)."""
-    if isinstance(value, dict):
-        return {str(name): _plain(item, depth + 1) for name, item in _cut(value, depth)}
-    if isinstance(value, list):
-        return [_plain(item, depth + 1) for _, item in _cut(value, depth)]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else str(value)
-    if isinstance(value, bytes):
-        return value.hex()
-    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 def _word(text: str) -> str:

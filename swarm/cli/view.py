@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
     else:
-        feed = Simulation((args.run_dir or default_run_dir()).absolute(), lambda: None)
+        feed = Simulation((args.run_dir or default_run_dir()).absolute())
         control = Control(feed, allowed=args.control)
 
     async def main() -> None:

@@ -23,15 +23,18 @@ class Simulation:
 
     kind = "simulation"
 
-    def __init__(self, directory: Path, changed: Callable[[], None]) -> None:
-        """`changed()` is called on any thread when the picture has. Raises `LocalError` where none runs there."""
+    def __init__(self, directory: Path) -> None:
+        """Raises `LocalError` where none runs there."""
         if not is_live(directory):
             raise LocalError(f"no simulation is running in {directory}: start one with `swarm sim`, or name --run-dir")
         self.picture = Picture()
         self.lock = threading.Lock()
         """Around the picture."""
         self.directory = directory
-        self._changed = changed
+        self.live = True
+        """Whether it still runs, as it was at the last look."""
+        self.config: Config | None = None
+        """The swarm's configuration; None as long as it is not there."""
         self.buses: dict[str, Bus] = {}
         """Of each robot."""
         self.began = clock.now()
@@ -39,19 +42,6 @@ class Simulation:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
         self._thread.start()
-
-    @property
-    def live(self) -> bool:
-        """Whether it still runs."""
-        return is_live(self.directory)
-
-    def config(self) -> Config | None:
-        """The swarm's configuration; None as long as it is not there."""
-        path = self.directory / CONFIG
-        try:
-            return parse(path.read_text(encoding="utf-8"), path)
-        except (OSError, SwarmError):
-            return None
 
     def close(self) -> None:
         """Leave all buses."""
@@ -62,6 +52,9 @@ class Simulation:
 
     def _look(self) -> None:
         while not self._closing.wait(_LOOK_EVERY if self.buses else 0.05):
+            self.live = is_live(self.directory)
+            if self.config is None:
+                self.config = config_of(self.directory)
             for name, runtime in robots(self.directory).items():
                 if name not in self.buses:
                     bus = Bus(bus_endpoint(runtime))
@@ -73,7 +66,6 @@ class Simulation:
         def take(key: str, payload: bytes) -> None:
             with self.lock:
                 self.picture.take(robot, key, payload, clock.now() - self.began)
-            self._changed()
 
         return take
 
@@ -81,4 +73,12 @@ class Simulation:
         _, robot, *service, _ = key.split("/")
         with self.lock:
             self.picture.alive(robot, "/".join(service), there, clock.now() - self.began)
-        self._changed()
+
+
+def config_of(directory: Path) -> Config | None:
+    """The configuration that a run has left in its folder; None where there is none that can be read."""
+    path = directory / CONFIG
+    try:
+        return parse(path.read_text(encoding="utf-8"), path)
+    except (OSError, SwarmError):
+        return None

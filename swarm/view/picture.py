@@ -4,14 +4,14 @@ A page asks for everything once and then for what has changed since its last ver
 never a queue. No IO and no clock: samples come in from whatever watches the robots, a bus or a recording.
 """
 
-import math
 from collections import deque
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from swarm.codec import unpack
 from swarm.errors import PayloadError
 from swarm.keys import parse
+from swarm.plain import plain
 
 MAX_EVENTS = 500
 HISTORY_S = 120.0
@@ -23,7 +23,11 @@ HISTORY_STEP_S = 0.2
 MAX_TOPICS = 256
 """Keys of one robot that are shown; an app that publishes under ever new ones must not fill the memory."""
 
-_DEPTH = 12
+MAX_BYTES = 256
+"""Of a raw payload within a message that a page is told."""
+
+TRAIL_S = 30.0
+"""How much of its way a robot draws behind it, s."""
 
 
 class Event(NamedTuple):
@@ -69,7 +73,7 @@ class Picture:
         if bus not in ("", robot):
             return
         try:
-            value = plain(unpack(payload))
+            value = plain(unpack(payload), MAX_BYTES)
         except PayloadError:
             self.refused += 1
             return
@@ -137,7 +141,7 @@ class Picture:
 
     def trail(self, robot: str, topic: str, seconds: float, now: float) -> list[tuple[float, float]]:
         """The way that a robot has come, m."""
-        return list(_places(self.history(robot, topic), now - seconds))
+        return list(places(self.history(robot, topic), now - seconds))
 
     def _tell(self, now: float, robot: str, level: str, text: str) -> None:
         self._numbered += 1
@@ -145,7 +149,8 @@ class Picture:
         self.events.append(Event(self._numbered, now, robot, level, text))
 
 
-def _places(history: list[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
+def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
+    """Where a robot has been since a time, m, by what a key with `x` and `y` held."""
     for t, value in history:
         if t >= since and isinstance(value, dict):
             x, y = value.get("x"), value.get("y")
@@ -185,18 +190,3 @@ def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
     elif topic == "mesh/stopped":
         stopped = value.get("stopped")
         yield "error" if stopped else "info", "stopped" if stopped else "not stopped", "stopped"
-
-
-def plain(value: Any, depth: int = 0) -> object:
-    """What JSON can hold, and any page can read: no bytes, no endless depth, nothing that is not a number as one."""
-    if depth >= _DEPTH:
-        return "..."
-    if isinstance(value, dict):
-        return {str(name): plain(item, depth + 1) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item, depth + 1) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else str(value)
-    if isinstance(value, bytes):
-        return value[:256].hex()
-    return value if value is None or isinstance(value, bool | int | str) else str(value)

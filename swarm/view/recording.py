@@ -5,18 +5,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from swarm.config import parse
-from swarm.config.types import Config
 from swarm.core import jsontext
 from swarm.errors import RecordingError, SwarmError
 from swarm.keys import parse as parse_key
+from swarm.plain import plain
 from swarm.recording.run import Run
-from swarm.simulations import CONFIG
-from swarm.view.picture import Event, Picture, plain
-
-TRAIL_S = 30.0
-HISTORY_S = 120.0
-"""What a chart that is opened shows, s before the instant."""
+from swarm.view.feed import config_of
+from swarm.view.picture import HISTORY_S, TRAIL_S, Event, Picture, places
 
 
 class Recording:
@@ -45,18 +40,12 @@ class Recording:
             data.append(sample.data)
             self.first, self.last = min(self.first, sample.t), max(self.last, sample.t)
             teller.put(robot, name, message, sample.t)
-            if teller.events:
-                self._events.append(teller.events.pop())
+            self._events += teller.events
+            teller.events.clear()
         self.damage = list(run.damage)
+        self.config = config_of(path)
+        """Of the run; None where it was not kept or is of another version."""
         self.robots = run.robots
-
-    def config(self) -> Config | None:
-        """The configuration of the run; None where it was not kept or is of another version."""
-        path = self.path / CONFIG
-        try:
-            return parse(path.read_text(encoding="utf-8"), path)
-        except (OSError, SwarmError):
-            return None
 
     def step(self, since: float | None, t: float) -> dict[str, Any]:
         """What a page that shows the instant `since` (None: nothing yet) needs to show the instant `t`, s."""
@@ -81,20 +70,16 @@ class Recording:
 
     def history(self, robot: str, topic: str, t: float) -> list[tuple[float, object]]:
         """What a key held in the two minutes before an instant."""
-        times, data = self._rows.get(robot, {}).get(topic, ([], []))
-        rows = range(bisect_right(times, t - HISTORY_S), bisect_right(times, t))
-        return [(times[index], self._message(data[index])) for index in rows]
+        return list(self._between(robot, topic, t - HISTORY_S, t))
 
     def _trail(self, robot: str, t: float) -> Iterator[tuple[float, float]]:
-        topics = self._rows[robot]
-        for topic in ("sim/truth", "dwm/pose"):
-            if topic in topics:
-                times, data = topics[topic]
-                for index in range(bisect_right(times, t - TRAIL_S), bisect_right(times, t)):
-                    message = self._message(data[index])
-                    if isinstance(message, dict) and isinstance(message.get("x"), int | float):
-                        yield float(message["x"]), float(message.get("y", 0.0))
-                return
+        topic = "sim/truth" if "sim/truth" in self._rows[robot] else "dwm/pose"
+        return places(self._between(robot, topic, t - TRAIL_S, t), t - TRAIL_S)
+
+    def _between(self, robot: str, topic: str, since: float, t: float) -> Iterator[tuple[float, object]]:
+        times, data = self._rows.get(robot, {}).get(topic, ([], []))
+        for index in range(bisect_right(times, since), bisect_right(times, t)):
+            yield times[index], self._message(data[index])
 
     def _message(self, data: bytes) -> object:
         try:

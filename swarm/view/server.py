@@ -20,6 +20,7 @@ from swarm import clock
 from swarm.errors import LocalError
 from swarm.view.control import Control
 from swarm.view.feed import Simulation
+from swarm.view.picture import TRAIL_S
 from swarm.view.recording import Recording
 
 HOST = "127.0.0.1"
@@ -29,7 +30,6 @@ RATE = 25.0
 CROWD = 50
 """Robots from which on a page gets a fifth as many steps."""
 
-TRAIL_S = 30.0
 SETTLE_S = 4.0
 """s that a page has before its picture is taken: to connect, and for trails to grow."""
 
@@ -169,7 +169,7 @@ async def _play(recording: Recording, socket: web.WebSocketResponse) -> None:
 
 def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
     """What does not move: names, links that are to be, anchors."""
-    config = feed.config()
+    config = feed.config
     if config is None:
         return None
     return {

@@ -39,7 +39,7 @@ class Bus:
 def feed(tmp_path: Path):
     directory = tmp_path / "run"
     with claim(directory):
-        feed = Simulation(directory, lambda: None)
+        feed = Simulation(directory)
         feed.buses = {"r0": Bus(), "r1": Bus()}
         yield feed
         feed.close()
@@ -198,4 +198,4 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
 
 def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match="no simulation is running"):
-        Simulation(tmp_path, lambda: None)
+        Simulation(tmp_path)

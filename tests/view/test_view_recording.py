@@ -57,7 +57,7 @@ def test_the_values_are_those_of_the_run(recording: Recording) -> None:
     }
     rows = recording.history("r0", "app/consensus/state", recording.last)
     assert [row["k"] for _, row in rows] == list(range(61))
-    assert recording.config() is not None
+    assert recording.config is not None
 
 
 def test_a_torn_file_shows_what_is_whole_and_names_the_rest(run: Path, tmp_path: Path) -> None:

@@ -1,0 +1,27 @@
+"""Values as any reader of JSON takes them."""
+
+import math
+
+DEPTH = 12
+"""Levels of nesting; msgpack allows a thousand, which would end in a RecursionError."""
+
+
+def plain(value: object, longest: int | None = None, depth: int = 0) -> object:
+    """What `json.dumps` takes: no bytes (their hex, of the first `longest` ones), no endless depth, no NaN (which is no
+    JSON)."""
+    if isinstance(value, dict):
+        return {str(name): plain(item, longest, depth + 1) for name, item in cut(value, depth)}
+    if isinstance(value, list):
+        return [plain(item, longest, depth + 1) for _, item in cut(value, depth)]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, bytes):
+        return value[:longest].hex()
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+def cut(value: dict[object, object] | list[object], depth: int) -> list[tuple[object, object]]:
+    """What a map or a list holds, by name or place; dots where it is too deep."""
+    if depth >= DEPTH:
+        return [("...", "...")] if value else []
+    return list(value.items() if isinstance(value, dict) else enumerate(value))
