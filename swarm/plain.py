@@ -11,7 +11,7 @@ def plain(value: object, longest: int | None = None, depth: int = 0) -> object:
     JSON)."""
     if isinstance(value, dict):
         return {str(name): plain(item, longest, depth + 1) for name, item in cut(value, depth)}
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [plain(item, longest, depth + 1) for _, item in cut(value, depth)]
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
@@ -20,8 +20,8 @@ def plain(value: object, longest: int | None = None, depth: int = 0) -> object:
     return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
-def cut(value: dict[object, object] | list[object], depth: int) -> list[tuple[object, object]]:
-    """What a map or a list holds, by name or place; dots where it is too deep."""
+def cut(value: dict[object, object] | list[object] | tuple[object, ...], depth: int) -> list[tuple[object, object]]:
+    """What a map, a list or a tuple holds, by name or place; dots where it is too deep."""
     if depth >= DEPTH:
         return [("...", "...")] if value else []
     return list(value.items() if isinstance(value, dict) else enumerate(value))

@@ -57,6 +57,7 @@ def test_the_values_are_those_of_the_run(recording: Recording) -> None:
     }
     rows = recording.history("r0", "app/consensus/state", recording.last)
     assert [row["k"] for _, row in rows] == list(range(61))
+    assert all(isinstance(topics["mesh/links"]["links"], list) for topics in page.values())
     assert recording.config is not None
 
 
