@@ -45,6 +45,7 @@ class Simulation:
         """End it; its recordings are complete then."""
         if self.process.poll() is None:
             self.process.terminate()
+        if self.process.stdout is not None and not self.process.stdout.closed:
             self.process.communicate()
 
     def trajectory(self, robot: str, app: str = "consensus") -> Trajectory:
