@@ -19,7 +19,9 @@ PICTURE = """(() => {
   const canvas = document.querySelector("#front canvas");
   const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
   let red = 0;
-  for (let i = 0; i < data.length; i += 4) red += data[i] > 150 && data[i + 1] < 90 && data[i + 2] < 90 && data[i + 3] > 200;
+  for (let i = 0; i < data.length; i += 4) {
+    red += data[i] > 150 && data[i + 1] < 90 && data[i + 2] < 90 && data[i + 3] > 200;
+  }
   return red;
 })()"""
 """How many pixels are in the colour of what is bad."""
