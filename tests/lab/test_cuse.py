@@ -5,9 +5,10 @@ import os
 import struct
 
 import pytest
-from cuse import Call, Cuse, Done, Opcode, Piece, Retry
 from hypothesis import given
 from hypothesis import strategies as st
+
+from lab.i2c.cuse import Call, Cuse, Done, Opcode, Piece, Retry
 
 INIT = bytes.fromhex("38000000 00100000 0100000000000000 0000000000000000 00000000 00000000 00000000 00000000") + (
     bytes.fromhex("07000000 29000000 00000000 01000000")

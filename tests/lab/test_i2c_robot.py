@@ -1,12 +1,13 @@
 """The robot behind the device file, under virtual time: each ordered fault is what the kernel would report."""
 
 import errno
+import json
 import random
 
 import pytest
-from i2c_dev import Message
-from i2c_robot import ANY, RobotAdapter
 
+from lab.i2c.ioctls import Message
+from lab.i2c.robot import ANY, RobotAdapter
 from services.balancer.core import balboa, imu
 from services.balancer.core.body import body_model
 from services.balancer.i2c import NOBODY
@@ -14,6 +15,7 @@ from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import NO_ERRORS, SimulatedRobot
 from services.sim.i2c import SimulatedBus
 from swarm.config.types import Body
+from swarm.errors import LocalError
 
 WHO = [Message(imu.ADDRESS, bytes((imu.WHO_AM_I,))), Message(imu.ADDRESS, read=1)]
 VERSION = [Message(balboa.ADDRESS, bytes((balboa.VERSION,))), Message(balboa.ADDRESS, read=1)]
@@ -104,3 +106,13 @@ def test_the_motors_stop_on_a_dead_bus(rig: Rig) -> None:
     rig.fails(WHO, errno.ETIMEDOUT)
     rig.robot.atmega.advance(rig.now)
     assert rig.robot.atmega.motors == (0.0, 0.0)
+
+
+def test_faults_are_ordered_as_json_has_them(rig: Rig) -> None:
+    rig.adapter.faults.order({"nack": {"107": 1}, "stuck": False})
+    assert rig.adapter.report()["faults"]["nack"] == {imu.ADDRESS: 1}
+    rig.fails(WHO, errno.EREMOTEIO)
+    rig.works()
+    with pytest.raises(LocalError, match="faults: nak unknown; there are corrupt, mask, nack"):
+        rig.adapter.faults.order({"nak": {}})
+    assert json.loads(json.dumps(rig.adapter.report()))["failed"] == 1

@@ -4,12 +4,13 @@ when, and what comes back."""
 import errno
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
-from i2c_dev import Message
-
+from lab.i2c.ioctls import Message
 from services.sim.core.devices import NOBODY
 from services.sim.i2c import SimulatedBus
+from swarm.errors import LocalError
 
 ANY = 0
 """In place of an address: whichever device is spoken to."""
@@ -32,13 +33,23 @@ class Faults:
     stuck: bool = False
     """SDA is held by something that no clock pulse frees (110)."""
 
+    def order(self, wanted: dict[str, Any]) -> None:
+        """Set fields, as JSON has them: addresses as text."""
+        names = {each.name for each in fields(self)}
+        if unknown := set(wanted) - names:
+            raise LocalError(f"faults: {', '.join(sorted(unknown))} unknown; there are {', '.join(sorted(names))}")
+        for name, value in wanted.items():
+            counts = {int(address): count for address, count in value.items()} if isinstance(value, dict) else value
+            setattr(self, name, counts)
+
 
 class RobotAdapter:
-    """See the module; an `i2c_dev.Adapter`."""
+    """See the module; an `ioctls.Adapter`."""
 
     def __init__(self, bus: SimulatedBus, clock: Callable[[], float], wait: Callable[[float], None]) -> None:
         """`wait` lets time pass on the wire, s."""
         self.faults = Faults()
+        """Ordered by whoever tests."""
         self.timeout_s = 1.0
         """The kernel's own default."""
         self.transfers = self.failed = 0
@@ -59,6 +70,21 @@ class RobotAdapter:
             left = max(takes, self._bus.untimed() - before) - (self._clock() - began)
             if left > 0.0:
                 self._wait(left)
+
+    def report(self) -> dict[str, Any]:
+        """How the robot and its bus are now."""
+        robot = self._bus.robot
+        robot.atmega.advance(self._clock())
+        return {
+            "tilt": robot.body.tilt,
+            "held": robot.body.held,
+            "motors": robot.atmega.motors,
+            "sda_held": robot.sda_held,
+            "transfers": self.transfers,
+            "failed": self.failed,
+            "timeout_s": self.timeout_s,
+            "faults": asdict(self.faults),
+        }
 
     def _message(self, message: Message) -> bytes:
         faults, address = self.faults, message.address

@@ -8,7 +8,7 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
-from cuse import Call, Done, Piece, Retry
+from lab.i2c.cuse import Call, Done, Piece, Retry
 
 
 class Command(IntEnum):
@@ -75,14 +75,14 @@ class Adapter(Protocol):
 
 
 class I2CDevice:
-    """See the module; a `Device` for `cuse.Cuse`."""
+    """See the module; a `Device` for `lab.i2c.cuse.Cuse`."""
 
     def __init__(self, adapter: Adapter) -> None:
         self._adapter = adapter
         self._addresses: dict[int, int] = {}
 
     def ioctl(self, call: Call) -> Retry | Done:
-        """One ioctl; see `cuse.Device`."""
+        """One ioctl; see `lab.i2c.cuse.Device`."""
         match call.command:
             case Command.RDWR:
                 return self._messages(call)
@@ -107,7 +107,7 @@ class I2CDevice:
         return Done()
 
     def close(self, handle: int) -> None:
-        """See `cuse.Device`."""
+        """See `lab.i2c.cuse.Device`."""
         self._addresses.pop(handle, None)
 
     def _messages(self, call: Call) -> Retry | Done:

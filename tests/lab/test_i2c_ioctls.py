@@ -4,10 +4,11 @@ import errno
 import struct
 
 import pytest
-from cuse import Call, Done, Piece, Retry
 from hypothesis import given
 from hypothesis import strategies as st
-from i2c_dev import FUNCTIONALITY, I2CDevice, Message
+
+from lab.i2c.cuse import Call, Done, Piece, Retry
+from lab.i2c.ioctls import FUNCTIONALITY, I2CDevice, Message
 
 
 class Memory:
