@@ -29,6 +29,7 @@ SHARE_S = 0.6
 
 BY_SSH, BY_MESH = "ssh", "mesh"
 
+_LOST = {"gone": "the mesh has lost it", "left": "its mesh was stopped"}
 _LOOK_EVERY_S = 0.25
 _FIRST_S = 20.0
 """s that the first connection may take; ssh gives up a robot that does not answer after 10."""
@@ -143,7 +144,7 @@ class Robots:
         members = self.picture.newest(eye, "mesh/members") if eye is not None else None
         for member in members.get("members") or () if isinstance(members, dict) else ():
             if isinstance(member, dict) and member.get("robot") == name:
-                return {"gone": "the mesh has lost it", "left": "its mesh was stopped"}.get(str(member.get("state")), "")
+                return _LOST.get(str(member.get("state")), "")
         return ""
 
     # -- what robots say, in the threads of the tunnels --------------------------------------------------------

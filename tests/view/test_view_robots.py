@@ -31,6 +31,7 @@ FAR = """shift; shift; echo $$ >> $HOME/started
 SWARM_RUNTIME={runtime} exec {python} "$@"
 """
 RED = Leds(1.0, red=True, yellow=False, green=False)
+MESH = "[mesh]\ninsecure = true\nheartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n"
 LINE = '[topology]\nshape = "line"\n'
 
 
@@ -48,7 +49,8 @@ class Swarm:
 
     def add(self, name: str, *, ssh: bool = True, bus: bool = True, **options: Any) -> None:
         (self.runtime / name).mkdir()
-        home = self.far.add(name, hook=f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}", up=ssh, **options)  # noqa: E501, PTH109
+        hook = f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}"  # noqa: PTH109
+        home = self.far.add(name, hook=hook, up=ssh, **options)
         self.far.script(name, "sudo", FAR.format(python=sys.executable, runtime=self.runtime / name))
         if bus:
             self.start_bus(name)
@@ -70,11 +72,15 @@ class Swarm:
         names = list(self.buses)
         text = "".join(f'[[robots]]\nname = "{name}"\nlink = "sim:{self.runtime}/{name}/mesh.sock"\n' for name in names)
         config = self.runtime / "robots.toml"
-        config.write_text(f'network = "test"\n{LINE}{text}[mesh]\ninsecure = true\nheartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n')  # noqa: E501
+        config.write_text(f'network = "test"\n{LINE}{text}{MESH}')
         for name in names:
             self.meshes[name] = self.processes.start(
-                "-m", "services.mesh", SWARM_ROBOT=name, SWARM_RUNTIME=str(self.runtime / name), SWARM_CONFIG=str(config)
-            )  # fmt: skip
+                "-m",
+                "services.mesh",
+                SWARM_ROBOT=name,
+                SWARM_RUNTIME=str(self.runtime / name),
+                SWARM_CONFIG=str(config),
+            )
 
     def view(self, *names: str) -> Robots:
         self.far.ready()
