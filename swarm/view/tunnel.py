@@ -25,6 +25,7 @@ RETRY_S = (1.0, 2.0, 5.0)
 _CLIENT_FAILED = 255
 _OLD_RELEASE = "No module named swarm.fleet.lookout"
 _LONGEST_ERROR = 4000
+_END_S = 2.0
 _LARGEST = 4 << 20
 """bytes that a robot may say at once; the largest message that a bus takes is a quarter of that."""
 
@@ -101,9 +102,10 @@ class Tunnel:
             heard, problem = False, ""
             try:
                 heard, problem = self._read(process.stdout)
+                if problem:
+                    process.terminate()
             finally:
-                process.terminate()
-                code = process.wait()
+                code = _end(process)
                 with self._lock:
                     self._process = None
                     process.stdin.close()
@@ -143,3 +145,12 @@ class Tunnel:
         if _OLD_RELEASE in err:
             return "its release is older than this program: swarm deploy"
         return last_words(err) or f"its lookout has ended (exit code {code})"
+
+
+def _end(process: subprocess.Popen[bytes]) -> int:
+    """Its exit code: the connection has ended, or was told to."""
+    try:
+        return process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
