@@ -5,6 +5,7 @@ import os
 import random
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 
 from services.mesh import keep
@@ -20,6 +21,7 @@ from services.mesh.door import Door
 from services.mesh.links.pipe import describe
 from services.mesh.network import Network
 from services.mesh.runner import Runner
+from services.mesh.tell import Tell
 from swarm import clock, service
 from swarm.codec import MAX_BINARY
 from swarm.config import Config
@@ -55,7 +57,8 @@ _log = logging.getLogger("mesh")
 class _Mesh(Runner):
     """A runner that publishes its links and keeps the topology; the newest state is always the last one."""
 
-    def __init__(self, node: Node, network: Network, service: Service) -> None:
+    def __init__(self, node: Node, network: Network, service: Service, heard: Callable[[str, bytes], None]) -> None:
+        """`heard(key, payload)` gets what came in, besides the bus."""
         super().__init__(
             node,
             listeners=network.listeners,
@@ -67,6 +70,7 @@ class _Mesh(Runner):
         self._service = service
         self._bus = service.bus
         self._counters = service.counters
+        self._heard = heard
         self._links_key = key(service.robot, "mesh", "links")
         self._clock_key = key(service.robot, "mesh", "clock")
         self._topology_key = key(service.robot, "mesh", "topology")
@@ -88,6 +92,7 @@ class _Mesh(Runner):
             self._service.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
     def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
+        self._heard(key, payload)
         if len(payload) <= MAX_BINARY:
             self._bus.publish(key, payload, urgent=urgent)
         else:
@@ -115,14 +120,18 @@ def main() -> None:
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
-        mesh = _Mesh(node, network, this)
+        tell = Tell(this.robot, len(this.config.names), this.runtime)
+        mesh = _Mesh(node, network, this, tell.heard)
         Door(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
+        tell.begin(this.bus, mesh)
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):
             mesh.report()
+            tell.step()
             if mesh.turned():
                 this.watchdog()
+        tell.close()
         mesh.stop()
         network.close()
 

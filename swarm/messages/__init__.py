@@ -75,6 +75,8 @@ from swarm.messages.mesh import (
     Topology,
     TopologyRequest,
     TopologySet,
+    View,
+    Watch,
 )
 from swarm.messages.service import Status
 from swarm.messages.sim import LedChange, Truth
@@ -144,6 +146,8 @@ __all__ = [
     "Truth",
     "Uwb",
     "UwbRange",
+    "View",
+    "Watch",
     "read",
     "type_of",
 ]

@@ -203,6 +203,28 @@ class Stopped:
 
 
 @dataclass(frozen=True, slots=True)
+class Watch:
+    """Somebody watches the swarm through a robot: on `swarm/<robot>/mesh/set/watch`, again before the time is over.
+    Its mesh floods it as `swarm/<robot>/mesh/watch`, and all others send it a `View` a second meanwhile."""
+
+    t: float
+    seconds: float
+    """For how long, at most 60."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a robot tells of itself to one that is watched through, on `swarm/<robot>/mesh/view` there."""
+
+    t: float
+    services: dict[str, str]
+    """Services that have been there since somebody watches: `gone`, or their state (`degraded: no anchors`), or `here`
+    where they have not told it."""
+    values: dict[str, bytes]
+    """By topic (`dwm/pose`), the newest message of that key as msgpack, with a few of its fields."""
+
+
+@dataclass(frozen=True, slots=True)
 class GraphRobot:
     """A robot as `mesh/graph` shows it."""
 
@@ -356,5 +378,8 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "topology_set"): TopologySet,
     ("mesh", "set/topology"): TopologyRequest,
     ("mesh", "set/echo"): EchoRequest,
+    ("mesh", "set/watch"): Watch,
+    ("mesh", "watch"): Watch,
+    ("mesh", "view"): View,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -1,7 +1,6 @@
 """The page in a real browser, with a real simulation behind it."""
 
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browsing import PATIENCE_MS, chromium, seek, shown, until
 from virtual_run import recorded
 
 from bench.simulation import Simulation
@@ -17,39 +17,13 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-PATIENCE_MS = 30_000
 LOST_WITHIN_MS = 2_000
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(300),
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
-
-
-class View:
-    """`swarm view` of a simulation."""
-
-    def __init__(self, simulation: Simulation, *options: str) -> None:
-        command = [
-            sys.executable,
-            "-m",
-            "swarm.cli",
-            "view",
-            "--no-open",
-            "--run-dir",
-            str(simulation.run_dir),
-            *options,
-        ]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
-        self.address = self.process.stdout.readline().strip()
-
-    def close(self) -> None:
-        self.process.terminate()
-        self.process.communicate(timeout=10)
 
 
 @pytest.fixture(scope="module")
@@ -61,35 +35,14 @@ def simulation() -> Iterator[Simulation]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture
 def page(browser: Any, simulation: Simulation, request: pytest.FixtureRequest) -> Iterator[Any]:
-    view = View(simulation, *getattr(request, "param", ()))
-    page = browser.new_page(viewport={"width": 1400, "height": 1000})
-    problems: list[str] = []
-    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
-    page.on("pageerror", lambda error: problems.append(str(error)))
-    page.view = view
-    page.goto(view.address)
-    yield page
-    page.close()
-    view.close()
-    # A server that the test has ended is complained of by the browser; nothing else may be.
-    assert [text for text in problems if "WebSocket" not in text] == []
-
-
-def until(page: Any, condition: str) -> None:
-    """Wait for a condition of the page; its policy forbids the browser's own way, which is `eval`."""
-    for _ in range(PATIENCE_MS // 50):
-        if page.evaluate(condition):
-            return
-        page.wait_for_timeout(50)
-    pytest.fail(f"never: {condition}")
+    with shown(browser, "--run-dir", simulation.run_dir, *getattr(request, "param", ())) as page:
+        yield page
 
 
 def row(page: Any, robot: str) -> Any:
@@ -174,21 +127,9 @@ def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> N
 
 def test_a_recording_is_scrubbed_to_an_instant(browser: Any, tmp_path: Path) -> None:
     recorded(tmp_path, "consensus", "--robots", "3", "--iterations", "200")
-    program = [sys.executable, "-m", "swarm.cli", "view", "--no-open", str(tmp_path)]
-    process = subprocess.Popen(program, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        page = browser.new_page()
-        page.goto(process.stdout.readline().strip())
-        expect(page.locator("#player")).to_be_visible(timeout=PATIENCE_MS)
-        page.locator("#time").fill("3")
-        until(page, "swarmView.store.t === 3")
+    with shown(browser, tmp_path) as page:
+        seek(page, 3)
         k = page.evaluate("swarmView.store.get('r1', 'app/consensus/state').k")
         assert k == pytest.approx(98, abs=5)  # 30 ms an iteration
-        page.locator("#time").fill("0.9")
-        until(page, "swarmView.store.t === 0.9")
+        seek(page, 0.9)
         assert page.evaluate("swarmView.store.get('r1', 'app/consensus/state').k") == pytest.approx(28, abs=5)
-        page.close()
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)

@@ -181,7 +181,7 @@ class Overlays:
             return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
         if service == "mesh" and topic in ("digest", "halt", "topology"):
             return robot == peer
-        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped")):
+        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped"), ("mesh", "watch")):
             return True
         return _is_app_flood(service, topic) or self._admits_flood(key)
 
@@ -383,7 +383,7 @@ class Overlays:
             chunks = topic.split("/")
             if len(chunks) == 3 and chunks[1:] == ["send", self.me] and is_name(chunks[0]):
                 return True
-        return self._admits_unicast(sender, key)
+        return (robot, service, topic) == (sender, "mesh", "view") or self._admits_unicast(sender, key)
 
 
 def _is_app_flood(service: str, topic: str) -> bool:

@@ -1,11 +1,13 @@
 // Joins the page's parts: the connection to the server, the store, map, table, events, keys, charts, hands.
 
 import { Charts } from "./charts.js";
+import { Front } from "./front.js";
 import { Hands } from "./hands.js";
 import { SwarmMap } from "./map.js";
 import { Events, Keys, Robots } from "./panels.js";
 import { Player } from "./player.js";
 import { Store } from "./store.js";
+import { theme } from "./theme.js";
 
 const SILENCE_MS = 1500; // the server speaks 25 times a second, 5 for a crowd
 const RETRY_MS = 500;
@@ -23,6 +25,7 @@ const ask = (question) => {
 };
 const charts = new Charts(find("#charts"), store, ask);
 const map = new SwarmMap(find("#map canvas"), store, select);
+const front = new Front(find("#front"), store, select);
 const robots = new Robots(find("#robots tbody"), store, select);
 const events = new Events(find("#events ol"));
 const keys = new Keys(find("#keys"), store, (topic, path) => charts.open(topic, path));
@@ -49,10 +52,12 @@ function connect() {
     if (first || replaced) {
       const swarm = first ? null : store.swarm;
       store.clear();
-      store.swarm = swarm;
+      store.become(swarm);
       events.clear();
+      front.clear();
     }
     store.take(step, heard);
+    front.take(step);
     charts.take(step);
     if (first || replaced) charts.refill();
     first = false;
@@ -63,9 +68,10 @@ function connect() {
 // In its own rhythm: the table need not be drawn as often as the map.
 setInterval(() => {
   const connection = find("#connection"), silent = performance.now() - heard > SILENCE_MS;
-  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : ["the simulation has ended", "warn"];
+  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the simulation has ended", "warn"];
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
   find("#kind").textContent = store.swarm ? `${store.swarm.kind}, ${store.names.length} robots` : "";
+  front.draw(selected);
   robots.draw(selected);
   events.draw(store.events);
   keys.draw();
@@ -74,15 +80,14 @@ setInterval(() => {
   charts.draw(performance.now());
 }, PANELS_MS);
 
-const theme = (name) => {
-  document.documentElement.dataset.theme = name;
+theme.set(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+find("#theme").addEventListener("click", () => {
+  theme.toggle();
   charts.restyle();
-};
-theme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
-find("#theme").addEventListener("click", () => theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
+});
 
 // For whoever measures: pictures drawn, and how old the newest sample is.
-window.swarmView = { store, map, get frames() { return map.frames; } };
+window.swarmView = { store, map, front, get frames() { return map.frames; } };
 connect();
 
 // For a screenshot, which is taken when all has been loaded.

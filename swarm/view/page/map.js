@@ -1,5 +1,7 @@
 // The map: metres, anchors, robots, links, targets. Drawn on a canvas, a picture for each frame of the screen.
 
+import { sharp, theme } from "./theme.js";
+
 const BODY = 0.055; // half a Balboa's width, m
 const ROBOTS_WITH_TRAILS = 60;
 const BUSY = 10; // messages a second above which a link no longer flashes
@@ -16,10 +18,6 @@ export class SwarmMap {
     this.context = canvas.getContext("2d");
     this.listen();
     requestAnimationFrame((now) => this.draw(now));
-  }
-
-  colour(name) {
-    return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   }
 
   // Everything that has a place.
@@ -65,22 +63,21 @@ export class SwarmMap {
 
   draw(now) {
     requestAnimationFrame((next) => this.draw(next));
-    const ratio = window.devicePixelRatio || 1, canvas = this.canvas;
-    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
-    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
-    if (!width || !height) return;
+    const ratio = sharp(this.canvas);
+    if (!ratio) return;
+    const { width, height } = this.canvas;
     this.frames += 1;
     const view = this.view ?? this.fit(now), c = this.context;
     this.shown = view;
     this.ratio = ratio;
     c.setTransform(1, 0, 0, 1, 0, 0);
-    c.fillStyle = this.colour("--panel");
+    c.fillStyle = theme.colour("--panel");
     c.fillRect(0, 0, width, height);
     this.at = (x, y) => [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
     c.font = `${12 * ratio}px system-ui, sans-serif`;
     this.grid(c, width, height, view);
     for (const anchor of this.store.swarm?.anchors ?? []) this.anchor(c, anchor);
-    for (const [a, b] of this.store.swarm?.edges ?? []) this.link(c, a, b, now);
+    for (const [a, b] of this.store.edges) this.link(c, a, b, now);
     const names = this.store.names;
     if (names.length <= ROBOTS_WITH_TRAILS) for (const name of names) this.trail(c, name);
     for (const target of this.targets()) this.target(c, target);
@@ -90,8 +87,8 @@ export class SwarmMap {
   grid(c, width, height, view) {
     const steps = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
     const step = steps.find((each) => each * view.scale >= 60 * this.ratio) ?? 1000;
-    c.strokeStyle = this.colour("--line");
-    c.fillStyle = this.colour("--faint");
+    c.strokeStyle = theme.colour("--line");
+    c.fillStyle = theme.colour("--faint");
     c.lineWidth = 1;
     c.beginPath();
     const left = view.x - width / 2 / view.scale, bottom = view.y - height / 2 / view.scale;
@@ -110,7 +107,7 @@ export class SwarmMap {
 
   anchor(c, anchor) {
     const [x, y] = this.at(anchor.x, anchor.y), size = 6 * this.ratio;
-    c.fillStyle = this.colour("--faint");
+    c.fillStyle = theme.colour("--faint");
     c.beginPath();
     c.moveTo(x, y - size); c.lineTo(x + size, y + size); c.lineTo(x - size, y + size);
     c.fill();
@@ -122,7 +119,7 @@ export class SwarmMap {
     if (!from || !to) return;
     const link = this.store.link(a, b), state = link?.state;
     const colours = { up: "--good", suspect: "--warn", connecting: "--warn", down: "--bad" };
-    c.strokeStyle = this.colour(colours[state] ?? "--faint");
+    c.strokeStyle = theme.colour(colours[state] ?? "--faint");
     c.lineWidth = this.ratio * (1.2 + Math.min(4, Math.log10(1 + (link?.rate ?? 0) / 50)));
     c.setLineDash(state === "up" ? [] : [6 * this.ratio, 5 * this.ratio]);
     const [ax, ay] = this.at(from.x, from.y), [bx, by] = this.at(to.x, to.y);
@@ -132,7 +129,7 @@ export class SwarmMap {
       const flash = this.store.flashes.get(edge), age = flash ? now - flash.at : 1e9;
       if (!flash || age > FLASH_MS || flash.rate > BUSY) continue;
       const share = age / FLASH_MS;
-      c.fillStyle = this.colour("--accent");
+      c.fillStyle = theme.colour("--accent");
       c.beginPath(); c.arc(x0 + share * (x1 - x0), y0 + share * (y1 - y0), 4 * this.ratio, 0, 7); c.fill();
     }
   }
@@ -174,7 +171,7 @@ export class SwarmMap {
     if (!place) return;
     const [x, y] = this.at(place.x, place.y), size = Math.max(8 * this.ratio, BODY * this.shown.scale);
     const services = Object.values(this.store.services[name] ?? {});
-    const gone = services.length && services.every((there) => !there);
+    const gone = (services.length && services.every((there) => !there)) || this.store.get(name, "view/reach")?.by === null;
     const estimate = this.store.get(name, "dwm/pose");
     if (typeof estimate?.deviation_x === "number") {
       this.ellipse(c, estimate.x, estimate.y, 2 * estimate.deviation_x, 2 * (estimate.deviation_y ?? estimate.deviation_x), this.store.colour(name));
@@ -183,7 +180,7 @@ export class SwarmMap {
     c.translate(x, y);
     c.globalAlpha = gone ? 0.3 : 1;
     if (name === this.selected) {
-      c.strokeStyle = this.colour("--accent");
+      c.strokeStyle = theme.colour("--accent");
       c.lineWidth = 3 * this.ratio;
       c.beginPath(); c.arc(0, 0, size * 1.6, 0, 7); c.stroke();
     }
@@ -194,17 +191,17 @@ export class SwarmMap {
     c.fillStyle = this.store.colour(name);
     c.beginPath(); c.roundRect(-length, -size, 2 * length, 2 * size, 3 * this.ratio); c.fill();
     if (place.heading !== null) {
-      c.strokeStyle = this.colour("--ink");
+      c.strokeStyle = theme.colour("--ink");
       c.lineWidth = 2 * this.ratio;
       c.beginPath(); c.moveTo(0, 0); c.lineTo(size * 1.5, 0); c.stroke();
     }
     c.restore();
     const leds = this.store.get(name, "sim/leds") ?? this.store.get(name, "balancer/leds") ?? {};
     ["red", "yellow", "green"].forEach((colour, index) => {
-      c.fillStyle = leds[colour] ? { red: "#ff3b30", yellow: "#ffcc00", green: "#34c759" }[colour] : this.colour("--line");
+      c.fillStyle = leds[colour] ? { red: "#ff3b30", yellow: "#ffcc00", green: "#34c759" }[colour] : theme.colour("--line");
       c.beginPath(); c.arc((index - 1) * size * 0.62, -size * 1.45, size * 0.26, 0, 7); c.fill();
     });
-    c.fillStyle = this.colour("--ink");
+    c.fillStyle = theme.colour("--ink");
     c.fillText(name, size * 1.2, size * 1.4);
     c.restore();
   }

@@ -2,10 +2,13 @@
 
 export const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#8a5ad6", "#7a7a7a"]; // told apart by the colour-blind too (Okabe, Ito 2008)
 const TRAIL = 300; // places
+const BADNESS = ["up", "suspect", "connecting", "down"];
+const SLOWER = 3; // times its shortest round trip of the last minute
+const SLOWER_S = 0.02;
+const QUEUE = 4096; // bytes
 
 export class Store {
   constructor() {
-    this.listeners = new Set();
     this.clear();
   }
 
@@ -13,6 +16,10 @@ export class Store {
     this.t = 0;
     this.live = false;
     this.swarm = null;
+    this.apps = new Map(); // name -> [topic of a state of an app, ...], e.g. "app/consensus"
+    this.edges = []; // [[a, b], ...]: links that are to be, as the newest topology has them
+    this.topology = -1; // its version
+    this.links = new Map(); // "r0 r1" -> link(); forgotten when a robot tells of its links
     this.robots = new Map(); // name -> Map(topic -> value)
     this.services = {};
     this.events = [];
@@ -22,9 +29,9 @@ export class Store {
     this.places = new Map(); // name -> {from, to, at}: drawn between two samples
   }
 
-  // One message of the server. Returns the topics that are new, by robot.
+  // One message of the server.
   take(step, now) {
-    if (step.swarm !== undefined) this.swarm = step.swarm;
+    if (step.swarm !== undefined) this.become(step.swarm);
     if (step.services) this.services = step.services;
     this.t = step.t;
     this.live = step.live;
@@ -32,7 +39,12 @@ export class Store {
     for (const [name, topics] of Object.entries(step.robots ?? {})) {
       if (!this.robots.has(name)) this.robots.set(name, new Map());
       const known = this.robots.get(name);
-      for (const [topic, value] of Object.entries(topics)) known.set(topic, value);
+      for (const [topic, value] of Object.entries(topics)) {
+        if (!known.has(topic)) this.index(name, topic);
+        known.set(topic, value);
+      }
+      if (topics["mesh/links"]) this.links.clear();
+      if (topics["mesh/topology"]) this.rewire(topics["mesh/topology"]);
       if (topics["sim/truth"] || topics["dwm/pose"]) this.move(name, now);
     }
     if (step.events) this.events = [...this.events, ...step.events].slice(-500);
@@ -46,7 +58,33 @@ export class Store {
         } else if (before.seen === now) this.flashes.set(edge, before);
       }
     }
-    for (const listener of this.listeners) listener(step);
+  }
+
+  // What does not move.
+  become(swarm) {
+    this.swarm = swarm;
+    if (swarm && this.topology < 0) this.edges = swarm.edges;
+  }
+
+  index(name, topic) {
+    const app = /^(app\/.+)\/state$/.exec(topic)?.[1];
+    if (app) this.apps.set(name, [...(this.apps.get(name) ?? []), app]);
+  }
+
+  // The links may be changed while the swarm runs.
+  rewire({ version, edges }) {
+    if (!(version > this.topology) || !Array.isArray(edges)) return;
+    this.topology = version;
+    this.edges = edges;
+  }
+
+  neighbours(name) {
+    return this.edges.filter((edge) => edge.includes(name)).map(([a, b]) => (a === name ? b : a));
+  }
+
+  // Apps that count iterations, by the topics of their states.
+  locksteps() {
+    return [...new Set([...this.apps.values()].flat())].filter((app) => this.names.some((name) => typeof this.get(name, `${app}/state`)?.k === "number")).sort();
   }
 
   get names() {
@@ -94,12 +132,22 @@ export class Store {
 
   // State of a link as both ends see it: the worse of the two.
   link(a, b) {
-    const order = ["up", "suspect", "connecting", "down"];
+    const name = `${a} ${b}`;
+    if (!this.links.has(name)) this.links.set(name, this.judge(a, b));
+    return this.links.get(name);
+  }
+
+  judge(a, b) {
     const seen = [[a, b], [b, a]].map(([from, to]) => this.get(from, "mesh/links")?.links?.find((each) => each.peer === to));
     const known = seen.filter(Boolean);
     if (!known.length) return null;
-    const state = known.map((each) => each.state).sort((x, y) => order.indexOf(y) - order.indexOf(x))[0];
+    const state = known.map((each) => each.state).sort((x, y) => BADNESS.indexOf(y) - BADNESS.indexOf(x))[0];
     const rate = Math.max(...known.map((each) => each.sent_rate ?? 0));
-    return { state, rate, rtt: known[0].rtt };
+    return { state, rate, rtt: known[0].rtt, slow: known.some(slow) };
   }
+}
+
+// A link that is up and takes much longer than it could, or has more waiting than it may have on the way.
+function slow({ rtt, rtt_min: least, queue, window }) {
+  return (typeof rtt === "number" && typeof least === "number" && rtt > SLOWER * least + SLOWER_S) || queue > Math.max(window ?? 0, QUEUE);
 }
