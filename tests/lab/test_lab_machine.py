@@ -6,6 +6,7 @@ import pytest
 
 from lab.vm.machine import PLAIN, Machine, MachineError
 
+pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(400)]
 
 
