@@ -12,6 +12,7 @@ from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Cut, Options, Press
 from services.sim.orders import Orders
+from services.sim.power import Power
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
@@ -63,6 +64,7 @@ class Run:
         self._monitor = Monitor(run_dir, names, scenario.app)
         self._orders = Orders(run_dir, self._processes, names, self._start_app)
         self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
+        self._power = Power(run_dir, names, self._processes)
 
     def __enter__(self) -> "Run":
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -80,6 +82,7 @@ class Run:
         self._monitor.close()
         self._processes.stop()
         self._world.close()
+        self._power.close()
         self._progress.close()
 
     def watch(self) -> Outcome:
@@ -90,6 +93,7 @@ class Run:
         asked = 0.0
         while not self._stop:
             now = clock.now()
+            self._power.look(now)
             for child in self._processes.supervise(now):
                 # An app has named its fault on the bus; else the end of the log is all there is.
                 reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"

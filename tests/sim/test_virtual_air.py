@@ -36,11 +36,12 @@ class FakeMesh:
     def dial_failed(self, peer, reason):
         self.failed.append((self.time.now, peer))
 
-    def receive(self, end, data):
-        self.heard.append((self.time.now, data))
-
-    def transport_down(self, end):
-        self.down.append(self.time.now)
+    def receive(self, chunks):
+        for _, data in chunks:
+            if data:
+                self.heard.append((self.time.now, data))
+            else:
+                self.down.append(self.time.now)
 
 
 class Pair:

@@ -140,9 +140,11 @@ class LinkState:
 
     def settle(self, links: Mapping[str, int], others: Mapping[str, "Known"], now: float) -> None:
         """Begin in a swarm that has been there for long: the others have an LSA with these links of ours (one-way
-        times, 0.1 ms) already, and we have theirs. Large simulations begin so (docs/simulation.md)."""
+        times, 0.1 ms) already, and we have theirs; what `others` has of ourselves is left out. Large simulations begin
+        so (docs/simulation.md)."""
         self._settled = dict(links)
         self._known = dict(others)
+        self._known.pop(self._me, None)
         self._refresh_at = now + REFRESH * (0.9 + 0.2 * self._random())
         self._oldest_at = now + MAX_AGE
         self._changed()

@@ -38,7 +38,7 @@ class Membership:
 
     def __init__(self, me: str, robots: Collection[str]) -> None:
         self._me = me
-        self._members = {name: _State(NEVER, 0, 0.0) for name in sorted(robots) if name != me}
+        self._members = dict.fromkeys(sorted(name for name in robots if name != me), _State(NEVER, 0, 0.0))
         self._told: Mapping[str, Collection[str]] = {}
         """The neighbours that each robot told of."""
         self._routes: Mapping[str, Route] = {}

@@ -21,10 +21,14 @@ SOCKET = 50_000
 UNREACHABLE = "unreachable"
 
 
+Due = dict[float, list["End"]]
+"""What is on the way to a robot: for each moment at which something arrives the ends it was sent from, one a chunk."""
+
+
 class End:
     """One end of a connection, and the way from it to the other."""
 
-    __slots__ = ("alive", "line", "mesh", "other", "session", "socket", "waits")
+    __slots__ = ("alive", "due", "line", "mesh", "other", "session", "socket", "waits")
 
     def __init__(self, mesh: "VirtualMesh", line: DelayLine) -> None:
         self.mesh = mesh
@@ -34,6 +38,8 @@ class End:
         self.session: Session | None = None
         self.alive = True
         """False once this end has closed, or has noticed that the other one has."""
+        self.due: Due = {}
+        """What is on the way to the robot at this end."""
         self.socket: deque[bytes] = deque()
         """Writes that wait for the air."""
         self.waits = False
@@ -47,12 +53,14 @@ class Air:
         self._time = time
         self._model = model
         self._meshes: dict[str, VirtualMesh] = {}
+        self._due: dict[str, Due] = {}
         self.cuts: dict[frozenset[str], float] = {}
         """Until when nothing passes between two robots."""
 
     def add(self, mesh: "VirtualMesh") -> None:
         """A robot that can be dialled."""
         self._meshes[mesh.robot] = mesh
+        self._due[mesh.robot] = {}
 
     def remove(self, mesh: "VirtualMesh") -> None:
         """It can no more."""
@@ -74,7 +82,7 @@ class Air:
             return
         if self._model.bandwidth is None:
             while data := session.data_to_send(now, CHUNK):
-                self._time.at(end.line.push(data, now), self._arrive, end)
+                self._plan(end, end.line.push(data, now))
             return
         while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(now, CHUNK)):
             end.socket.append(data)
@@ -98,6 +106,7 @@ class Air:
             return
         near, far = End(caller, self._line(caller.robot, peer)), End(mesh, self._line(peer, caller.robot))
         near.other, far.other = far, near
+        near.due, far.due = self._due[caller.robot], self._due[peer]
         caller.dialled(peer, near)
         mesh.accepted(far)
 
@@ -118,28 +127,38 @@ class Air:
         self.flush(end)
 
     def _push(self, end: End, data: bytes) -> None:
-        self._time.at(end.line.push(data, self._time.now), self._arrive, end)
+        self._plan(end, end.line.push(data, self._time.now))
+
+    def _plan(self, sender: End, at: float) -> None:
+        """What arrives at a robot in one moment it gets at once: its objects are looked up in memory once for all."""
+        due = sender.other.due
+        senders = due.get(at)
+        if senders is None:
+            due[at] = [sender]
+            self._time.at(at, self._arrive, sender.other.mesh, due, at)
+        else:
+            senders.append(sender)
 
     def _cut_until(self, a: str, b: str) -> float:
         return self.cuts.get(frozenset((a, b)), 0.0) if self.cuts else 0.0
 
-    def _arrive(self, sender: End) -> None:
-        """The oldest chunk on the way from `sender` arrives."""
-        receiver = sender.other
-        if self.cuts:
-            until = self._cut_until(sender.mesh.robot, receiver.mesh.robot)
-            if until > self._time.now:
-                # What follows is planned later for the same moment, so the order stays.
-                self._time.at(until, self._arrive, sender)
-                return
-        data = sender.line.pop()
-        if not receiver.alive:
-            return
-        if data:
-            receiver.mesh.receive(receiver, data)
-        else:
-            receiver.alive = False
-            receiver.mesh.transport_down(receiver)
+    def _arrive(self, mesh: "VirtualMesh", due: Due, at: float) -> None:
+        """The oldest chunks on the way from each of the senders arrive."""
+        chunks = []
+        for sender in due.pop(at):
+            receiver = sender.other
+            if self.cuts:
+                until = self._cut_until(sender.mesh.robot, mesh.robot)
+                if until > self._time.now:
+                    # Whichever call comes first then takes the oldest chunk, so the order stays.
+                    self._plan(sender, until)
+                    continue
+            data = sender.line.pop()
+            if receiver.alive:
+                receiver.alive = bool(data)
+                chunks.append((receiver, data))
+        if chunks:
+            mesh.receive(chunks)
 
 
 def line_of(model: AirModel, sender: str, receiver: str) -> DelayLine:

@@ -3,7 +3,7 @@ node, without threads and sockets."""
 
 import random
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TypeVar
 
@@ -172,17 +172,17 @@ class VirtualMesh:
         self.node.dial_failed(peer, reason, self._time.now)
         self._carry_out()
 
-    def receive(self, end: End, data: bytes) -> None:
-        """Bytes came."""
-        if end.session is not None:
-            self.node.receive(end.session, data, self._time.now)
-            self._carry_out()
-
-    def transport_down(self, end: End) -> None:
-        """The other end has closed."""
-        if end.session is not None:
-            self.node.transport_down(end.session, "closed by the other end", self._time.now)
-            self._carry_out()
+    def receive(self, chunks: Iterable[tuple[End, bytes]]) -> None:
+        """What has come in this moment; b"" where the other end has closed."""
+        node, now = self.node, self._time.now
+        for end, data in chunks:
+            if end.session is None:
+                continue
+            if data:
+                node.receive(end.session, data, now)
+            else:
+                node.transport_down(end.session, "closed by the other end", now)
+        self._carry_out()
 
     def stop(self) -> None:
         """End as the service does on SIGTERM: say goodbye, then close."""

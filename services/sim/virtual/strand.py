@@ -110,6 +110,8 @@ class VirtualStrand:
         keys = f"app/{app}/{part}" if part else f"app/{app}"
         self._state_key, self._progress_key = key(robot, keys, "state"), key(robot, keys, "progress")
         self._shown: tuple[str, int] | None = None
+        self._heard = False
+        """Whether it is planned to do what the frames of this moment call for."""
         self._timer = _NEVER
 
     @property
@@ -132,7 +134,9 @@ class VirtualStrand:
     def receive(self, sender: str, channel: Channel, payload: bytes) -> None:
         """A frame of this run and this strand."""
         self.strand.receive(sender, channel, payload, self._time.now)
-        self._perform()
+        if not self._heard:  # once for all frames that come in one moment
+            self._heard = True
+            self._time.soon(self._perform)
 
     def receive_note(self, sender: str, payload: bytes) -> None:
         """What a robot has to say about the members."""
@@ -207,6 +211,7 @@ class VirtualStrand:
     def _perform(self) -> None:
         """Carry out what the strand wants, in its order."""
         strand = self.strand
+        self._heard = False
         for action in strand.actions():
             if type(action) is Send:
                 to = action.to

@@ -196,9 +196,7 @@ class World:
         others = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
         for name, robot in self.robots.items():
             assert isinstance(robot.mesh, VirtualMesh)
-            robot.mesh.node.overlays.settle(
-                links[name], {other: known for other, known in others.items() if other != name}, self.time.now
-            )
+            robot.mesh.node.overlays.settle(links[name], others, self.time.now)
 
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
