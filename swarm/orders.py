@@ -6,10 +6,11 @@ A datagram to RUN/orders.sock, which the simulation answers: msgpack maps both w
 import socket
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgpack
 
+from swarm.codec import unpack as unpack_value
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import is_name
 from swarm.paths import socket_path
@@ -68,7 +69,7 @@ def pack(order: Order) -> bytes:
 def unpack(datagram: bytes) -> Order:
     """The order in a datagram; `PayloadError` where there is none."""
     try:
-        found = msgpack.unpackb(datagram)
+        found: Any = unpack_value(datagram)
         return check(str(found["act"]), str(found["app"]), [str(name) for name in found["robots"]])
-    except (ValueError, KeyError, TypeError, LocalError) as error:
+    except (PayloadError, KeyError, IndexError, TypeError, LocalError) as error:
         raise PayloadError(f"no order: {error}") from None
