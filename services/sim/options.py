@@ -33,6 +33,17 @@ FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
 """Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
 
+
+@dataclass(frozen=True)
+class Off:
+    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
+
+    robot: str
+    at: float | None
+    """s, counted like a cut's; None: from the beginning."""
+    seconds: float
+
+
 PRESS_S = 0.3
 """How long a button is held down."""
 
@@ -63,6 +74,7 @@ class Options:
     jitter: float
     bandwidth: float | None
     cuts: tuple[Cut, ...]
+    offs: tuple[Off, ...]
     presses: tuple[Press, ...]
     lying: str | None
     """front or back: how robots lie at the start; None: as the app wants it."""
@@ -117,6 +129,18 @@ def cut(text: str) -> Cut:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
     return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
+
+
+def off(text: str) -> Off:
+    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
+    at = None if match[2] == FROM_START else duration(match[2])
+    seconds = duration(match[3])
+    if not seconds > 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
+    return Off(match[1], at, seconds)
 
 
 def press(text: str) -> Press:
@@ -197,6 +221,9 @@ def parser() -> argparse.ArgumentParser:
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
+    radio.add_argument("--off", dest="offs", action="append", type=off, default=[], metavar="r2@5s,10s",
+                       help="under virtual time: switch a robot off 5 s after the first iteration for 10 s; "
+                       "@start: it comes late")  # fmt: skip
     bodies = p.add_argument_group("the bodies")
     bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
                         help="press a button 5 s after the first iteration")  # fmt: skip
@@ -239,12 +266,15 @@ def parse(arguments: list[str]) -> Options:
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
+    if options.offs and not options.virtual:
+        raise ConfigError("--off is for --virtual; of real processes: swarm kill r2 app, swarm kill r2 mesh")
     if options.app is None:
         for given, name in (
             (options.algorithm, "--algorithm"),
             (options.settings, "--set"),
             (options.replay, "--replay"),
             (options.noise, "--noise"),
+            (options.offs, "--off"),
             (options.plot, "--plot"),
         ):
             if given:
@@ -257,6 +287,6 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
-    for name in ("settings", "cuts", "presses"):
+    for name in ("settings", "cuts", "offs", "presses"):
         setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace
