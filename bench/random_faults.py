@@ -1,8 +1,10 @@
 """Random faults against a simulated swarm of real processes: what becomes of services, values and recordings.
 
 Faults come at random moments to random robots, often several at once: `kill` (SIGKILL), `restart` (SIGTERM, as
-systemctl does), `stop` (SIGSTOP for a while), `cut` (a link, both ways). The app's values never settle and are computed
-once more here, from the thesis' rule alone: every recorded value must be equal to these to the bit.
+systemctl does), `stop` (SIGSTOP for a while), `cut` (a link, both ways); in the second half of the run also `reboot`
+(all of a robot's processes end at once, and what was in memory is gone), whose robot comes back by a new epoch. The
+app's values never settle and are computed once more from the thesis' rule alone (restless_rule.py): every recorded
+value must be equal to these to the bit.
 """
 
 import math
@@ -10,18 +12,21 @@ import os
 import random
 import signal
 import statistics
+import sys
 import time
-from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from bench.restless import TURN
+from bench import restless_rule
 from bench.rows import Row
 from bench.simulation import Simulation
+from swarm import clock, power
 from swarm.air import silence
 from swarm.core.graph import Graph
+from swarm.recording.reader import SUFFIX
 from swarm.recording.trajectory import Trajectory
 from swarm.simulations import pid_file
 
@@ -29,8 +34,18 @@ APP = "restless"
 APP_FILE = Path(__file__).with_name("restless.py")
 NAMES = tuple(f"r{index}" for index in range(6))
 EDGES = tuple((NAMES[i], NAMES[(i + 1) % 6]) for i in range(6))
+GRAPH = Graph(NAMES, EDGES)
+STARTS = {name: index * 0.1 for index, name in enumerate(NAMES)}
 SERVICES = ("bus", "mesh", "dwm", "balancer", f"app/{APP}")
 KINDS = ("kill", "restart", "stop", "cut")
+REBOOT = "reboot"
+REBOOTS = 0.1
+"""Share of them among the faults of the second half: each costs all robots some seconds, in which nothing is done that
+other faults could spoil."""
+OFF_S = (1.0, 4.0)
+"""How long a robot that reboots is away."""
+DROP_AFTER_S = 30.0
+"""Longer than any fault lasts: members change for a reboot alone, of which a robot tells when it is back."""
 
 PAUSE_S = (0.1, 1.5)
 """Between two faults."""
@@ -47,9 +62,13 @@ AGAIN_S = 11.0
 
 LONGEST_PAUSE_S = 8.0
 """Budget: a link that is lost without a word (3 s) behind the longest stop, and the way back."""
+REBOOT_PAUSE_S = 20.0
+"""Budget with reboots: the longest one, a start (5 s), links, a ballot, and one more for robots that it has missed."""
 MEMORY_GROWTH = 1.2
 DESCRIPTORS_GROWTH = 2.0
 LOST_S = 1.0
+UNKNOWN = 0.01
+"""Share of the values whose neighbours' were lost in a reboot."""
 
 
 @dataclass
@@ -60,55 +79,103 @@ class Use:
     descriptors: int
 
 
+@dataclass
+class Done:
+    """What was done to the swarm."""
+
+    count: int = 0
+    reboots: Counter[str] = field(default_factory=Counter)
+    """By robot."""
+
+
 def rows(count: int, seed: int) -> Iterator[Row]:
-    """Run `count` faults drawn from `seed`."""
+    """Run `count` faults drawn from `seed`, the second half with reboots."""
     phases = [part for index, name in enumerate(NAMES) for part in ("--set", f"{name}.phase={index}")]
-    starts = [part for index, name in enumerate(NAMES) for part in ("--set", f"{name}.value={index * 0.1}")]
+    starts = [part for name, value in STARTS.items() for part in ("--set", f"{name}.value={value}")]
     command = (str(APP_FILE), "--robots", "6", "--topology", "loop", "--seconds", "100000", *phases, *starts)
-    with Simulation(*command) as simulation:
+    draw, done = random.Random(seed), Done()
+    with Simulation(*command, "--absent", "drop", "--drop-after", str(DROP_AFTER_S)) as simulation:
         for name in NAMES:
             simulation.wait_for(name, WARM_UP, APP, START_S)
         before = _use(simulation)
-        done = _faults(simulation, random.Random(seed), count)
-        reached = {name: simulation.trajectory(name, APP).last for name in NAMES}
-        for name in NAMES:
-            simulation.wait_for(name, reached[name] + WARM_UP, APP, BACK_WITHIN_S)
-        _wait_for_all_services(simulation)
+        _faults(simulation, draw, done, count // 2, reboots=0.0)
+        _wait_for_all(simulation)
+        members_changed = [n for n in NAMES if len(restless_rule.read({n: _path(simulation, n)}, GRAPH)) > 1]
+        halfway = clock.now()
+        _faults(simulation, draw, done, count, reboots=REBOOTS)
+        _wait_for_all(simulation)
         after = _use(simulation)
+        simulation.stop()
+        epochs = restless_rule.read({name: _path(simulation, name) for name in NAMES}, GRAPH)
         paths = {name: simulation.trajectory(name, APP) for name in NAMES}
-    iterations = min(path.last for path in paths.values())
-    yield Row(f"random faults, seed {seed}", float(done), "", float(count), None)
+    newest = list(epochs.values())[-1]
+    found = restless_rule.compare(epochs, STARTS)
+    for text in found.wrong[:10]:
+        sys.stderr.write(f"{text}\n")
+    iterations = sum(
+        max((k for s in epoch.states.values() for k in s), default=0) - epoch.first for epoch in epochs.values()
+    )
+    yield Row(f"random faults, seed {seed}", float(done.count), "", float(count), None)
+    yield Row("reboots among them", float(done.reboots.total()), "", 1.0, None)
     yield Row("iterations of all robots in it", float(iterations), "", 1.0, None)
-    yield Row("robots that did not go on", float(sum(path.last < 0 for path in paths.values())), "", 1.0, 0.0)
-    yield Row("values that differ from the rule's", float(_differing(paths)), "", 1.0, 0.0)
-    yield Row("longest pause", _longest_pause(paths), "s", LONGEST_PAUSE_S, 1.0)
-    yield Row("longest piece missing in a recording", _longest_gap(paths), "s", LOST_S, 1.0)
+    yield Row("epochs in the half without reboots", float(len(members_changed)), "", 1.0, 0.0)
+    yield Row("epochs", float(newest.counter), "", float(max(done.reboots.total(), 1)), None)
+    yield Row("robots that are no members in the end", float(len(NAMES) - len(newest.graph.names)), "", 1.0, 0.0)
+    yield Row("values that differ from the rule's", float(len(found.wrong)), "", 1.0, 0.0)
+    yield Row("values that nothing can be compared with", float(found.unknown), "", float(found.compared), UNKNOWN)
+    more = sum((found.anew - done.reboots).values())
+    yield Row("starts anew that no reboot explains", float(more), "", 1.0, 0.0)
+    pauses = [_longest_pause(paths, 0.0, halfway), _longest_pause(paths, halfway, math.inf)]
+    yield Row("longest pause", pauses[0], "s", LONGEST_PAUSE_S, 1.0)
+    yield Row("longest pause with reboots", pauses[1], "s", REBOOT_PAUSE_S, 1.0)
+    period = statistics.median(b - a for path in paths.values() for a, b in pairwise(sorted(path.times.values())))
+    yield Row("longest piece missing in a recording", restless_rule.lost(epochs) * period, "s", LOST_S, 1.0)
     growth = max(after[key].descriptors - before[key].descriptors for key in before)
     yield Row("descriptors more than before, worst process", float(growth), "", DESCRIPTORS_GROWTH, 1.0)
     grown = statistics.fmean(after[key].memory_kib / before[key].memory_kib for key in before)
     yield Row("memory beside before, mean of all processes", grown, "", MEMORY_GROWTH, 1.0)
 
 
-def _faults(simulation: Simulation, draw: random.Random, count: int) -> int:
-    """Do them; how many were done (a process may just be away)."""
-    done, ends = 0, list[tuple[float, str, str]]()
+def _wait_for_all(simulation: Simulation) -> None:
+    """Until all robots have gone on, and all their services are at work."""
+    reached = {name: simulation.trajectory(name, APP).last for name in NAMES}
+    for name in NAMES:
+        simulation.wait_for(name, reached[name] + WARM_UP, APP, BACK_WITHIN_S)
+    _wait_for_all_services(simulation)
+
+
+def _faults(simulation: Simulation, draw: random.Random, done: Done, until: int, *, reboots: float) -> None:
+    """Do them, up to the number `until` (a process may just be away)."""
+    ends = list[tuple[float, str, str]]()
     kills: dict[tuple[str, str], deque[float]] = {}
-    while done < count:
+    away: dict[str, float] = {}
+    while done.count < until:
         due = time.monotonic() + draw.uniform(*PAUSE_S)
         while (now := time.monotonic()) < due:
             for end in [end for end in ends if end[0] <= now]:
                 ends.remove(end)
                 _signal(simulation, end[1], end[2], "CONT")
             time.sleep(0.02)
-        kind, robot, service = draw.choice(KINDS), draw.choice(NAMES), draw.choice(SERVICES)
-        if kind == "cut":
+        kind = REBOOT if draw.random() < reboots else draw.choice(KINDS)
+        robot, service = draw.choice(NAMES), draw.choice(SERVICES)
+        if kind == REBOOT:
+            if now >= away.get(robot, 0.0):
+                off = draw.uniform(*OFF_S)
+                power.reboot(simulation.run_dir, robot, off)
+                away[robot] = now + off
+                ends = [end for end in ends if end[1] != robot]
+                done.reboots[robot] += 1
+                done.count += 1
+        elif now < away.get(robot, 0.0):
+            continue  # nothing is there to be spoilt
+        elif kind == "cut":
             one, other = draw.choice(EDGES)
             length = draw.uniform(*LENGTH_S)
-            done += _cut(simulation, one, other, length)
+            done.count += _cut(simulation, one, other, length)
         elif kind == "stop":
             if not any(end[1:] == (robot, service) for end in ends) and _signal(simulation, robot, service, "STOP"):
                 ends.append((now + draw.uniform(*LENGTH_S), robot, service))
-                done += 1
+                done.count += 1
         else:
             recent = kills.setdefault((robot, service), deque())
             while recent and recent[0] < now - AGAIN_S:
@@ -116,10 +183,9 @@ def _faults(simulation: Simulation, draw: random.Random, count: int) -> int:
             stopped = any(end[1:] == (robot, service) for end in ends)
             if len(recent) < AT_MOST and not stopped:
                 recent.append(now)
-                done += _signal(simulation, robot, service, "KILL" if kind == "kill" else "TERM")
+                done.count += _signal(simulation, robot, service, "KILL" if kind == "kill" else "TERM")
     for _, robot, service in ends:
         _signal(simulation, robot, service, "CONT")
-    return done
 
 
 def _signal(simulation: Simulation, robot: str, service: str, name: str) -> bool:
@@ -163,40 +229,15 @@ def _of(pid: int) -> Use:
     return Use(int(status.split("VmRSS:")[1].split()[0]), len(list(Path(f"/proc/{pid}/fd").iterdir())))
 
 
-def _differing(paths: dict[str, Trajectory]) -> int:
-    """How many recorded values are not those of the rule, computed here by another few lines."""
-    graph = Graph(NAMES, EDGES)
-    weights = {name: graph.metropolis_weights(name) for name in NAMES}
-    values = {name: index * 0.1 for index, name in enumerate(NAMES)}
-    wrong = 0
-    for k in range(max(path.last for path in paths.values()) + 1):
-        for name, path in paths.items():
-            if k in path.rows and path.rows[k][path.columns.index("value")] != repr(values[name]):
-                wrong += 1
-        values = {
-            name: value
-            + sum(weights[name][other] * (values[other] - value) for other in sorted(weights[name]))
-            for name, value in values.items()
-        }  # fmt: skip
-        values = {name: values[name] + math.sin(TURN * k + index) for index, name in enumerate(NAMES)}
-    return wrong
-
-
-def _longest_pause(paths: dict[str, Trajectory]) -> float:
-    """The longest time between two values of a robot that follow each other, s."""
+def _longest_pause(paths: Mapping[str, Trajectory], since: float, until: float) -> float:
+    """The longest time between two values of a robot that follow each other, begun in [since, until), s."""
     return max(
         at - path.times[k - 1]
         for path in paths.values()
         for k, at in path.times.items()
-        if k > 1 and k - 1 in path.times
+        if k > 1 and k - 1 in path.times and since <= path.times[k - 1] < until
     )
 
 
-def _longest_gap(paths: dict[str, Trajectory]) -> float:
-    """The longest run of iterations that a recording lacks, in s of an undisturbed run."""
-    longest = 0.0
-    for path in paths.values():
-        known = sorted(path.times)
-        period = statistics.median(path.times[b] - path.times[a] for a, b in pairwise(known))
-        longest = max(longest, *((b - a - 1) * period for a, b in pairwise(known)))
-    return longest
+def _path(simulation: Simulation, name: str) -> Path:
+    return simulation.records / f"{name}.{APP}{SUFFIX}"

@@ -1,13 +1,13 @@
 """An app for the bench of faults: its values never settle, so that every iteration can be told from every other."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from swarm import SyncApp, parameter
 
 TURN = 0.37
-"""rad an iteration."""
+"""rad a step."""
 
 
 class Restless(SyncApp):
@@ -22,3 +22,7 @@ class Restless(SyncApp):
         self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
         self.value += math.sin(TURN * self._n + self.phase)
         self._n += 1
+
+    def result(self) -> Mapping[str, int]:
+        """The steps that it has done itself: what it keeps to itself, for whoever compares."""
+        return {"n": self._n}

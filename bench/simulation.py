@@ -37,11 +37,16 @@ class Simulation:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
-            self.process.terminate()
-        self.process.communicate()
+        self.stop()
         self._error.close()
         shutil.rmtree(self._home, ignore_errors=True)
+
+    def stop(self) -> None:
+        """End it; its recordings are complete then."""
+        if self.process.poll() is None:
+            self.process.terminate()
+        if self.process.stdout is not None and not self.process.stdout.closed:
+            self.process.communicate()
 
     def trajectory(self, robot: str, app: str = "consensus") -> Trajectory:
         """What a robot has recorded so far."""

@@ -28,7 +28,7 @@ def runtime_dir() -> Path:
 
 def state_dir() -> Path:
     """Where this robot keeps what is to survive a reboot: SWARM_STATE, else the runtime directory of a robot that was
-    given one (a simulated one has only that), else /var/lib/swarm (systemd's StateDirectory)."""
+    given one (as tests do), else /var/lib/swarm (systemd's StateDirectory)."""
     return Path(os.environ.get("SWARM_STATE") or os.environ.get("SWARM_RUNTIME") or DEFAULT_STATE)
 
 

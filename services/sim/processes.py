@@ -15,6 +15,7 @@ from pathlib import Path
 
 from swarm import clock
 from swarm.errors import LocalError
+from swarm.power import DISK
 from swarm.simulations import pid_file
 
 RESTART_DELAY_S = 0.2
@@ -67,6 +68,12 @@ class Child:
             )
         pid_file(self.directory.parent, self.robot, self.service).write_text(f"{self.process.pid}\n")
 
+    def boot(self) -> None:
+        """Start the process as that of a robot that has just been switched on."""
+        self.given_up = ""
+        self._ends.clear()
+        self.start()
+
     def ended(self, code: int, now: float) -> None:
         """Decide what follows from the end of the process."""
         self.process = None
@@ -96,7 +103,8 @@ class Processes:
 
     def add(self, robot: str, service: str, arguments: list[str], directory: Path) -> None:
         """Start `python -m arguments` as `service` of `robot`, whose runtime directory is `directory`."""
-        environment = {**self._environment, "SWARM_ROBOT": robot, "SWARM_RUNTIME": str(directory)}
+        own = {"SWARM_ROBOT": robot, "SWARM_RUNTIME": str(directory), "SWARM_STATE": str(directory / DISK)}
+        environment = {**self._environment, **own}
         child = Child(robot, service, [sys.executable, "-m", *arguments], environment, directory)
         try:
             child.start()
@@ -107,6 +115,22 @@ class Processes:
     def of(self, robot: str) -> list[Child]:
         """The processes of one robot."""
         return [child for child in self.children if child.robot == robot]
+
+    def kill(self, robot: str) -> None:
+        """End all processes of one robot at once, as when its power fails; they stay away until `start`."""
+        for child in self.of(robot):
+            if child.process is not None:
+                child.process.kill()
+        for child in self.of(robot):
+            if child.process is not None:
+                child.process.wait()
+                child.process = None
+            child.restart_at = None
+
+    def start(self, robot: str) -> None:
+        """Boot a robot that `kill` has ended: whatever went before is forgotten."""
+        for child in self.of(robot):
+            child.boot()
 
     def supervise(self, now: float) -> list[Child]:
         """Restart what ended, after its delay; returns those given up since the last call."""

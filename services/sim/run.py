@@ -11,6 +11,7 @@ from typing import TextIO
 from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Cut, Options, Press
+from services.sim.power import Power
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
 from services.sim.report import Outcome
@@ -61,6 +62,7 @@ class Run:
         self._processes = Processes(self._environment())
         self._monitor = Monitor(run_dir, names)
         self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
+        self._power = Power(run_dir, names, self._processes)
 
     def __enter__(self) -> "Run":
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -77,6 +79,7 @@ class Run:
         self._monitor.close()
         self._processes.stop()
         self._world.close()
+        self._power.close()
         self._progress.close()
 
     def watch(self) -> Outcome:
@@ -87,6 +90,7 @@ class Run:
         asked = 0.0
         while not self._stop:
             now = clock.now()
+            self._power.look(now)
             for child in self._processes.supervise(now):
                 # An app has named its fault on the bus; else the end of the log is all there is.
                 reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"

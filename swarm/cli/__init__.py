@@ -18,8 +18,8 @@ from swarm.errors import LocalError, SwarmError
 
 VERBS = (
     "arm", "bundle", "command", "config", "deploy", "doctor", "epoch", "estop", "export", "fetch", "import", "key",
-    "kill", "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push", "replay",
-    "restart", "run", "start", "status", "stop", "topology", "unplug", "view",
+    "kill", "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push",
+    "reboot", "replay", "restart", "run", "start", "status", "stop", "topology", "unplug", "view",
 )  # fmt: skip
 """Modules of this package."""
 

@@ -3,19 +3,27 @@
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from swarm import clock
 from swarm.bus import Bus
 from swarm.config import parse
 from swarm.config.types import Config
 from swarm.errors import LocalError, SwarmError
-from swarm.keys import EVERYTHING
+from swarm.fleet.lookout import watch
 from swarm.paths import bus_endpoint
 from swarm.simulations import CONFIG, is_live, robots
 from swarm.view.picture import Picture
 
 _LOOK_EVERY = 0.5
 """s between two looks for buses that have come."""
+
+
+class Publisher(Protocol):
+    """The way to a robot's bus."""
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        """Send a message dataclass or raw bytes; silently lost while the bus is away."""
 
 
 class Simulation:
@@ -26,7 +34,10 @@ class Simulation:
     def __init__(self, directory: Path) -> None:
         """Raises `LocalError` where none runs there."""
         if not is_live(directory):
-            raise LocalError(f"no simulation is running in {directory}: start one with `swarm sim`, or name --run-dir")
+            raise LocalError(
+                f"no simulation is running in {directory}: start one with `swarm sim`, or name "
+                "--run-dir; real robots: --robot NAME"
+            )
         self.picture = Picture()
         self.lock = threading.Lock()
         """Around the picture."""
@@ -42,6 +53,11 @@ class Simulation:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
         self._thread.start()
+
+    def check_control(self) -> None:
+        """Raises `LocalError` where no robot can be told anything at this moment."""
+        if not self.live:
+            raise LocalError("the simulation has ended")
 
     def close(self) -> None:
         """Leave all buses."""
@@ -59,8 +75,7 @@ class Simulation:
                 if name not in self.buses:
                     bus = Bus(bus_endpoint(runtime))
                     self.buses = {**self.buses, name: bus}  # others may be going through it
-                    bus.subscribe(EVERYTHING, self._taker(name))
-                    bus.watch(f"swarm/{name}/**/alive", self._alive)
+                    watch(bus, name, self._taker(name), self._alive)
 
     def _taker(self, robot: str) -> Callable[[str, bytes], None]:
         def take(key: str, payload: bytes) -> None:

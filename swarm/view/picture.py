@@ -30,6 +30,10 @@ TRAIL_S = 30.0
 """How much of its way a robot draws behind it, s."""
 
 
+REACH = "view/reach"
+"""What this side says of a real robot: `by` ssh, the mesh or nothing, and `why`."""
+
+
 class Event(NamedTuple):
     """Something worth a line."""
 
@@ -78,6 +82,10 @@ class Picture:
             self.refused += 1
             return
         self.put(robot, f"{service}/{topic}", value, now)
+
+    def passed(self, sender: str, receiver: str, count: int) -> None:
+        """How many messages have passed between the two so far, from whoever counts them."""
+        self._hops[f"{sender}>{receiver}"] = count
 
     def put(self, robot: str, topic: str, value: object, now: float) -> None:
         """A decoded sample."""
@@ -187,6 +195,9 @@ def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
     elif topic == "balancer/fault":
         name = value.get("name")
         yield "error" if name else "info", f"fault {name}: {value.get('reason')}" if name else "no fault", "fault"
+    elif topic == REACH:
+        by, why = value.get("by"), value.get("why")
+        yield ("info", f"seen by {by}", "reach") if by else ("warning", f"out of reach: {why}", "reach")
     elif topic == "mesh/stopped":
         stopped = value.get("stopped")
         yield "error" if stopped else "info", "stopped" if stopped else "not stopped", "stopped"

@@ -22,6 +22,7 @@ from swarm.view.control import Control
 from swarm.view.feed import Simulation
 from swarm.view.picture import TRAIL_S
 from swarm.view.recording import Recording
+from swarm.view.robots import Robots
 
 HOST = "127.0.0.1"
 RATE = 25.0
@@ -44,7 +45,8 @@ _POLICY = (
 )
 """Nothing from the network at run time."""
 
-Feed = Simulation | Recording
+Live = Simulation | Robots
+Feed = Live | Recording
 
 _FEED: web.AppKey[Feed] = web.AppKey("feed", Feed)  # type: ignore[arg-type]
 _TOKEN: web.AppKey[str] = web.AppKey("token")
@@ -111,7 +113,7 @@ async def _live(request: web.Request) -> web.StreamResponse:
     return socket
 
 
-async def _steps(feed: Simulation, control: Control, socket: web.WebSocketResponse) -> None:
+async def _steps(feed: Live, control: Control, socket: web.WebSocketResponse) -> None:
     """Tell a page what there is, then what changes."""
     known: dict[str, Any] = {}
     version = number = 0
@@ -181,7 +183,7 @@ def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
     }
 
 
-def _answer(feed: Simulation, control: Control, text: str) -> dict[str, Any]:
+def _answer(feed: Live, control: Control, text: str) -> dict[str, Any]:
     """What a page asks: the history of a key, or an act."""
     try:
         asked = json.loads(text)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, seek, shown, until
+from browsing import PATIENCE_MS, chromium, seek, shown, until
 from virtual_run import recorded
 
 from bench.simulation import Simulation
@@ -31,6 +31,12 @@ def simulation() -> Iterator[Simulation]:
     with Simulation("consensus", "--robots", "6", "--topology", "loop", "--seconds", "600") as simulation:
         simulation.wait_for("r0", 3)
         yield simulation
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture

@@ -68,7 +68,7 @@ function connect() {
 // In its own rhythm: the table need not be drawn as often as the map.
 setInterval(() => {
   const connection = find("#connection"), silent = performance.now() - heard > SILENCE_MS;
-  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : ["the simulation has ended", "warn"];
+  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the simulation has ended", "warn"];
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
   find("#kind").textContent = store.swarm ? `${store.swarm.kind}, ${store.names.length} robots` : "";
   front.draw(selected);

@@ -171,7 +171,7 @@ export class SwarmMap {
     if (!place) return;
     const [x, y] = this.at(place.x, place.y), size = Math.max(8 * this.ratio, BODY * this.shown.scale);
     const services = Object.values(this.store.services[name] ?? {});
-    const gone = services.length && services.every((there) => !there);
+    const gone = (services.length && services.every((there) => !there)) || this.store.get(name, "view/reach")?.by === null;
     const estimate = this.store.get(name, "dwm/pose");
     if (typeof estimate?.deviation_x === "number") {
       this.ellipse(c, estimate.x, estimate.y, 2 * estimate.deviation_x, 2 * (estimate.deviation_y ?? estimate.deviation_x), this.store.colour(name));

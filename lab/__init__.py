@@ -1,0 +1,1 @@
+"""A virtual robot lab: virtual machines with real kernel Bluetooth, real I2C devices and real systemd (docs/lab.md)."""
