@@ -27,9 +27,15 @@ export class SwarmMap {
       const place = this.place(name, now);
       if (place) points.push([place.x, place.y]);
     }
-    for (const target of this.targets()) points.push([target.x, target.y]);
     if (!points.length) return { x: 0, y: 0, width: 2, height: 2 };
     const xs = points.map((each) => each[0]), ys = points.map((each) => each[1]);
+    // An estimate that is far off must not make everything else small.
+    const far = 2 * Math.max(1, Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys)), [x0, y0] = points[0];
+    for (const { x, y } of this.targets()) {
+      if (Math.abs(x - x0) > far || Math.abs(y - y0) > far) continue;
+      xs.push(x);
+      ys.push(y);
+    }
     const x = (Math.min(...xs) + Math.max(...xs)) / 2, y = (Math.min(...ys) + Math.max(...ys)) / 2;
     return { x, y, width: Math.max(...xs) - Math.min(...xs) + 0.6, height: Math.max(...ys) - Math.min(...ys) + 0.6 };
   }
