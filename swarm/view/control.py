@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from swarm import air, clock, hands
+from swarm import air, clock, hands, orders
 from swarm.cli import kill
 from swarm.codec import Value
 from swarm.core.hands import Lay, Press, Push
@@ -36,6 +36,8 @@ class Control:
             "kill": self._kill,
             "cut": self._cut,
             "set": self._set,
+            "start": lambda asked: self._order("start", asked),
+            "end": lambda asked: self._order("stop", asked),
         }
 
     def do(self, asked: object) -> str:
@@ -108,12 +110,19 @@ class Control:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
         if not is_name(app) or not isinstance(value, bool | int | float | str):
             raise LocalError("set: expected the name of an app and a number, a text, true or false")
-        robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+        robots = self._robots(asked)
         values: dict[str, Value] = {name: value}
         for robot in robots:
             request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
             self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
         return f"{app}: {name}={value} asked of {' '.join(robots)}"
+
+    def _order(self, act: str, asked: Mapping[str, Any]) -> str:
+        return orders.give(self._run_dir(), act, str(asked["app"]), self._robots(asked))
+
+    def _robots(self, asked: Mapping[str, Any]) -> list[str]:
+        """The robot that is named, else all."""
+        return [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
 
     def _run_dir(self) -> Path:
         if not isinstance(self._feed, Simulation):

@@ -105,7 +105,9 @@ async def _live(request: web.Request) -> web.StreamResponse:
     try:
         async for message in socket:
             if message.type == WSMsgType.TEXT:
-                await socket.send_str(json.dumps(_answer(feed, control, message.data), allow_nan=False))
+                # In a thread: a simulation takes its time to obey, and the page's pictures go on.
+                answer = await asyncio.to_thread(_answer, feed, control, message.data)
+                await socket.send_str(json.dumps(answer, allow_nan=False))
     finally:
         steps.cancel()
         with contextlib.suppress(asyncio.CancelledError, ConnectionError):

@@ -60,6 +60,7 @@ function connect() {
     }
     store.take(step, heard);
     front.take(step);
+    if (!first && !replaced) hands.take(step);
     charts.take(step);
     if (first || replaced) charts.refill();
     first = false;
