@@ -33,6 +33,8 @@ TELL_S, TELL_CROWD_S = 0.04, 0.1
 BEHIND_S = 0.25
 """s of real time: more is not caught up, the run is as slow as it is."""
 MEASURE_S = 1.0
+LAST_S = 0.2
+"""s of virtual time until everybody has told how the run has ended."""
 
 
 class Live:
@@ -90,7 +92,11 @@ class Live:
             self._turn.notify_all()
 
     def ended(self) -> None:
-        """The run is over; the page goes on showing its end."""
+        """The run is over; the page goes on showing its end. To be called in the thread of the simulation."""
+        with self._turn:
+            self._speed, self._paused = math.inf, False
+        if not self._closing:
+            self._time.run(self._time.now + LAST_S)
         self._tell()
         self.live = False
 

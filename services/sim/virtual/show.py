@@ -28,13 +28,17 @@ def watched(run: Run, plan: Scenario, options: Options, tell: Callable[[Outcome]
             asyncio.get_running_loop().add_signal_handler(number, ended.set)
         codes: list[int] = []
 
+        def go() -> Outcome:
+            outcome = run.go()
+            feed.ended()
+            return outcome
+
         async def simulate() -> None:
             try:
-                outcome = await asyncio.to_thread(run.go)
+                outcome = await asyncio.to_thread(go)
             except BaseException:
                 ended.set()
                 raise
-            feed.ended()
             codes.append(tell(outcome))
             if not ended.is_set():
                 sys.stderr.write("the page shows the end of the run, until Ctrl-C\n")

@@ -17,6 +17,7 @@ export class Store {
     this.live = false;
     this.pace = null; // of virtual time
     this.swarm = null;
+    this.colours = new Map(); // of robots, by name
     this.apps = new Map(); // name -> [topic of a state of an app, ...], e.g. "app/consensus"
     this.edges = []; // [[a, b], ...]: links that are to be, as the newest topology has them
     this.topology = -1; // its version
@@ -65,6 +66,7 @@ export class Store {
   // What does not move.
   become(swarm) {
     this.swarm = swarm;
+    this.colours = new Map((swarm?.robots ?? []).map((name, index) => [name, PALETTE[index % PALETTE.length]]));
     if (swarm && this.topology < 0) this.edges = swarm.edges;
   }
 
@@ -94,7 +96,7 @@ export class Store {
   }
 
   colour(name) {
-    return PALETTE[Math.max(0, this.names.indexOf(name)) % PALETTE.length];
+    return this.colours.get(name) ?? PALETTE[Math.max(0, this.names.indexOf(name)) % PALETTE.length];
   }
 
   get(name, topic) {
