@@ -41,7 +41,10 @@ def run_tests(machine: Machine, words: str, seconds: float) -> str:
     """Run pytest inside with these words, with six adapters of its kernel: what it said. AssertionError if it fails."""
     furnish(machine)
     options = "-p no:cacheprovider -p inside_radio -v --durations=10 --tb=short --timeout=300"
-    result = machine.wait(machine.spawn(command(f"-m pytest {options} {words}"), seconds), seconds + 30)
+    # Into a file of the host, too, for whoever wants to see how far it is.
+    log = "/share/pytest.log"
+    words = f"{command(f'-m pytest {options} {words}')} >{log} 2>&1; code=$?; cat {log}; exit $code"
+    result = machine.wait(machine.spawn(words, seconds), seconds + 30)
     sys.stdout.write(result.output)
     assert result.code == 0, f"exit code {result.code}: {result.output[-8000:]}"
     return result.output
