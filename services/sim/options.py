@@ -1,6 +1,7 @@
 """Arguments of `swarm sim`, checked before anything starts."""
 
 import argparse
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ class Cut:
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
 """Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
+
+SLOWEST, FASTEST = 0.01, 1000.0
+"""s of virtual time a second that a page may wish for."""
 
 PRESS_S = 0.3
 """How long a button is held down."""
@@ -86,6 +90,12 @@ class Options:
     """Model of the bodies then."""
     mesh: str | None
     """How much of the mesh there is then; None: by the size of the swarm."""
+    view: bool
+    """Show it in the browser while it runs."""
+    speed: float | None
+    """s of virtual time a second then; infinity: as fast as it computes; None: as the real time."""
+    no_open: bool
+    """Only print the page's address."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -146,6 +156,16 @@ def _at_least(low: int) -> Callable[[str], int]:
         return value
 
     return convert
+
+
+def speed(text: str) -> float:
+    """`0.5`, or `max`: infinity."""
+    if text == "max":
+        return math.inf
+    value = _quantity(text, {"": 1.0}, "a speed such as 0.5, or max")
+    if not SLOWEST <= value <= FASTEST:
+        raise argparse.ArgumentTypeError(f"expected {SLOWEST:g} to {FASTEST:g}, or max")
+    return value
 
 
 def _positive(text: str) -> float:
@@ -227,6 +247,12 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--mesh", choices=MESHES,
                    help="under virtual time the whole mesh from its start, or settled (above 50 robots), "
                    "or its delays alone")  # fmt: skip
+    p.add_argument(
+        "--view", action="store_true", help="under virtual time: show the run in the browser, as swarm view does"
+    )
+    p.add_argument("--speed", type=speed, metavar="X|max",
+                   help="with --view: X s of the robots' time a second (1), or as fast as it computes")  # fmt: skip
+    p.add_argument("--no-open", action="store_true", help="with --view: only print the page's address")
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 
@@ -239,6 +265,10 @@ def parse(arguments: list[str]) -> Options:
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
+    if options.view and not options.virtual:
+        raise ConfigError("--view shows virtual time; for this one: swarm view, in another terminal")
+    if (options.speed is not None or options.no_open) and not options.view:
+        raise ConfigError("--speed and --no-open are for --view")
     if options.app is None:
         for given, name in (
             (options.algorithm, "--algorithm"),

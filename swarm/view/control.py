@@ -6,15 +6,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from swarm import air, clock, hands
+from swarm import air, clock, hands, orders
 from swarm.cli import kill
 from swarm.codec import Value
 from swarm.core.hands import Lay, Press, Push
 from swarm.errors import LocalError
 from swarm.keys import STOP, is_name, key
 from swarm.messages import Arm, SetAppParameters, Stop
-from swarm.view.feed import Publisher, Simulation
-from swarm.view.robots import Robots
+from swarm.view.feed import Live, Publisher, Simulation
 
 REASON = "the page of swarm view"
 PRESS_S = 0.3
@@ -24,7 +23,7 @@ MAX_CUT_S = 600.0
 class Control:
     """Carries out what pages ask."""
 
-    def __init__(self, feed: Simulation | Robots, *, allowed: bool) -> None:
+    def __init__(self, feed: Live, *, allowed: bool) -> None:
         self._feed = feed
         self.allowed = allowed
         self._wanted: bool | None = None
@@ -37,6 +36,8 @@ class Control:
             "kill": self._kill,
             "cut": self._cut,
             "set": self._set,
+            "start": lambda asked: self._order("start", asked),
+            "end": lambda asked: self._order("stop", asked),
         }
 
     def do(self, asked: object) -> str:
@@ -109,22 +110,29 @@ class Control:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
         if not is_name(app) or not isinstance(value, bool | int | float | str):
             raise LocalError("set: expected the name of an app and a number, a text, true or false")
-        robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+        robots = self._robots(asked)
         values: dict[str, Value] = {name: value}
         for robot in robots:
             request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
             self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
         return f"{app}: {name}={value} asked of {' '.join(robots)}"
 
+    def _order(self, act: str, asked: Mapping[str, Any]) -> str:
+        return orders.give(self._run_dir(), act, str(asked["app"]), self._robots(asked))
+
+    def _robots(self, asked: Mapping[str, Any]) -> list[str]:
+        """The robot that is named, else all."""
+        return [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+
     def _run_dir(self) -> Path:
-        if isinstance(self._feed, Robots):
+        if not isinstance(self._feed, Simulation):
             raise LocalError("that is done to simulated robots only")
         return self._feed.directory
 
     def _robot(self, asked: Mapping[str, Any]) -> str:
         name = str(asked["robot"])
         if name not in self._feed.buses:
-            also = "; others are seen over the mesh alone" if isinstance(self._feed, Robots) else ""
+            also = "; others are seen over the mesh alone" if self._feed.kind == "robots" else ""
             raise LocalError(f"no robot {name[:20]!r}, there are {', '.join(self._feed.buses)}{also}")
         return name
 
