@@ -13,8 +13,7 @@ from swarm.core.hands import Lay, Press, Push
 from swarm.errors import LocalError
 from swarm.keys import STOP, is_name, key
 from swarm.messages import Arm, SetAppParameters, Stop
-from swarm.view.feed import Publisher, Simulation
-from swarm.view.robots import Robots
+from swarm.view.feed import Live, Publisher, Simulation
 
 REASON = "the page of swarm view"
 PRESS_S = 0.3
@@ -24,7 +23,7 @@ MAX_CUT_S = 600.0
 class Control:
     """Carries out what pages ask."""
 
-    def __init__(self, feed: Simulation | Robots, *, allowed: bool) -> None:
+    def __init__(self, feed: Live, *, allowed: bool) -> None:
         self._feed = feed
         self.allowed = allowed
         self._wanted: bool | None = None
@@ -126,14 +125,14 @@ class Control:
         return [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
 
     def _run_dir(self) -> Path:
-        if isinstance(self._feed, Robots):
+        if not isinstance(self._feed, Simulation):
             raise LocalError("that is done to simulated robots only")
         return self._feed.directory
 
     def _robot(self, asked: Mapping[str, Any]) -> str:
         name = str(asked["robot"])
         if name not in self._feed.buses:
-            also = "; others are seen over the mesh alone" if isinstance(self._feed, Robots) else ""
+            also = "; others are seen over the mesh alone" if self._feed.kind == "robots" else ""
             raise LocalError(f"no robot {name[:20]!r}, there are {', '.join(self._feed.buses)}{also}")
         return name
 

@@ -1,7 +1,7 @@
 """Where a picture gets its samples from: the buses of a simulation that runs on this machine."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -26,7 +26,66 @@ class Publisher(Protocol):
         """Send a message dataclass or raw bytes; silently lost while the bus is away."""
 
 
-class Simulation:
+class Live(Protocol):
+    """Where the present of a swarm comes from."""
+
+    @property
+    def kind(self) -> str:
+        """`simulation`, `robots` or `virtual`."""
+
+    @property
+    def picture(self) -> Picture:
+        """What is known; to be looked at under `lock`."""
+
+    @property
+    def lock(self) -> threading.Lock:
+        """Around the picture."""
+
+    @property
+    def live(self) -> bool:
+        """Whether it still runs."""
+
+    @property
+    def config(self) -> Config | None:
+        """Of the swarm; None as long as it is not there."""
+
+    @property
+    def buses(self) -> Mapping[str, Publisher]:
+        """The way to each robot that has one."""
+
+    def now(self) -> float:
+        """The page's time, s."""
+
+    def pace(self) -> dict[str, object] | None:
+        """How fast time passes, where that can be changed: `{speed, actual, paused}`."""
+
+    def set_pace(self, speed: float | None, paused: bool) -> None:
+        """Let it pass otherwise. Raises `ValueError` where that cannot be."""
+
+    def check_control(self) -> None:
+        """Raises `LocalError` where no robot can be told anything at this moment."""
+
+
+class RealTime:
+    """A time that nobody can change."""
+
+    def __init__(self) -> None:
+        self.began = clock.now()
+        """The page counts its seconds from here."""
+
+    def now(self) -> float:
+        """The page's time, s."""
+        return clock.now() - self.began
+
+    def pace(self) -> None:
+        """It passes as it does."""
+
+    def set_pace(self, speed: float | None, paused: bool) -> None:
+        """Refused."""
+        raise ValueError("this is real time")
+
+
+class Simulation(RealTime):
     """Watches the bus of every robot of a running simulation until closed."""
 
     kind = "simulation"
@@ -38,6 +97,7 @@ class Simulation:
                 f"no simulation is running in {directory}: start one with `swarm sim`, or name "
                 "--run-dir; real robots: --robot NAME"
             )
+        super().__init__()
         self.picture = Picture()
         self.lock = threading.Lock()
         """Around the picture."""
@@ -48,8 +108,6 @@ class Simulation:
         """The swarm's configuration; None as long as it is not there."""
         self.buses: dict[str, Bus] = {}
         """Of each robot."""
-        self.began = clock.now()
-        """The page counts its seconds from here."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
         self._thread.start()
@@ -80,14 +138,14 @@ class Simulation:
     def _taker(self, robot: str) -> Callable[[str, bytes], None]:
         def take(key: str, payload: bytes) -> None:
             with self.lock:
-                self.picture.take(robot, key, payload, clock.now() - self.began)
+                self.picture.take(robot, key, payload, self.now())
 
         return take
 
     def _alive(self, key: str, there: bool) -> None:
         _, robot, *service, _ = key.split("/")
         with self.lock:
-            self.picture.alive(robot, "/".join(service), there, clock.now() - self.began)
+            self.picture.alive(robot, "/".join(service), there, self.now())
 
 
 def config_of(directory: Path) -> Config | None:

@@ -26,6 +26,9 @@ MAX_TOPICS = 256
 MAX_BYTES = 256
 """Of a raw payload within a message that a page is told."""
 
+MAX_NAMED = 6
+"""Robots that are waited for and named in an event."""
+
 TRAIL_S = 30.0
 """How much of its way a robot draws behind it, s."""
 
@@ -188,7 +191,9 @@ def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
         phase, waiting = value.get("phase"), value.get("waiting_for") or []
         text = f"{service} {phase}"
         if isinstance(waiting, list) and waiting:
-            text += " for " + " ".join(map(str, waiting))
+            text += " for " + " ".join(map(str, waiting[:MAX_NAMED]))
+            if len(waiting) > MAX_NAMED:
+                text += f" and {len(waiting) - MAX_NAMED} more"
         if value.get("reason"):
             text += f": {value['reason']}"
         yield {"fault": "error", "waiting": "warning"}.get(str(phase), "info"), text, f"{service} phase"

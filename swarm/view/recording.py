@@ -13,7 +13,6 @@ from swarm.recording.run import Run
 from swarm.view.feed import config_of
 from swarm.view.picture import HISTORY_S, TRAIL_S, Event, Picture, places
 
-
 JUMP_S = 3.0
 """A page that goes further than this at once does not play, it jumps."""
 

@@ -11,6 +11,7 @@ from swarm.errors import LocalError, PayloadError
 from swarm.fleet.ssh import Host, HostError, Ssh
 from swarm.keys import key, parse
 from swarm.messages import View, Watch
+from swarm.view.feed import RealTime
 from swarm.view.picture import REACH, Picture
 from swarm.view.tunnel import Tunnel
 
@@ -35,19 +36,18 @@ _FIRST_S = 20.0
 """s that the first connection may take; ssh gives up a robot that does not answer after 10."""
 
 
-class Robots:
+class Robots(RealTime):
     """Watches real robots until closed."""
 
     kind = "robots"
 
     def __init__(self, config: Config, hosts: Sequence[Host], ssh: Ssh) -> None:
         """`hosts`: whom to connect to; one is enough to see all. Raises `HostError` where none can be reached."""
+        super().__init__()
         self.picture = Picture()
         self.lock = threading.Lock()
         """Around the picture."""
         self.config = config
-        self.began = clock.now()
-        """The page counts its seconds from here."""
         self._turn = threading.Event()
         self._closing = False
         self._bus: dict[str, bool] = {}

@@ -101,6 +101,24 @@ export class Pen {
     c.setLineDash([]);
   }
 
+  // Of a crowd: thin lines, those of a colour at once.
+  crowd(links) {
+    const { c } = this, lines = new Map();
+    for (const { ends: [from, to], look } of links) {
+      const colour = STATES[look] ?? "--faint";
+      if (!lines.has(colour)) lines.set(colour, new Path2D());
+      lines.get(colour).moveTo(...from);
+      lines.get(colour).lineTo(...to);
+    }
+    c.lineWidth = this.ratio;
+    for (const [colour, path] of lines) {
+      c.globalAlpha = colour === "--good" ? 0.35 : 1;
+      c.strokeStyle = theme.colour(colour);
+      c.stroke(path);
+    }
+    c.globalAlpha = 1;
+  }
+
   message([x, y]) {
     const { c } = this;
     c.fillStyle = theme.colour("--accent");
@@ -159,7 +177,7 @@ export class Pen {
       c.arc((index - 1) * size * 0.62, -size * 1.45, size * 0.26, 0, 7);
       c.fill();
     });
-    if (named) {
+    if (named || selected) {
       c.fillStyle = theme.colour("--ink");
       c.fillText(name, size * 1.2, size * 1.4);
     }

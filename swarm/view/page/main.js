@@ -5,6 +5,7 @@ import { Front } from "./front.js";
 import { Hands } from "./hands.js";
 import { SwarmMap } from "./map.js";
 import { Events, Keys, Robots } from "./panels.js";
+import { Pace } from "./pace.js";
 import { Player } from "./player.js";
 import { Store } from "./store.js";
 import { theme } from "./theme.js";
@@ -35,6 +36,7 @@ const keys = new Keys(find("#keys"), store, (topic, path) => charts.open(topic, 
 const hands = new Hands(find("header"), find("#hands"), store, ask);
 
 const player = new Player(find("#player"), store, ask);
+const pace = new Pace(find("#pace"), store, ask);
 
 function select(name) {
   selected = name === selected ? null : name;
@@ -71,7 +73,7 @@ function connect() {
 
 function panels(now) {
   const connection = find("#connection"), silent = performance.now() - heard > SILENCE_MS;
-  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the simulation has ended", "warn"];
+  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the run has ended", "warn"];
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
   const about = store.swarm ? `${store.swarm.kind}, ${store.names.length} robots${directed && store.swarm.recording ? `, ${store.t.toFixed(2)} s` : ""}` : "";
   if (find("#kind").textContent !== about) find("#kind").textContent = about;
@@ -80,6 +82,7 @@ function panels(now) {
   events.draw(store.events);
   keys.draw();
   hands.draw(selected);
+  pace.draw();
   charts.draw(now);
 }
 

@@ -4,7 +4,8 @@
 import { Pen } from "./ink.js";
 import { sharp, theme } from "./theme.js";
 
-const ROBOTS_WITH_TRAILS = 60;
+const CROWD = 60; // robots above which links are thin, and trails and crowded names are left out
+const ROOM = 60; // pixels between robots of a crowd that have names
 const BUSY = 10; // messages a second above which a link no longer flashes
 const FLASH_MS = 160;
 const MARGIN = 0.3; // m around everything
@@ -69,8 +70,12 @@ export class SwarmMap {
 
   // All that has a place, with room to move: the map does not follow each step.
   fit(places, targets, width, height) {
-    const points = [...(this.store.swarm?.anchors ?? []), ...places.values(), ...targets];
+    const points = [...(this.store.swarm?.anchors ?? []), ...places.values()];
     if (this.store.swarm?.target) points.push(this.store.swarm.target);
+    // An estimate that is far off must not make everything else small.
+    const apart = (name) => Math.max(...points.map((each) => each[name])) - Math.min(...points.map((each) => each[name]));
+    const far = points.length ? 2 * Math.max(1, apart("x"), apart("y")) : FAR, [first = { x: 0, y: 0 }] = points;
+    points.push(...targets.filter(({ x, y }) => Math.abs(x - first.x) < far && Math.abs(y - first.y) < far));
     let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
     for (const { x, y } of points) {
       [left, right] = [Math.min(left, x), Math.max(right, x)];
@@ -113,7 +118,7 @@ export class SwarmMap {
       links.push({ ends, look, width, messages });
       marks.push(ends[0][0], ends[0][1], ends[1][0], ends[1][1], look, width, ...messages.flat());
     }
-    const ellipses = [], named = store.names.length <= 120 || (this.view && pen.size() > 9 * ratio);
+    const ellipses = [], crowd = store.names.length > CROWD, named = !crowd || this.room(places) > ROOM * ratio;
     for (const target of targets) {
       if (target.known) ellipses.push({ ...target, ...target.known });
       marks.push(...fine(...pen.at(target.x, target.y)), target.known?.xx);
@@ -138,11 +143,18 @@ export class SwarmMap {
     this.marks = marks;
     this.drawn += 1;
     this.context.drawImage(this.below, 0, 0);
-    for (const link of links) pen.link(...link.ends, link);
+    if (crowd) pen.crowd(links);
+    else for (const link of links) pen.link(...link.ends, link);
     for (const link of links) link.messages.forEach((place) => pen.message(place));
     for (const ellipse of ellipses) pen.ellipse(ellipse);
     for (const target of targets) pen.cross(target);
     for (const robot of robots) pen.robot(robot);
+  }
+
+  // How far robots are apart, in pixels, were they spread evenly.
+  room(places) {
+    const all = [...places.values()], xs = all.map((each) => each.x), ys = all.map((each) => each.y);
+    return this.shown.scale * Math.sqrt(((Math.max(...xs) - Math.min(...xs)) * (Math.max(...ys) - Math.min(...ys))) / all.length);
   }
 
   // Counts how often it has changed.
@@ -158,7 +170,7 @@ export class SwarmMap {
     pen.grid(view, width, height);
     for (const anchor of store.swarm?.anchors ?? []) pen.anchor(anchor);
     if (store.swarm?.target) pen.target(store.swarm.target);
-    if (store.names.length <= ROBOTS_WITH_TRAILS) {
+    if (store.names.length <= CROWD) {
       for (const [name, trail] of store.trails) if (trail.length > 1) pen.trail(trail, store.colour(name));
     }
     return this.belows;

@@ -2,7 +2,7 @@
 
 export const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#8a5ad6", "#7a7a7a"]; // told apart by the colour-blind too (Okabe, Ito 2008)
 const TRAIL = 300; // places
-const STEP_MS = [40, 200]; // the way between two samples takes as long as they are apart, within this
+const STEP_MS = [40, 500]; // the way between two samples takes as long as they are apart, within this
 const BADNESS = ["up", "suspect", "connecting", "down"];
 const SLOWER = 3; // times its shortest round trip of the last minute
 const SLOWER_S = 0.02;
@@ -16,7 +16,9 @@ export class Store {
   clear() {
     this.t = 0;
     this.live = false;
+    this.pace = null; // of virtual time
     this.swarm = null;
+    this.colours = new Map(); // of robots, by name
     this.apps = new Map(); // name -> [topic of a state of an app, ...], e.g. "app/consensus"
     this.edges = []; // [[a, b], ...]: links that are to be, as the newest topology has them
     this.topology = -1; // its version
@@ -29,13 +31,14 @@ export class Store {
     this.trailed = (this.trailed ?? 0) + 1; // goes up with each place of a trail
     this.hops = {};
     this.flashes = new Map(); // "r0>r1" -> {at, rate}
-    this.places = new Map(); // name -> {from, to, at}: drawn between two samples
+    this.places = new Map(); // name -> {from, to, at, span}: drawn between two samples
   }
 
   // One message of the server.
   take(step, now) {
     if (step.swarm !== undefined) this.become(step.swarm);
     if (step.services) this.services = step.services;
+    if (step.pace) this.pace = step.pace;
     this.t = step.t;
     this.live = step.live;
     for (const [name, places] of Object.entries(step.trails ?? {})) this.trails.set(name, places);
@@ -69,6 +72,7 @@ export class Store {
   // What does not move.
   become(swarm) {
     this.swarm = swarm;
+    this.colours = new Map((swarm?.robots ?? []).map((name, index) => [name, PALETTE[index % PALETTE.length]]));
     if (swarm && this.topology < 0) this.edges = swarm.edges;
   }
 
@@ -105,7 +109,7 @@ export class Store {
   }
 
   colour(name) {
-    return PALETTE[(this.order.get(name) ?? 0) % PALETTE.length];
+    return this.colours.get(name) ?? PALETTE[(this.order.get(name) ?? 0) % PALETTE.length];
   }
 
   get(name, topic) {
@@ -134,7 +138,7 @@ export class Store {
     this.trails.set(name, trail);
   }
 
-  // Where to draw a robot now: samples come ten times a second, the screen has sixty pictures.
+  // Where to draw a robot now: samples come ten times a second (of a crowd, five), the screen has sixty pictures.
   place(name, now) {
     const place = this.places.get(name);
     if (!place) return null;
