@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from services.sim import options as arguments
@@ -49,7 +50,12 @@ def _virtual(options: Options) -> int:
     plan = scenario.build(options, virtual.PLACE)
     for note in plan.notes:
         sys.stderr.write(note + "\n")
-    return _tell(options, plan, virtual.Run(options, plan).go())
+    run = virtual.Run(options, plan)
+    if options.view:
+        from services.sim.virtual import show  # the server is heavy, and of the extra `lab`
+
+        return show.watched(run, plan, options, partial(_tell, options, plan))
+    return _tell(options, plan, run.go())
 
 
 def _run(options: Options, run_dir: Path) -> int:

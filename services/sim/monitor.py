@@ -34,7 +34,8 @@ class Monitor:
     own process should take little from the robots it watches.
     """
 
-    def __init__(self, run_dir: Path, names: Sequence[str]) -> None:
+    def __init__(self, run_dir: Path, names: Sequence[str], app: str | None) -> None:
+        """`app` is the one whose progress is followed; others may be started meanwhile."""
         self._samples: dict[str, dict[str, bytes]] = {name: {} for name in names}
         self._buses = {name: Bus.of(run_dir / name) for name in names}
         for name, bus in self._buses.items():
@@ -42,8 +43,7 @@ class Monitor:
                 [
                     key(name, "*", "status"),
                     key(name, "app", "*", "status"),
-                    key(name, "app", "*", "progress"),
-                    key(name, "app", "*", "state"),
+                    *([key(name, "app", app, "progress"), key(name, "app", app, "state")] if app else []),
                     key(name, "balancer", "state"),
                     key(name, "mesh", "links"),
                     key(name, "dwm", "pose"),

@@ -1,6 +1,7 @@
 """Arguments of `swarm sim`, checked before anything starts."""
 
 import argparse
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,6 +34,20 @@ FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
 """Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
 
+
+@dataclass(frozen=True)
+class Off:
+    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
+
+    robot: str
+    at: float | None
+    """s, counted like a cut's; None: from the beginning."""
+    seconds: float
+
+
+SLOWEST, FASTEST = 0.01, 1000.0
+"""s of virtual time a second that a page may wish for."""
+
 PRESS_S = 0.3
 """How long a button is held down."""
 
@@ -63,6 +78,7 @@ class Options:
     jitter: float
     bandwidth: float | None
     cuts: tuple[Cut, ...]
+    offs: tuple[Off, ...]
     presses: tuple[Press, ...]
     lying: str | None
     """front or back: how robots lie at the start; None: as the app wants it."""
@@ -86,6 +102,12 @@ class Options:
     """Model of the bodies then."""
     mesh: str | None
     """How much of the mesh there is then; None: by the size of the swarm."""
+    view: bool
+    """Show it in the browser while it runs."""
+    speed: float | None
+    """s of virtual time a second then; infinity: as fast as it computes; None: as the real time."""
+    no_open: bool
+    """Only print the page's address."""
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:
@@ -119,6 +141,18 @@ def cut(text: str) -> Cut:
     return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
 
 
+def off(text: str) -> Off:
+    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
+    at = None if match[2] == FROM_START else duration(match[2])
+    seconds = duration(match[3])
+    if not seconds > 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
+    return Off(match[1], at, seconds)
+
+
 def press(text: str) -> Press:
     """A button `r4.A@5s`: whose, which, when."""
     match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
@@ -146,6 +180,16 @@ def _at_least(low: int) -> Callable[[str], int]:
         return value
 
     return convert
+
+
+def speed(text: str) -> float:
+    """`0.5`, or `max`: infinity."""
+    if text == "max":
+        return math.inf
+    value = _quantity(text, {"": 1.0}, "a speed such as 0.5, or max")
+    if not SLOWEST <= value <= FASTEST:
+        raise argparse.ArgumentTypeError(f"expected {SLOWEST:g} to {FASTEST:g}, or max")
+    return value
 
 
 def _positive(text: str) -> float:
@@ -197,6 +241,9 @@ def parser() -> argparse.ArgumentParser:
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
+    radio.add_argument("--off", dest="offs", action="append", type=off, default=[], metavar="r2@5s,10s",
+                       help="under virtual time: switch a robot off 5 s after the first iteration for 10 s; "
+                       "@start: it comes late")  # fmt: skip
     bodies = p.add_argument_group("the bodies")
     bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
                         help="press a button 5 s after the first iteration")  # fmt: skip
@@ -227,6 +274,12 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--mesh", choices=MESHES,
                    help="under virtual time the whole mesh from its start, or settled (above 50 robots), "
                    "or its delays alone")  # fmt: skip
+    p.add_argument(
+        "--view", action="store_true", help="under virtual time: show the run in the browser, as swarm view does"
+    )
+    p.add_argument("--speed", type=speed, metavar="X|max",
+                   help="with --view: X s of the robots' time a second (1), or as fast as it computes")  # fmt: skip
+    p.add_argument("--no-open", action="store_true", help="with --view: only print the page's address")
     p.add_argument("--demo", action="store_true", help=argparse.SUPPRESS)
     return p
 
@@ -239,12 +292,19 @@ def parse(arguments: list[str]) -> Options:
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
+    if options.offs and not options.virtual:
+        raise ConfigError("--off is for --virtual; of real processes: swarm kill r2 app, swarm kill r2 mesh")
+    if options.view and not options.virtual:
+        raise ConfigError("--view shows virtual time; for this one: swarm view, in another terminal")
+    if (options.speed is not None or options.no_open) and not options.view:
+        raise ConfigError("--speed and --no-open are for --view")
     if options.app is None:
         for given, name in (
             (options.algorithm, "--algorithm"),
             (options.settings, "--set"),
             (options.replay, "--replay"),
             (options.noise, "--noise"),
+            (options.offs, "--off"),
             (options.plot, "--plot"),
         ):
             if given:
@@ -257,6 +317,6 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
-    for name in ("settings", "cuts", "presses"):
+    for name in ("settings", "cuts", "offs", "presses"):
         setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

@@ -46,6 +46,8 @@ class Child:
     exit_code: int | None = None
     """Of its last end."""
     restart_at: float | None = None
+    held: bool = False
+    """By an order: it is not started again until told to."""
     _ends: list[float] = field(default_factory=list)
 
     @property
@@ -70,21 +72,37 @@ class Child:
 
     def boot(self) -> None:
         """Start the process as that of a robot that has just been switched on."""
-        self.given_up = ""
+        self.held, self.given_up = False, ""
         self._ends.clear()
-        self.start()
+        if self.process is None:  # else somebody has ordered it meanwhile
+            self.start()
 
     def ended(self, code: int, now: float) -> None:
         """Decide what follows from the end of the process."""
         self.process = None
         self.exit_code = code
         self._ends = [at for at in self._ends if now - at < START_LIMIT_INTERVAL_S] + [now]
+        if self.held:
+            return
         if code in NO_RESTART:
             self.given_up = f"ended with code {code}"
         elif len(self._ends) >= START_LIMIT:
             self.given_up = f"ended {START_LIMIT} times within {START_LIMIT_INTERVAL_S:g} s"
         else:
             self.restart_at = now + RESTART_DELAY_S
+
+    def hold(self) -> None:
+        """End it, and leave it so."""
+        self.held, self.restart_at = True, None
+        if self.process is not None:
+            self.process.terminate()
+            self.process.send_signal(signal.SIGCONT)  # a stopped process would never see the other signal
+
+    def release(self) -> None:
+        """Start it if it does not run; one that is ending on order is started when it has ended."""
+        self.held, self.given_up, self._ends = False, "", []
+        if self.process is None and self.restart_at is None:
+            self.start()
 
     def last_words(self, lines: int = 3) -> str:
         """The end of its log."""
@@ -115,6 +133,10 @@ class Processes:
     def of(self, robot: str) -> list[Child]:
         """The processes of one robot."""
         return [child for child in self.children if child.robot == robot]
+
+    def find(self, robot: str, service: str) -> Child | None:
+        """The process of a robot's service; None where there never was one."""
+        return next((child for child in self.of(robot) if child.service == service), None)
 
     def kill(self, robot: str) -> None:
         """End all processes of one robot at once, as when its power fails; they stay away until `start`."""

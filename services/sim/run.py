@@ -11,6 +11,7 @@ from typing import TextIO
 from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Cut, Options, Press
+from services.sim.orders import Orders
 from services.sim.power import Power
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
@@ -60,7 +61,8 @@ class Run:
         (run_dir / "swarm.toml").write_text(dump(scenario.config))
         self._services = (*SERVICE_MODULES, *([f"app/{scenario.app}"] if scenario.app else []))
         self._processes = Processes(self._environment())
-        self._monitor = Monitor(run_dir, names)
+        self._monitor = Monitor(run_dir, names, scenario.app)
+        self._orders = Orders(run_dir, self._processes, names, self._start_app)
         self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
         self._power = Power(run_dir, names, self._processes)
 
@@ -76,6 +78,7 @@ class Run:
     def __exit__(self, *_: object) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)  # the end goes through, it takes at most a few seconds
+        self._orders.close()
         self._monitor.close()
         self._processes.stop()
         self._world.close()
@@ -94,8 +97,14 @@ class Run:
             for child in self._processes.supervise(now):
                 # An app has named its fault on the bus; else the end of the log is all there is.
                 reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
-                self._problems.append(f"{child.robot} {child.service} {child.given_up}{reason}")
+                said = f"{child.robot} {child.service} {child.given_up}{reason}"
+                if child.service not in self._services:  # an app that somebody has started meanwhile
+                    self._progress.say(said)
+                    continue
+                self._problems.append(said)
                 self._stop = True
+            for done in self._orders.look():
+                self._progress.say(done)
             if now - asked > 1.0:
                 asked = now
                 self._monitor.ask_status()
@@ -105,6 +114,9 @@ class Run:
             if started is None:
                 if self._has_started(seen, missing):
                     started = now
+                elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
+                    self._problems += faults
+                    break
                 elif now - self._commanded > START_LIMIT_S:
                     self._problems.append(f"no first iteration within {START_LIMIT_S:g} s: {_obstacles(seen, missing)}")
                     break
@@ -132,6 +144,10 @@ class Run:
                 directory,
             )
 
+    def _start_app(self, robot: str, app: str) -> None:
+        """One of the built-in apps, on order."""
+        self._processes.add(robot, f"app/{app}", [APP_SERVICE, app], self._run_dir / robot)
+
     def _environment(self) -> dict[str, str]:
         options = self._options
         link = {
@@ -156,14 +172,10 @@ class Run:
             return not any(missing.values()) and all(
                 robot.progress is not None and robot.progress.phase == "running" for robot in seen.values()
             )
-        return all(_iteration(robot) >= 1 for robot in seen.values())
+        return all(_iteration(robot) >= 1 or _failed(robot) for robot in seen.values())
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
-        faults = [
-            f"{name} app {robot.progress.reason}"
-            for name, robot in seen.items()
-            if robot.progress is not None and robot.progress.phase == "fault"
-        ]
+        faults = _faults(seen)
         if faults and not self._scenario.conduct.drop:
             self._problems += faults
             return True
@@ -239,6 +251,14 @@ def _make_records(directory: Path) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     if next(directory.iterdir(), None) is not None:
         raise LocalError(f"--record {directory}: the folder is not empty; name a new one")
+
+
+def _faults(seen: Mapping[str, Seen]) -> list[str]:
+    return [f"{name} app {robot.progress.reason}" for name, robot in seen.items() if robot.progress and _failed(robot)]
+
+
+def _failed(seen: Seen) -> bool:
+    return seen.progress is not None and seen.progress.phase == "fault"
 
 
 def _iteration(seen: Seen) -> int:

@@ -1,4 +1,4 @@
-"""`swarm view`: see a running swarm in the browser."""
+"""`swarm view`: see a swarm in the browser: a running simulation, real robots through ssh, or a recorded run."""
 
 import argparse
 import asyncio
@@ -7,7 +7,9 @@ import sys
 import webbrowser
 from pathlib import Path
 
+from swarm.config import load
 from swarm.errors import LocalError
+from swarm.fleet.ssh import Ssh, hosts
 from swarm.simulations import default_run_dir
 
 HELP = "see the running swarm, or a recorded run, in the browser"
@@ -17,6 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("recording", nargs="?", type=Path, metavar="RUN", help="a recorded run, not a running one")
     parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
+    parser.add_argument(
+        "--robot", action="append", metavar="NAME", help="real robots, through this one by ssh (several: through each)"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="of the robots: SWARM_CONFIG or /etc/swarm/swarm.toml"
+    )
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
     parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
     parser.add_argument("--control", action="store_true", help="let the page act: stop, cut links, press buttons ...")
     parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
@@ -32,15 +41,24 @@ def run(args: argparse.Namespace) -> int:
     from swarm.view.control import Control
     from swarm.view.feed import Simulation
     from swarm.view.recording import Recording
+    from swarm.view.robots import Robots
 
-    feed: Simulation | Recording
+    feed: Simulation | Robots | Recording
     control = None
+    if (args.config or args.ssh_config) and not args.robot:
+        raise LocalError("--config and --ssh-config are for real robots: name one with --robot")
+    if args.robot and (args.recording or args.run_dir):
+        raise LocalError("--robot looks at real robots: leave out the recording, and --run-dir")
     if args.recording is not None:
         if args.control:
             raise LocalError("--control: there is nothing to control in a recording")
         feed = Recording(args.recording)
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
+    elif args.robot:
+        config = load(args.config)
+        feed = Robots(config, hosts(config, ",".join(dict.fromkeys(args.robot))), Ssh(args.ssh_config))
+        control = Control(feed, allowed=args.control)
     else:
         feed = Simulation((args.run_dir or default_run_dir()).absolute())
         control = Control(feed, allowed=args.control)
@@ -65,6 +83,6 @@ def run(args: argparse.Namespace) -> int:
     try:
         asyncio.run(main())
     finally:
-        if isinstance(feed, Simulation):
+        if not isinstance(feed, Recording):
             feed.close()
     return 0

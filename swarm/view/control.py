@@ -3,17 +3,17 @@
 import math
 import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from swarm import air, clock, hands
-from swarm.bus import Bus
+from swarm import air, clock, hands, orders
 from swarm.cli import kill
 from swarm.codec import Value
 from swarm.core.hands import Lay, Press, Push
 from swarm.errors import LocalError
 from swarm.keys import STOP, is_name, key
 from swarm.messages import Arm, SetAppParameters, Stop
-from swarm.view.feed import Simulation
+from swarm.view.feed import Live, Publisher, Simulation
 
 REASON = "the page of swarm view"
 PRESS_S = 0.3
@@ -23,7 +23,7 @@ MAX_CUT_S = 600.0
 class Control:
     """Carries out what pages ask."""
 
-    def __init__(self, feed: Simulation, *, allowed: bool) -> None:
+    def __init__(self, feed: Live, *, allowed: bool) -> None:
         self._feed = feed
         self.allowed = allowed
         self._wanted: bool | None = None
@@ -36,6 +36,8 @@ class Control:
             "kill": self._kill,
             "cut": self._cut,
             "set": self._set,
+            "start": lambda asked: self._order("start", asked),
+            "end": lambda asked: self._order("stop", asked),
         }
 
     def do(self, asked: object) -> str:
@@ -64,12 +66,13 @@ class Control:
             self._give(name, self._feed.buses[name])
 
     def _halt(self, *, stop: bool) -> str:
+        self._feed.check_control()
         self._wanted = stop
         for name, bus in self._feed.buses.items():
             self._give(name, bus)
         return "stop given to all robots" if stop else "stops taken back"
 
-    def _give(self, name: str, bus: Bus) -> None:
+    def _give(self, name: str, bus: Publisher) -> None:
         if self._wanted:
             bus.publish(STOP, Stop(clock.now(), name, REASON), urgent=True)
         else:
@@ -77,22 +80,22 @@ class Control:
 
     def _press(self, asked: Mapping[str, Any]) -> str:
         robot, button = self._robot(asked), str(asked["button"]).upper()
-        hands.do(self._feed.directory / robot, Press(button, PRESS_S))
+        hands.do(self._run_dir() / robot, Press(button, PRESS_S))
         return f"{robot}: pressed {button}"
 
     def _push(self, asked: Mapping[str, Any]) -> str:
         robot, impulse = self._robot(asked), float(asked["impulse"])
-        hands.do(self._feed.directory / robot, Push(impulse))
+        hands.do(self._run_dir() / robot, Push(impulse))
         return f"{robot}: pushed with {impulse:g} N s"
 
     def _lay(self, asked: Mapping[str, Any]) -> str:
         robot, side = self._robot(asked), str(asked["side"])
-        hands.do(self._feed.directory / robot, Lay(side))
+        hands.do(self._run_dir() / robot, Lay(side))
         return f"{robot}: lies on its {side}"
 
     def _kill(self, asked: Mapping[str, Any]) -> str:
         robot = self._robot(asked)
-        service, pid = kill.end(self._feed.directory / robot, str(asked["service"]), "KILL")
+        service, pid = kill.end(self._run_dir() / robot, str(asked["service"]), "KILL")
         return f"{robot}: killed {service} (pid {pid})"
 
     def _cut(self, asked: Mapping[str, Any]) -> str:
@@ -100,24 +103,37 @@ class Control:
         if not 0.0 <= seconds <= MAX_CUT_S or not math.isfinite(seconds):
             raise LocalError(f"cut: expected 0 (mend) to {MAX_CUT_S:g} s, got {seconds:g}")
         for robot, peer in (ends, ends[::-1]):
-            air.silence(self._feed.directory, robot, peer, seconds)
+            air.silence(self._run_dir(), robot, peer, seconds)
         return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
 
     def _set(self, asked: Mapping[str, Any]) -> str:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
         if not is_name(app) or not isinstance(value, bool | int | float | str):
             raise LocalError("set: expected the name of an app and a number, a text, true or false")
-        robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+        robots = self._robots(asked)
         values: dict[str, Value] = {name: value}
         for robot in robots:
             request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
             self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
         return f"{app}: {name}={value} asked of {' '.join(robots)}"
 
+    def _order(self, act: str, asked: Mapping[str, Any]) -> str:
+        return orders.give(self._run_dir(), act, str(asked["app"]), self._robots(asked))
+
+    def _robots(self, asked: Mapping[str, Any]) -> list[str]:
+        """The robot that is named, else all."""
+        return [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+
+    def _run_dir(self) -> Path:
+        if not isinstance(self._feed, Simulation):
+            raise LocalError("that is done to simulated robots only")
+        return self._feed.directory
+
     def _robot(self, asked: Mapping[str, Any]) -> str:
         name = str(asked["robot"])
         if name not in self._feed.buses:
-            raise LocalError(f"no robot {name[:20]!r}, there are {', '.join(self._feed.buses)}")
+            also = "; others are seen over the mesh alone" if self._feed.kind == "robots" else ""
+            raise LocalError(f"no robot {name[:20]!r}, there are {', '.join(self._feed.buses)}{also}")
         return name
 
 

@@ -1,15 +1,16 @@
 """Where a picture gets its samples from: the buses of a simulation that runs on this machine."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Protocol
 
 from swarm import clock
 from swarm.bus import Bus
 from swarm.config import parse
 from swarm.config.types import Config
 from swarm.errors import LocalError, SwarmError
-from swarm.keys import EVERYTHING
+from swarm.fleet.lookout import watch
 from swarm.paths import bus_endpoint
 from swarm.simulations import CONFIG, is_live, robots
 from swarm.view.picture import Picture
@@ -18,7 +19,73 @@ _LOOK_EVERY = 0.5
 """s between two looks for buses that have come."""
 
 
-class Simulation:
+class Publisher(Protocol):
+    """The way to a robot's bus."""
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        """Send a message dataclass or raw bytes; silently lost while the bus is away."""
+
+
+class Live(Protocol):
+    """Where the present of a swarm comes from."""
+
+    @property
+    def kind(self) -> str:
+        """`simulation`, `robots` or `virtual`."""
+
+    @property
+    def picture(self) -> Picture:
+        """What is known; to be looked at under `lock`."""
+
+    @property
+    def lock(self) -> threading.Lock:
+        """Around the picture."""
+
+    @property
+    def live(self) -> bool:
+        """Whether it still runs."""
+
+    @property
+    def config(self) -> Config | None:
+        """Of the swarm; None as long as it is not there."""
+
+    @property
+    def buses(self) -> Mapping[str, Publisher]:
+        """The way to each robot that has one."""
+
+    def now(self) -> float:
+        """The page's time, s."""
+
+    def pace(self) -> dict[str, object] | None:
+        """How fast time passes, where that can be changed: `{speed, actual, paused}`."""
+
+    def set_pace(self, speed: float | None, paused: bool) -> None:
+        """Let it pass otherwise. Raises `ValueError` where that cannot be."""
+
+    def check_control(self) -> None:
+        """Raises `LocalError` where no robot can be told anything at this moment."""
+
+
+class RealTime:
+    """A time that nobody can change."""
+
+    def __init__(self) -> None:
+        self.began = clock.now()
+        """The page counts its seconds from here."""
+
+    def now(self) -> float:
+        """The page's time, s."""
+        return clock.now() - self.began
+
+    def pace(self) -> None:
+        """It passes as it does."""
+
+    def set_pace(self, speed: float | None, paused: bool) -> None:
+        """Refused."""
+        raise ValueError("this is real time")
+
+
+class Simulation(RealTime):
     """Watches the bus of every robot of a running simulation until closed."""
 
     kind = "simulation"
@@ -26,7 +93,11 @@ class Simulation:
     def __init__(self, directory: Path) -> None:
         """Raises `LocalError` where none runs there."""
         if not is_live(directory):
-            raise LocalError(f"no simulation is running in {directory}: start one with `swarm sim`, or name --run-dir")
+            raise LocalError(
+                f"no simulation is running in {directory}: start one with `swarm sim`, or name "
+                "--run-dir; real robots: --robot NAME"
+            )
+        super().__init__()
         self.picture = Picture()
         self.lock = threading.Lock()
         """Around the picture."""
@@ -37,11 +108,14 @@ class Simulation:
         """The swarm's configuration; None as long as it is not there."""
         self.buses: dict[str, Bus] = {}
         """Of each robot."""
-        self.began = clock.now()
-        """The page counts its seconds from here."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
         self._thread.start()
+
+    def check_control(self) -> None:
+        """Raises `LocalError` where no robot can be told anything at this moment."""
+        if not self.live:
+            raise LocalError("the simulation has ended")
 
     def close(self) -> None:
         """Leave all buses."""
@@ -59,20 +133,19 @@ class Simulation:
                 if name not in self.buses:
                     bus = Bus(bus_endpoint(runtime))
                     self.buses = {**self.buses, name: bus}  # others may be going through it
-                    bus.subscribe(EVERYTHING, self._taker(name))
-                    bus.watch(f"swarm/{name}/**/alive", self._alive)
+                    watch(bus, name, self._taker(name), self._alive)
 
     def _taker(self, robot: str) -> Callable[[str, bytes], None]:
         def take(key: str, payload: bytes) -> None:
             with self.lock:
-                self.picture.take(robot, key, payload, clock.now() - self.began)
+                self.picture.take(robot, key, payload, self.now())
 
         return take
 
     def _alive(self, key: str, there: bool) -> None:
         _, robot, *service, _ = key.split("/")
         with self.lock:
-            self.picture.alive(robot, "/".join(service), there, clock.now() - self.began)
+            self.picture.alive(robot, "/".join(service), there, self.now())
 
 
 def config_of(directory: Path) -> Config | None:

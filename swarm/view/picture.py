@@ -26,8 +26,15 @@ MAX_TOPICS = 256
 MAX_BYTES = 256
 """Of a raw payload within a message that a page is told."""
 
+MAX_NAMED = 6
+"""Robots that are waited for and named in an event."""
+
 TRAIL_S = 30.0
 """How much of its way a robot draws behind it, s."""
+
+
+REACH = "view/reach"
+"""What this side says of a real robot: `by` ssh, the mesh or nothing, and `why`."""
 
 
 class Event(NamedTuple):
@@ -78,6 +85,10 @@ class Picture:
             self.refused += 1
             return
         self.put(robot, f"{service}/{topic}", value, now)
+
+    def passed(self, sender: str, receiver: str, count: int) -> None:
+        """How many messages have passed between the two so far, from whoever counts them."""
+        self._hops[f"{sender}>{receiver}"] = count
 
     def put(self, robot: str, topic: str, value: object, now: float) -> None:
         """A decoded sample."""
@@ -180,13 +191,18 @@ def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:
         phase, waiting = value.get("phase"), value.get("waiting_for") or []
         text = f"{service} {phase}"
         if isinstance(waiting, list) and waiting:
-            text += " for " + " ".join(map(str, waiting))
+            text += " for " + " ".join(map(str, waiting[:MAX_NAMED]))
+            if len(waiting) > MAX_NAMED:
+                text += f" and {len(waiting) - MAX_NAMED} more"
         if value.get("reason"):
             text += f": {value['reason']}"
         yield {"fault": "error", "waiting": "warning"}.get(str(phase), "info"), text, f"{service} phase"
     elif topic == "balancer/fault":
         name = value.get("name")
         yield "error" if name else "info", f"fault {name}: {value.get('reason')}" if name else "no fault", "fault"
+    elif topic == REACH:
+        by, why = value.get("by"), value.get("why")
+        yield ("info", f"seen by {by}", "reach") if by else ("warning", f"out of reach: {why}", "reach")
     elif topic == "mesh/stopped":
         stopped = value.get("stopped")
         yield "error" if stopped else "info", "stopped" if stopped else "not stopped", "stopped"

@@ -16,10 +16,9 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from swarm import clock
 from swarm.errors import LocalError
 from swarm.view.control import Control
-from swarm.view.feed import Simulation
+from swarm.view.feed import Live
 from swarm.view.picture import TRAIL_S
 from swarm.view.recording import Recording
 
@@ -29,6 +28,9 @@ RATE = 25.0
 
 CROWD = 50
 """Robots from which on a page gets a fifth as many steps."""
+
+HEARTBEAT_S = 10.0
+"""s between two pings; a page that takes half of it to answer is let go of, and connects again when it can."""
 
 SETTLE_S = 4.0
 """s that a page has before its picture is taken: to connect, and for trails to grow."""
@@ -44,9 +46,9 @@ _POLICY = (
 )
 """Nothing from the network at run time."""
 
-Feed = Simulation | Recording
+Feed = Live | Recording
 
-_FEED: web.AppKey[Feed] = web.AppKey("feed", Feed)  # type: ignore[arg-type]
+_FEED: web.AppKey[Feed] = web.AppKey("feed")
 _TOKEN: web.AppKey[str] = web.AppKey("token")
 _CONTROL: web.AppKey[Control | None] = web.AppKey("control")
 
@@ -92,18 +94,20 @@ async def _settled(_: web.Request) -> web.StreamResponse:
 
 
 async def _live(request: web.Request) -> web.StreamResponse:
-    socket = web.WebSocketResponse(heartbeat=1.0, max_msg_size=_MAX_REQUEST)
+    # Not compressed: it is this machine, and a page that has gone away would leave a task behind.
+    socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=_MAX_REQUEST, compress=False)
     await socket.prepare(request)
     feed, control = request.app[_FEED], request.app[_CONTROL]
     if isinstance(feed, Recording):
         await _play(feed, socket)
         return socket
-    assert control is not None
     steps = asyncio.create_task(_steps(feed, control, socket))
     try:
         async for message in socket:
             if message.type == WSMsgType.TEXT:
-                await socket.send_str(json.dumps(_answer(feed, control, message.data), allow_nan=False))
+                # In a thread: a simulation takes its time to obey, and the page's pictures go on.
+                answer = await asyncio.to_thread(_answer, feed, control, message.data)
+                await socket.send_str(json.dumps(answer, allow_nan=False))
     finally:
         steps.cancel()
         with contextlib.suppress(asyncio.CancelledError, ConnectionError):
@@ -111,12 +115,12 @@ async def _live(request: web.Request) -> web.StreamResponse:
     return socket
 
 
-async def _steps(feed: Simulation, control: Control, socket: web.WebSocketResponse) -> None:
+async def _steps(feed: Live, control: Control | None, socket: web.WebSocketResponse) -> None:
     """Tell a page what there is, then what changes."""
     known: dict[str, Any] = {}
     version = number = 0
     while not socket.closed:
-        now = clock.now() - feed.began
+        now = feed.now()
         step: dict[str, Any] = {"t": now, "live": feed.live}
         swarm = _swarm(feed, control)
         with feed.lock:
@@ -137,7 +141,7 @@ async def _steps(feed: Simulation, control: Control, socket: web.WebSocketRespon
         if events:
             step["events"] = [event._asdict() for event in events]
             number = events[-1].number
-        for name, value in (("swarm", swarm), ("services", services), ("hops", hops)):
+        for name, value in (("swarm", swarm), ("services", services), ("hops", hops), ("pace", feed.pace())):
             if known.get(name) != value:
                 step[name] = known[name] = value
         await socket.send_str(json.dumps(step, allow_nan=False, separators=(",", ":")))
@@ -181,17 +185,23 @@ def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
     }
 
 
-def _answer(feed: Simulation, control: Control, text: str) -> dict[str, Any]:
+def _answer(feed: Live, control: Control | None, text: str) -> dict[str, Any]:
     """What a page asks: the history of a key, or an act."""
     try:
         asked = json.loads(text)
         if "do" in asked:
+            if control is None:
+                return {"refused": "a virtual run is only watched"}
             return {"done": control.do(asked["do"])}
+        if "pace" in asked:
+            speed = asked["pace"]["speed"]
+            feed.set_pace(None if speed is None else float(speed), bool(asked["pace"]["paused"]))
+            return {"done": "paused" if asked["pace"]["paused"] else f"speed: {speed or 'max'}"}
         robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
     except LocalError as error:
         return {"refused": str(error)}
     except (ValueError, KeyError, TypeError):
-        return {"refused": "expected {history: {robot, topic}} or {do: {act, ...}}"}
+        return {"refused": "expected {history: {robot, topic}}, {do: {act, ...}} or {pace: {speed, paused}}"}
     with feed.lock:
         rows = feed.picture.history(robot, topic)
     return {"history": {"robot": robot, "topic": topic, "rows": rows}}

@@ -1,5 +1,6 @@
 """What robots tell to whoever watches the swarm through one of them: how much, for how long, and to whom."""
 
+import pytest
 from conftest import wait_until
 from hypothesis import given
 from hypothesis import strategies as st
@@ -153,6 +154,7 @@ def test_it_crosses_the_mesh_to_the_robot_that_is_watched_and_not_in_anothers_na
     assert [key for key, _ in world.bots["r0"].inbox if key.endswith("/view")] == ["swarm/r3/mesh/view"]
 
 
+@pytest.mark.slow
 def test_real_meshes_tell_it(build: Build) -> None:
     swarm = build(edges=(("r0", "r1"), ("r1", "r2")), times=SHORT)
     views: dict[str, View] = {}

@@ -29,6 +29,18 @@ class View:
 
 
 @contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser without a window; the test is skipped where there is none."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no chromium: apt-get install chromium")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextmanager
 def shown(browser: Any, *arguments: object, **options: Any) -> Iterator[Any]:
     """The page of `swarm view ARGUMENTS`; nothing may be complained of in it."""
     view = View(*arguments)

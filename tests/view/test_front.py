@@ -1,10 +1,11 @@
 """The lockstep front, in a real browser: a link of a loop is cut, and robots wait for each other."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, seek, shown, until
+from browsing import PATIENCE_MS, chromium, seek, shown, until
 from virtual_run import recorded
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
@@ -25,6 +26,12 @@ PICTURE = """(() => {
   return red;
 })()"""
 """How many pixels are in the colour of what is bad."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, seek, shown, until
+from browsing import PATIENCE_MS, chromium, seek, shown, until
 from virtual_run import recorded
 
 from bench.simulation import Simulation
@@ -31,6 +31,12 @@ def simulation() -> Iterator[Simulation]:
     with Simulation("consensus", "--robots", "6", "--topology", "loop", "--seconds", "600") as simulation:
         simulation.wait_for("r0", 3)
         yield simulation
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture
@@ -102,6 +108,44 @@ def test_stop_stops_and_is_confirmed_by_the_robots(page: Any) -> None:
         expect(row(page, robot)).to_contain_text("fault", timeout=PATIENCE_MS)
     page.locator("#arm").click()
     expect(page.locator("#stop")).to_have_text("STOP", timeout=PATIENCE_MS)
+
+
+@pytest.mark.parametrize("page", [("--control",)], indirect=True)
+def test_apps_are_started_set_and_stopped(page: Any) -> None:
+    row(page, "r1").click(timeout=PATIENCE_MS)
+    page.get_by_label("app to start").fill("formation", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="start on all", exact=True).click()
+    expect(page.locator("#said")).to_contain_text("formation: started on r0 r1", timeout=PATIENCE_MS)
+    until(page, "swarmView.store.names.every((name) => swarmView.store.services[name]['app/formation'])")
+    gain = page.get_by_label("formation gain")
+    gain.fill("0.7", timeout=PATIENCE_MS)
+    gain.press("Enter")
+    value = "swarmView.store.get(name, 'app/formation/parameters')?.parameters.gain.value === 0.7"
+    until(page, f"swarmView.store.names.every((name) => {value})")
+    gain.fill("77")
+    gain.press("Enter")
+    expect(page.locator("#said")).to_contain_text("gain", timeout=PATIENCE_MS)
+    expect(page.locator("#said")).to_have_class("bad", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="stop formation", exact=True).click()
+    expect(page.locator("#events li", has_text="r1 app/formation is gone").first).to_be_visible(timeout=PATIENCE_MS)
+    assert page.evaluate("swarmView.store.services.r0['app/formation']")
+    page.get_by_role("button", name="stop formation on all").click()
+    until(page, "swarmView.store.names.every((name) => !swarmView.store.services[name]['app/formation'])")
+    page.get_by_label("app to start").fill("nothing")
+    page.get_by_label("app to start").press("Enter")
+    expect(page.locator("#said")).to_contain_text("no app nothing: expected consensus", timeout=PATIENCE_MS)
+
+
+@pytest.mark.parametrize("page", [("--control",)], indirect=True)
+def test_hands_are_laid_on_a_robot(page: Any) -> None:
+    row(page, "r3").click(timeout=PATIENCE_MS)
+    expect(row(page, "r3")).to_contain_text("balancing", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="press C").click(timeout=PATIENCE_MS)
+    until(page, "swarmView.store.get('r3', 'balancer/buttons')?.presses_c >= 1")
+    page.get_by_role("button", name="push").click()
+    expect(page.locator("#said")).to_contain_text("r3: pushed", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="lay on back").click()
+    expect(page.locator("#events li", has_text="r3 fault fell").first).to_be_visible(timeout=PATIENCE_MS)
 
 
 def test_a_lost_server_is_shown_as_lost(page: Any) -> None:

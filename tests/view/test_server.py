@@ -141,7 +141,7 @@ def test_what_is_no_question_is_refused_and_the_page_lives_on(feed: Simulation, 
 def test_without_control_every_act_is_refused(feed: Simulation) -> None:
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
-        for name in ("stop", "arm", "press", "push", "lay", "kill", "cut", "set"):
+        for name in ("stop", "arm", "press", "push", "lay", "kill", "cut", "set", "start", "end"):
             await socket.send_str(json.dumps({"do": {"act": name, "robot": "r0"}}))
             assert "--control" in await said(socket, "refused")
         assert all(not bus.published for bus in feed.buses.values())
@@ -177,6 +177,10 @@ def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulati
         ({"act": "cut", "robot": "r0", "peer": "r1", "seconds": 1e9}, "600"),
         ({"act": "cut", "robot": "r0", "peer": "r1", "seconds": 1}, "cut"),
         ({"act": "set", "app": "a/b", "name": "x", "value": 1}, "app"),
+        ({"act": "start", "app": "consensus"}, "takes no orders"),
+        ({"act": "start", "app": "../x"}, "no name of an app"),
+        ({"act": "end", "app": "consensus", "robot": "r9"}, "no robot"),
+        ({"act": "end"}, "app"),
         ({"act": "fly"}, "expected an act"),
         ("stop", "expected an act"),
     ],

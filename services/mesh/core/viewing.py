@@ -19,7 +19,7 @@ from swarm.messages import Status, View, Watch
 LONGEST_S = 60.0
 """Of one request."""
 
-REPEAT_S = 4.0
+REPEAT_S = 2.0
 """s between two requests that are flooded at least: two viewers cost no more than one."""
 
 PERIOD_S = 1.0

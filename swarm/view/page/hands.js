@@ -1,4 +1,5 @@
-// What can be done to the swarm, where the server allows it: stop it, lay hands on one robot, set an app's parameters.
+// What can be done to the swarm, where the server allows it: stop it, start and stop apps, lay hands on one robot, set
+// an app's parameters.
 
 const CUT_S = 60;
 
@@ -21,11 +22,27 @@ export class Hands {
     this.act = (act) => ask({ do: act });
     this.stop.addEventListener("click", () => this.act({ act: "stop" }));
     this.arm.addEventListener("click", () => this.act({ act: "arm" }));
+    this.apps = document.querySelector("#apps");
+    this.known = "";
+    this.apps.addEventListener("submit", (event) => {
+      event.preventDefault();
+      const { value } = this.apps.elements.app;
+      if (value) this.act({ act: "start", app: value });
+    });
   }
 
   tell(text, refused) {
     this.said.textContent = text;
     this.said.className = refused ? "bad" : "";
+  }
+
+  // A robot may find a value out of bounds.
+  take(step) {
+    for (const [name, topics] of Object.entries(step.robots ?? {})) {
+      for (const [topic, value] of Object.entries(topics)) {
+        if (topic.endsWith("/parameters_set") && value?.problem) this.tell(`${name}: ${value.problem}`, true);
+      }
+    }
   }
 
   draw(robot) {
@@ -35,6 +52,7 @@ export class Hands {
     this.arm.hidden = !control || !stopped.length;
     const text = stopped.length ? `STOPPED ${stopped.length}/${names.length}` : "STOP";
     if (this.stop.textContent !== text) this.stop.textContent = text;
+    this.drawApps(control);
     this.panel.hidden = !control || !robot;
     if (this.panel.hidden) return;
     const peers = (this.store.get(robot, "mesh/links")?.links ?? []).map((each) => each.peer);
@@ -43,7 +61,8 @@ export class Hands {
       const found = /^app\/([^/]+)\/parameters$/.exec(topic);
       return found ? Object.entries(value.parameters ?? {}).filter(([, each]) => each.live).map(([name, each]) => [found[1], name, each.value]) : [];
     });
-    const shown = JSON.stringify([robot, peers, services, parameters]);
+    const apps = this.running([robot]);
+    const shown = JSON.stringify([robot, peers, services, apps, parameters]);
     if (shown === this.shown || this.panel.contains(document.activeElement) && document.activeElement.tagName === "INPUT") return;
     this.shown = shown;
     this.panel.replaceChildren(
@@ -54,9 +73,34 @@ export class Hands {
         button(`cut ${peer}`, () => this.act({ act: "cut", robot, peer, seconds: CUT_S })),
         button(`mend ${peer}`, () => this.act({ act: "cut", robot, peer, seconds: 0 })),
       ]),
+      ...apps.map(([app, runs]) => this.app(app, runs, robot)),
       ...services.map((service) => button(`kill ${service}`, () => this.act({ act: "kill", robot, service }))),
       ...parameters.map(([app, name, value]) => this.parameter(app, name, value)),
     );
+  }
+
+  // Apps that have been on these robots, and whether one of them runs: [[name, runs], ...].
+  running(robots) {
+    const found = new Map();
+    for (const robot of robots) {
+      for (const [service, there] of Object.entries(this.store.services[robot] ?? {})) {
+        if (service.startsWith("app/")) found.set(service.slice(4), there || (found.get(service.slice(4)) ?? false));
+      }
+    }
+    return [...found].sort();
+  }
+
+  app(app, runs, robot) {
+    return button(`${runs ? "stop" : "start"} ${app}${robot ? "" : " on all"}`, () => this.act({ act: runs ? "end" : "start", app, robot }));
+  }
+
+  drawApps(control) {
+    this.apps.hidden = !control;
+    if (!control) return;
+    const apps = this.running(this.store.names), known = JSON.stringify(apps);
+    if (known === this.known) return;
+    this.known = known;
+    this.apps.querySelector("span").replaceChildren(...apps.map(([app, runs]) => this.app(app, runs)));
   }
 
   // Of all robots: an algorithm's parameters differ between robots by intention only, and then by `swarm param`.

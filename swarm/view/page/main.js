@@ -5,6 +5,7 @@ import { Front } from "./front.js";
 import { Hands } from "./hands.js";
 import { SwarmMap } from "./map.js";
 import { Events, Keys, Robots } from "./panels.js";
+import { Pace } from "./pace.js";
 import { Player } from "./player.js";
 import { Store } from "./store.js";
 import { theme } from "./theme.js";
@@ -33,6 +34,7 @@ const keys = new Keys(find("#keys"), store, (topic, path) => charts.open(topic, 
 const hands = new Hands(find("header"), find("#hands"), store, ask);
 
 const player = new Player(find("#player"), store, ask);
+const pace = new Pace(find("#pace"), store, ask);
 
 function select(name) {
   selected = name === selected ? null : name;
@@ -58,6 +60,7 @@ function connect() {
     }
     store.take(step, heard);
     front.take(step);
+    if (!first && !replaced) hands.take(step);
     charts.take(step);
     if (first || replaced) charts.refill();
     first = false;
@@ -68,7 +71,7 @@ function connect() {
 // In its own rhythm: the table need not be drawn as often as the map.
 setInterval(() => {
   const connection = find("#connection"), silent = performance.now() - heard > SILENCE_MS;
-  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : ["the simulation has ended", "warn"];
+  const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the run has ended", "warn"];
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
   find("#kind").textContent = store.swarm ? `${store.swarm.kind}, ${store.names.length} robots` : "";
   front.draw(selected);
@@ -77,6 +80,7 @@ setInterval(() => {
   keys.draw();
   hands.draw(selected);
   player.draw(performance.now());
+  pace.draw();
   charts.draw(performance.now());
 }, PANELS_MS);
 

@@ -3,7 +3,9 @@
 import { sharp, theme } from "./theme.js";
 
 const BODY = 0.055; // half a Balboa's width, m
-const ROBOTS_WITH_TRAILS = 60;
+const CROWD = 60; // robots above which links are thin, and trails and crowded names are left out
+const ROOM = 60; // pixels between robots of a crowd that have names
+const COLOURS = { up: "--good", suspect: "--warn", connecting: "--warn", down: "--bad" };
 const BUSY = 10; // messages a second above which a link no longer flashes
 const FLASH_MS = 160;
 
@@ -27,11 +29,17 @@ export class SwarmMap {
       const place = this.place(name, now);
       if (place) points.push([place.x, place.y]);
     }
-    for (const target of this.targets()) points.push([target.x, target.y]);
     if (!points.length) return { x: 0, y: 0, width: 2, height: 2 };
     const xs = points.map((each) => each[0]), ys = points.map((each) => each[1]);
+    // An estimate that is far off must not make everything else small.
+    const far = 2 * Math.max(1, Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys)), [x0, y0] = points[0];
+    for (const { x, y } of this.targets()) {
+      if (Math.abs(x - x0) > far || Math.abs(y - y0) > far) continue;
+      xs.push(x);
+      ys.push(y);
+    }
     const x = (Math.min(...xs) + Math.max(...xs)) / 2, y = (Math.min(...ys) + Math.max(...ys)) / 2;
-    return { x, y, width: Math.max(...xs) - Math.min(...xs) + 0.6, height: Math.max(...ys) - Math.min(...ys) + 0.6 };
+    return { x, y, width: 1.06 * (Math.max(...xs) - Math.min(...xs)) + 0.6, height: 1.06 * (Math.max(...ys) - Math.min(...ys)) + 0.6 };
   }
 
   // A robot without a pose yet has its place on a circle, so that its links can be seen.
@@ -45,10 +53,9 @@ export class SwarmMap {
   // Every robot's estimate of the target, where its app reports x and y.
   targets() {
     const found = [];
-    for (const [name, topics] of this.store.robots) {
-      for (const [topic, value] of topics) {
-        if (!/^app\/[^/]+\/state$/.test(topic)) continue;
-        const { x, y, sigma } = value?.result ?? {};
+    for (const [name, apps] of this.store.apps) {
+      for (const app of apps) {
+        const { x, y, sigma } = this.store.get(name, `${app}/state`)?.result ?? {};
         if (typeof x === "number" && typeof y === "number" && Math.abs(x) < 1e4 && Math.abs(y) < 1e4) found.push({ name, x, y, sigma });
       }
     }
@@ -77,11 +84,42 @@ export class SwarmMap {
     c.font = `${12 * ratio}px system-ui, sans-serif`;
     this.grid(c, width, height, view);
     for (const anchor of this.store.swarm?.anchors ?? []) this.anchor(c, anchor);
-    for (const [a, b] of this.store.edges) this.link(c, a, b, now);
-    const names = this.store.names;
-    if (names.length <= ROBOTS_WITH_TRAILS) for (const name of names) this.trail(c, name);
+    const names = this.store.names, crowd = names.length > CROWD;
+    if (crowd) this.links(c, now);
+    else for (const [a, b] of this.store.edges) this.link(c, a, b, now);
+    if (!crowd) for (const name of names) this.trail(c, name);
     for (const target of this.targets()) this.target(c, target);
+    this.named = !crowd || this.room(names) > ROOM * ratio;
     for (const name of names) this.robot(c, name, now);
+  }
+
+  // How far robots are apart, in pixels, were they spread evenly.
+  room(names) {
+    const places = names.map((name) => this.store.places.get(name)?.to).filter(Boolean);
+    if (!places.length) return 0;
+    const xs = places.map((each) => each.x), ys = places.map((each) => each.y);
+    const area = (Math.max(...xs) - Math.min(...xs)) * (Math.max(...ys) - Math.min(...ys));
+    return this.shown.scale * Math.sqrt(area / places.length);
+  }
+
+  // Of a crowd: thin lines, those of a colour at once.
+  links(c, now) {
+    const lines = new Map();
+    for (const [a, b] of this.store.edges) {
+      const from = this.place(a, now), to = this.place(b, now);
+      if (!from || !to) continue;
+      const colour = COLOURS[this.store.link(a, b)?.state] ?? "--faint";
+      if (!lines.has(colour)) lines.set(colour, new Path2D());
+      lines.get(colour).moveTo(...this.at(from.x, from.y));
+      lines.get(colour).lineTo(...this.at(to.x, to.y));
+    }
+    c.lineWidth = this.ratio;
+    for (const [colour, path] of lines) {
+      c.globalAlpha = colour === "--good" ? 0.35 : 1;
+      c.strokeStyle = theme.colour(colour);
+      c.stroke(path);
+    }
+    c.globalAlpha = 1;
   }
 
   grid(c, width, height, view) {
@@ -118,8 +156,7 @@ export class SwarmMap {
     const from = this.place(a, now), to = this.place(b, now);
     if (!from || !to) return;
     const link = this.store.link(a, b), state = link?.state;
-    const colours = { up: "--good", suspect: "--warn", connecting: "--warn", down: "--bad" };
-    c.strokeStyle = theme.colour(colours[state] ?? "--faint");
+    c.strokeStyle = theme.colour(COLOURS[state] ?? "--faint");
     c.lineWidth = this.ratio * (1.2 + Math.min(4, Math.log10(1 + (link?.rate ?? 0) / 50)));
     c.setLineDash(state === "up" ? [] : [6 * this.ratio, 5 * this.ratio]);
     const [ax, ay] = this.at(from.x, from.y), [bx, by] = this.at(to.x, to.y);
@@ -171,7 +208,7 @@ export class SwarmMap {
     if (!place) return;
     const [x, y] = this.at(place.x, place.y), size = Math.max(8 * this.ratio, BODY * this.shown.scale);
     const services = Object.values(this.store.services[name] ?? {});
-    const gone = services.length && services.every((there) => !there);
+    const gone = (services.length && services.every((there) => !there)) || this.store.get(name, "view/reach")?.by === null;
     const estimate = this.store.get(name, "dwm/pose");
     if (typeof estimate?.deviation_x === "number") {
       this.ellipse(c, estimate.x, estimate.y, 2 * estimate.deviation_x, 2 * (estimate.deviation_y ?? estimate.deviation_x), this.store.colour(name));
@@ -202,7 +239,7 @@ export class SwarmMap {
       c.beginPath(); c.arc((index - 1) * size * 0.62, -size * 1.45, size * 0.26, 0, 7); c.fill();
     });
     c.fillStyle = theme.colour("--ink");
-    c.fillText(name, size * 1.2, size * 1.4);
+    if (this.named || name === this.selected) c.fillText(name, size * 1.2, size * 1.4);
     c.restore();
   }
 

@@ -47,10 +47,11 @@ export class Robots {
     const body = get("balancer/state"), battery = get("balancer/battery");
     const links = get("mesh/links")?.links ?? [], up = links.filter((each) => each.state === "up").length;
     const [app, progress] = this.app(name), clock = get("mesh/clock"), fault = get("balancer/fault");
-    const left = body?.battery_left;
+    const left = body?.battery_left, reach = get("view/reach");
+    if (reach?.by === "mesh") title.append(" (mesh)");
     return [
       title,
-      gone.length ? cell(`gone: ${gone.join(" ")}`, "bad") : degraded.length ? cell(`degraded: ${degraded.join(" ")}`, "warn") : Object.keys(services).length ? cell(`${Object.keys(services).length} ok`, "good") : cell("-"),
+      reach && !reach.by ? cell(`out of reach: ${reach.why}`, "bad text") : gone.length ? cell(`gone: ${gone.join(" ")}`, "bad") : degraded.length ? cell(`degraded: ${degraded.join(" ")}`, "warn") : Object.keys(services).length ? cell(`${Object.keys(services).length} ok`, "good") : cell("-"),
       body ? cell(`${body.mode} ${((body.tilt * 180) / Math.PI).toFixed(1)}°`, body.mode === "fault" ? "bad" : "") : cell("-"),
       cell(body?.battery ? `${body.battery.toFixed(2)} V${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : battery?.voltage ? `${battery.voltage.toFixed(2)} V` : "-", { low: "warn", empty: "bad" }[body?.battery_level] ?? ""),
       cell(`${up}/${links.length}`, up < links.length ? "bad" : ""),

@@ -15,7 +15,9 @@ export class Store {
   clear() {
     this.t = 0;
     this.live = false;
+    this.pace = null; // of virtual time
     this.swarm = null;
+    this.colours = new Map(); // of robots, by name
     this.apps = new Map(); // name -> [topic of a state of an app, ...], e.g. "app/consensus"
     this.edges = []; // [[a, b], ...]: links that are to be, as the newest topology has them
     this.topology = -1; // its version
@@ -26,13 +28,14 @@ export class Store {
     this.trails = new Map(); // name -> [[x, y], ...]
     this.hops = {};
     this.flashes = new Map(); // "r0>r1" -> {at, rate}
-    this.places = new Map(); // name -> {from, to, at}: drawn between two samples
+    this.places = new Map(); // name -> {from, to, at, span}: drawn between two samples
   }
 
   // One message of the server.
   take(step, now) {
     if (step.swarm !== undefined) this.become(step.swarm);
     if (step.services) this.services = step.services;
+    if (step.pace) this.pace = step.pace;
     this.t = step.t;
     this.live = step.live;
     for (const [name, places] of Object.entries(step.trails ?? {})) this.trails.set(name, places);
@@ -63,6 +66,7 @@ export class Store {
   // What does not move.
   become(swarm) {
     this.swarm = swarm;
+    this.colours = new Map((swarm?.robots ?? []).map((name, index) => [name, PALETTE[index % PALETTE.length]]));
     if (swarm && this.topology < 0) this.edges = swarm.edges;
   }
 
@@ -92,7 +96,7 @@ export class Store {
   }
 
   colour(name) {
-    return PALETTE[Math.max(0, this.names.indexOf(name)) % PALETTE.length];
+    return this.colours.get(name) ?? PALETTE[Math.max(0, this.names.indexOf(name)) % PALETTE.length];
   }
 
   get(name, topic) {
@@ -109,7 +113,8 @@ export class Store {
     const pose = this.pose(name);
     if (!pose) return;
     const before = this.place(name, now);
-    this.places.set(name, { from: before ?? pose, to: pose, at: now });
+    const span = Math.min(500, Math.max(100, now - (this.places.get(name)?.at ?? now)));
+    this.places.set(name, { from: before ?? pose, to: pose, at: now, span });
     const trail = this.trails.get(name) ?? [];
     const last = trail[trail.length - 1];
     if (!last || Math.hypot(last[0] - pose.x, last[1] - pose.y) > 0.01) trail.push([pose.x, pose.y]);
@@ -117,11 +122,11 @@ export class Store {
     this.trails.set(name, trail);
   }
 
-  // Where to draw a robot now: samples come ten times a second, the screen has sixty pictures.
+  // Where to draw a robot now: samples come ten times a second (of a crowd, five), the screen has sixty pictures.
   place(name, now) {
     const place = this.places.get(name);
     if (!place) return null;
-    const share = Math.min(1, (now - place.at) / 100);
+    const share = Math.min(1, (now - place.at) / place.span);
     const mix = (key) => (place.from[key] ?? 0) + share * ((place.to[key] ?? 0) - (place.from[key] ?? 0));
     const turn = Math.atan2(
       Math.sin((place.to.heading ?? 0) - (place.from.heading ?? 0)),

@@ -1,0 +1,39 @@
+"""`./run lab [TEST...]`: builds the lab's machine where it is not there yet, and runs the lab's tests in it.
+
+A TEST is the name of a file of tests/lab without `test_lab_`, or a path; other words go to pytest. `./run lab build`
+only builds.
+"""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from lab.vm.build import image
+from swarm.errors import LocalError
+
+TESTS = Path(__file__).parents[1] / "tests/lab"
+
+
+def main() -> int:
+    """Exit code: 1 where this host cannot run the lab."""
+    words = sys.argv[1:]
+    began = time.monotonic()
+    try:
+        image()
+    except LocalError as error:
+        sys.stderr.write(f"lab: {error}\n")
+        return 1
+    sys.stderr.write(f"lab: the machine is there ({time.monotonic() - began:.0f} s)\n")
+    if words == ["build"]:
+        return 0
+    chosen = [str(file) if (file := TESTS / f"test_lab_{word}.py").exists() else word for word in words]
+    if not any(Path(word.split("::")[0]).exists() for word in chosen):
+        chosen.append(str(TESTS))
+    # One process, since each test fills the machine it runs on.
+    words = [sys.executable, "-m", "pytest", "-m", "lab", "--durations=0", "-v", *chosen]
+    return subprocess.run(words, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

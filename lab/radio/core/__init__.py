@@ -1,0 +1,1 @@
+"""Without IO: packets of the host controller interface, controllers, pairing, the air."""

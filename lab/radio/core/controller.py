@@ -1,0 +1,389 @@
+"""One BR/EDR controller: what it answers to each command of its host."""
+
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from lab.radio.core import hci
+from lab.radio.core.hci import Ev, Op, Status
+from lab.radio.core.link import Link
+from lab.radio.core.pairing import Pairing
+
+if TYPE_CHECKING:
+    from lab.radio.core.air import Air
+
+MAX_LINKS = 7
+"""Active slaves of a piconet; here a controller's links in all."""
+
+INQUIRY_SCAN, PAGE_SCAN = 1, 2
+"""Bits of the scan enable setting: can be found, can be connected to."""
+
+SLOT = 0.000625
+"""s; times are counted in these."""
+
+INQUIRY_UNIT = 1.28
+"""s."""
+
+DATA_SIZE, DATA_PACKETS = 1021, 8
+"""Bytes of the largest packet of data and how many a controller keeps, for all links together."""
+
+_FEATURE_BITS = {
+    "3-slot packets": 0,
+    "5-slot packets": 1,
+    "encryption": 2,
+    "role switch": 5,
+    "RSSI with inquiry results": 30,
+    "secure simple pairing": 51,
+    "extended features": 63,
+}
+"""Of the link manager (vol 2 part C, 3.3); no LE."""
+FEATURES = sum(1 << bit for bit in _FEATURE_BITS.values()).to_bytes(8, "little")
+
+_COMMAND_BITS = {"write default link policy": 5 * 8 + 4, "read encryption key size": 20 * 8 + 4}
+"""Commands a host asks for before it uses them (vol 4 part E, 6.27)."""
+COMMANDS = sum(1 << bit for bit in _COMMAND_BITS.values()).to_bytes(64, "little")
+
+VERSION = 9
+"""Of the specification: 5.0."""
+COMPANY = 0xFFFF
+"""Of nobody."""
+GENERAL_INQUIRY = b"\x33\x8b\x9e"
+ENCRYPTION_KEY_SIZE = 16
+RSSI = -56
+"""dBm, of every robot found by an inquiry; a link's own figure is 0: within the golden range."""
+
+ANSWERED = {
+    **dict.fromkeys((0x080F, 0x0C01, 0x0C05, 0x0C16, 0x0C1C, 0x0C1E, 0x0C20, 0x0C22, 0x0C26, 0x0C31), b"\0"),
+    **dict.fromkeys((0x0C33, 0x0C3A, 0x0C45, 0x0C47, 0x0C52, 0x0C63, 0x0C6D, 0x0C7A), b"\0"),
+    Op.READ_STORED_LINK_KEY: struct.pack("<BHH", 0, 0, 0),
+    Op.DELETE_STORED_LINK_KEY: struct.pack("<BH", 0, 0),
+    Op.READ_ACCEPT_TIMEOUT: struct.pack("<BH", 0, 0x1F40),
+    Op.READ_PAGE_SCAN_ACTIVITY: struct.pack("<BHH", 0, 0x0800, 0x0012),
+    Op.READ_VOICE: struct.pack("<BH", 0, 0x0060),
+    Op.READ_IAC_COUNT: b"\0\x01",
+    Op.READ_IACS: b"\0\x01" + GENERAL_INQUIRY,
+    Op.READ_PAGE_SCAN_TYPE: b"\0\0",
+    Op.READ_INQUIRY_POWER: b"\0\0",
+    Op.READ_VERSION: struct.pack("<BBHBHH", 0, VERSION, 0, VERSION, COMPANY, 0),
+    Op.READ_COMMANDS: b"\0" + COMMANDS,
+    Op.READ_FEATURES: b"\0" + FEATURES,
+    Op.READ_BUFFER_SIZE: struct.pack("<BHBHH", 0, DATA_SIZE, 64, DATA_PACKETS, 1),
+}
+"""Commands that have always the same result; the first are settings that make no difference here (event masks, filters,
+scan and inquiry parameters)."""
+
+OF_A_LINK = {0x080D: b"", 0x0811: b"", 0x0C28: b"", 0x0C37: b"", Op.READ_RSSI: b"\0"}
+"""Commands that begin with a link's handle, and so do their results: what follows."""
+
+PAIRING = {
+    *(Op.LINK_KEY_REPLY, Op.LINK_KEY_NEGATIVE_REPLY, Op.PIN_REPLY, Op.PIN_NEGATIVE_REPLY, Op.IO_CAPABILITY_REPLY),
+    *(Op.IO_CAPABILITY_NEGATIVE_REPLY, Op.CONFIRM, Op.CONFIRM_NEGATIVE),
+}
+
+
+class Controller:
+    """One controller, and what its host has set in it."""
+
+    def __init__(self, air: "Air", address: str, number: int) -> None:
+        self.address = address
+        self.links: dict[int, Link] = {}
+        """By handle."""
+        self.paging: dict[str, object] = {}
+        """By the address that is paged: a token of that attempt."""
+        self.asked: dict[str, object] = {}
+        """By the address of a caller whom the host has not answered yet: the token of its attempt."""
+        self._air = air
+        # Handles differ between controllers, so that no test passes by their being equal.
+        self._next_handle = 1 + 64 * number
+        self._set_defaults()
+        self._handlers: dict[int, Callable[[int, bytes, float], None]] = {
+            Op.RESET: self._reset,
+            Op.INQUIRY: self._inquiry,
+            Op.INQUIRY_CANCEL: self._inquiry_cancel,
+            Op.CREATE_CONNECTION: self._create_connection,
+            Op.CREATE_CONNECTION_CANCEL: self._create_cancel,
+            Op.ACCEPT_CONNECTION: self._accept,
+            Op.REJECT_CONNECTION: self._reject,
+            Op.DISCONNECT: self._disconnect,
+            Op.REMOTE_NAME: self._remote_name,
+            Op.AUTHENTICATION_REQUESTED: self._authenticate,
+            Op.SET_ENCRYPTION: self._encrypt,
+            Op.WRITE_NAME: self._write,
+            Op.WRITE_SCAN: self._write,
+            Op.WRITE_CLASS: self._write,
+            Op.WRITE_SIMPLE_PAIRING: self._write,
+            Op.WRITE_PAGE_TIMEOUT: self._write,
+        }
+
+    def _set_defaults(self) -> None:
+        self.scan = 0
+        self.device_class = bytes(3)
+        self.name = b"lab".ljust(248, b"\0")
+        self.simple_pairing = 0
+        self._page_timeout = 0x2000 * SLOT
+        self._inquiry_number = 0
+
+    def new_handle(self) -> int:
+        """A handle that no link of ours has."""
+        while self._next_handle in self.links:
+            self._next_handle += 1
+        self._next_handle += 1
+        return self._next_handle - 1
+
+    def link_to(self, address: str) -> Link | None:
+        """Our link to that controller."""
+        return next((link for link in self.links.values() if link.peer(self.address) == address), None)
+
+    def command(self, op: int, parameters: bytes, now: float) -> None:
+        """Do what the host wants and answer it."""
+        if op in self._handlers:
+            self._handlers[op](op, parameters, now)
+        elif op in PAIRING:
+            self._pairing(op, parameters)
+        elif op in ANSWERED:
+            self._complete(op, ANSWERED[op])
+        elif op in OF_A_LINK:
+            self._complete(op, b"\0" + parameters[:2] + OF_A_LINK[op])
+        elif (result := self._read(op, parameters)) is not None:
+            self._complete(op, b"\0" + result)
+        elif (end := self._of_link(op, parameters)) is not None:
+            self._status(op)
+            self._event(*end)
+        else:
+            self._air.counts[f"unknown_{op:04x}"] += 1
+            self._complete(op, bytes((Status.UNKNOWN_COMMAND,)))
+
+    # -- answers ---------------------------------------------------------------------------------------------
+
+    def _event(self, code: int, body: bytes) -> None:
+        self._air.send(self.address, hci.event(code, body))
+
+    def _complete(self, op: int, result: bytes = b"\0") -> None:
+        self._air.send(self.address, hci.complete(op, result))
+
+    def _status(self, op: int, code: int = Status.SUCCESS) -> None:
+        self._air.send(self.address, hci.status(op, code))
+
+    def _read(self, op: int, parameters: bytes) -> bytes | None:
+        """The result, after its status, of a command that only reads."""
+        match op:
+            case Op.READ_ADDRESS:
+                return hci.to_wire(self.address)
+            case Op.READ_NAME:
+                return self.name
+            case Op.READ_SCAN:
+                return bytes((self.scan,))
+            case Op.READ_CLASS:
+                return self.device_class
+            case Op.READ_SIMPLE_PAIRING:
+                return bytes((self.simple_pairing,))
+            case Op.READ_EXTENDED_FEATURES:
+                host = bytes((self.simple_pairing,)) + bytes(7)
+                return bytes((parameters[0], 1)) + (host if parameters[0] else FEATURES)
+            case Op.READ_KEY_SIZE:
+                return parameters[:2] + bytes((ENCRYPTION_KEY_SIZE,))
+            case Op.ROLE_DISCOVERY:
+                return parameters[:2] + b"\0"
+            case Op.REMOTE_NAME_CANCEL:
+                return parameters[:6]
+        return None
+
+    def _of_link(self, op: int, parameters: bytes) -> tuple[int, bytes] | None:
+        """The event that ends a command which asks the other side of a link something that we know."""
+        handle = parameters[:2]
+        match op:
+            case Op.READ_REMOTE_FEATURES:
+                return Ev.REMOTE_FEATURES_COMPLETE, b"\0" + handle + FEATURES
+            case Op.READ_REMOTE_EXTENDED_FEATURES:
+                link = self.links.get(int.from_bytes(handle, "little"))
+                peer = self._air.find(link.peer(self.address)) if link else None
+                host = bytes((peer.simple_pairing if peer else 0,)) + bytes(7)
+                page = parameters[2]
+                return Ev.REMOTE_EXTENDED_FEATURES_COMPLETE, b"\0" + handle + bytes((page, 1)) + (
+                    host if page else FEATURES
+                )
+            case Op.READ_REMOTE_VERSION:
+                return Ev.REMOTE_VERSION_COMPLETE, b"\0" + handle + struct.pack("<BHH", VERSION, COMPANY, 0)
+            case Op.CHANGE_PACKET_TYPE:
+                return Ev.PACKET_TYPE_CHANGED, b"\0" + parameters[:4]
+            case Op.SWITCH_ROLE:
+                return Ev.ROLE_CHANGE, b"\0" + parameters[:7]
+        return None
+
+    def _write(self, op: int, parameters: bytes, now: float) -> None:
+        match op:
+            case Op.WRITE_NAME:
+                self.name = parameters
+            case Op.WRITE_SCAN:
+                self.scan = parameters[0]
+            case Op.WRITE_CLASS:
+                self.device_class = parameters[:3]
+            case Op.WRITE_SIMPLE_PAIRING:
+                self.simple_pairing = parameters[0]
+            case Op.WRITE_PAGE_TIMEOUT:
+                self._page_timeout = int.from_bytes(parameters[:2], "little") * SLOT
+        self._complete(op)
+
+    def _reset(self, op: int, parameters: bytes, now: float) -> None:
+        self._air.forget(self, now)
+        self.paging.clear()
+        self.asked.clear()
+        self._set_defaults()
+        self._complete(op)
+
+    # -- who is there ----------------------------------------------------------------------------------------
+
+    def _inquiry(self, op: int, parameters: bytes, now: float) -> None:
+        self._status(op)
+        self._inquiry_number += 1
+        number = self._inquiry_number
+
+        def found(_: float) -> None:
+            for other in self._air.others(self) if number == self._inquiry_number else ():
+                if other.scan & INQUIRY_SCAN:
+                    body = b"\x01" + hci.to_wire(other.address) + b"\x01\0" + other.device_class + b"\0\0"
+                    self._event(Ev.INQUIRY_RESULT_RSSI, body + struct.pack("b", RSSI))
+
+        def over(_: float) -> None:
+            if number == self._inquiry_number:
+                self._event(Ev.INQUIRY_COMPLETE, b"\0")
+
+        seconds = parameters[3] * INQUIRY_UNIT
+        self._air.at(now + seconds / 2, found)
+        self._air.at(now + seconds, over)
+
+    def _inquiry_cancel(self, op: int, parameters: bytes, now: float) -> None:
+        self._inquiry_number += 1
+        self._complete(op)
+
+    def _remote_name(self, op: int, parameters: bytes, now: float) -> None:
+        self._status(op)
+        wire = parameters[:6]
+        other = self._air.find(hci.from_wire(wire))
+        if other in self._air.others(self) and other.scan & PAGE_SCAN:
+            body = b"\0" + wire + other.name
+            self._air.at(now + self._air.medium.page, lambda _: self._event(Ev.REMOTE_NAME_COMPLETE, body))
+        else:
+            body = bytes((Status.PAGE_TIMEOUT,)) + wire + bytes(248)
+            self._air.at(now + self._page_timeout, lambda _: self._event(Ev.REMOTE_NAME_COMPLETE, body))
+
+    # -- links -----------------------------------------------------------------------------------------------
+
+    def _create_connection(self, op: int, parameters: bytes, now: float) -> None:
+        address = hci.from_wire(parameters[:6])
+        if self.link_to(address) is not None or address in self.paging:
+            self._status(op, Status.CONNECTION_EXISTS)
+            return
+        self._status(op)
+        attempt = self.paging[address] = object()
+        self._air.at(now + self._air.medium.page, lambda now: self._page(address, attempt, now))
+
+    def _page(self, address: str, attempt: object, now: float) -> None:
+        """The page is heard, or will not be."""
+        if self.paging.get(address) is not attempt:
+            return
+        called = self._air.find(address)
+        # Who pages does not hear pages: two that call each other both wait in vain.
+        heard = called in self._air.others(self) and called.scan & PAGE_SCAN and self.address not in called.paging
+        if called is None or not heard:
+            self._air.at(now + self._page_timeout, lambda _: self.page_failed(address, attempt, Status.PAGE_TIMEOUT))
+        elif len(self.links) >= MAX_LINKS:
+            self.page_failed(address, attempt, Status.CONNECTION_LIMIT)
+        elif len(called.links) >= MAX_LINKS:
+            self.page_failed(address, attempt, Status.LIMITED_RESOURCES)
+        elif called.link_to(self.address) is not None:
+            # It has not noticed yet that we have lost our end.
+            self.page_failed(address, attempt, Status.CONNECTION_EXISTS)
+        else:
+            called.ring(self, attempt)
+            self._air.at(now + self._page_timeout, lambda _: self.page_failed(address, attempt, Status.ACCEPT_TIMEOUT))
+
+    def ring(self, caller: "Controller", attempt: object) -> None:
+        """Ask our host whether it wants a link."""
+        self.asked[caller.address] = attempt
+        self._event(Ev.CONNECTION_REQUEST, hci.to_wire(caller.address) + caller.device_class + b"\x01")
+
+    def page_failed(self, address: str, attempt: object, code: int) -> None:
+        """That attempt is over, where it still is one."""
+        if self.paging.get(address) is attempt:
+            del self.paging[address]
+            called = self._air.find(address)
+            if called is not None:
+                called.asked.pop(self.address, None)
+            self._air.counts["page_timeouts"] += code == Status.PAGE_TIMEOUT
+            self._air.send(self.address, hci.connected(code, 0, address))
+
+    def _create_cancel(self, op: int, parameters: bytes, now: float) -> None:
+        address = hci.from_wire(parameters[:6])
+        attempt = self.paging.get(address)
+        code = Status.UNKNOWN_CONNECTION if attempt is None else Status.SUCCESS
+        self._complete(op, bytes((code,)) + parameters[:6])
+        if attempt is not None:
+            self.page_failed(address, attempt, Status.UNKNOWN_CONNECTION)
+
+    def _accept(self, op: int, parameters: bytes, now: float) -> None:
+        address = hci.from_wire(parameters[:6])
+        attempt, caller = self.asked.pop(address, None), self._air.find(address)
+        if attempt is None or caller is None or caller.paging.get(self.address) is not attempt:
+            self._status(op, Status.UNKNOWN_CONNECTION)
+            return
+        self._status(op)
+        del caller.paging[self.address]
+        self._air.connect(caller, self)
+
+    def _reject(self, op: int, parameters: bytes, now: float) -> None:
+        address, reason = hci.from_wire(parameters[:6]), parameters[6]
+        attempt, caller = self.asked.pop(address, None), self._air.find(address)
+        self._status(op)
+        self._air.send(self.address, hci.connected(reason, 0, address))
+        if attempt is not None and caller is not None:
+            caller.page_failed(self.address, attempt, reason)
+
+    def _disconnect(self, op: int, parameters: bytes, now: float) -> None:
+        handle, reason = struct.unpack("<HB", parameters[:3])
+        link = self.links.get(handle)
+        if link is None:
+            self._status(op, Status.UNKNOWN_CONNECTION)
+            return
+        self._status(op)
+        self._air.disconnect(self, link, reason, now)
+
+    # -- security --------------------------------------------------------------------------------------------
+
+    def _authenticate(self, op: int, parameters: bytes, now: float) -> None:
+        link = self.links.get(int.from_bytes(parameters[:2], "little"))
+        peer = self._air.find(link.peer(self.address)) if link is not None else None
+        if link is None or peer is None:
+            self._status(op, Status.UNKNOWN_CONNECTION)
+            return
+        self._status(op)
+        simple = bool(self.simple_pairing and peer.simple_pairing)
+        link.pairing = Pairing(self.address, peer.address, simple, self._air.new_key)
+        link.pairing.start()
+        self._tell(link, link.pairing)
+
+    def _pairing(self, op: int, parameters: bytes) -> None:
+        self._complete(op, b"\0" + parameters[:6])
+        link = self.link_to(hci.from_wire(parameters[:6]))
+        if link is not None and link.pairing is not None and link.pairing.status is None:
+            link.pairing.reply(self.address, op, parameters[6:])
+            self._tell(link, link.pairing)
+
+    def _tell(self, link: Link, pairing: Pairing) -> None:
+        for address, packet in pairing.events():
+            if address not in link.gone:
+                self._air.send(address, packet)
+        if pairing.status is not None and pairing.initiator not in link.gone:
+            body = struct.pack("<BH", pairing.status, link.ends[pairing.initiator])
+            self._air.send(pairing.initiator, hci.event(Ev.AUTHENTICATION_COMPLETE, body))
+
+    def _encrypt(self, op: int, parameters: bytes, now: float) -> None:
+        link = self.links.get(int.from_bytes(parameters[:2], "little"))
+        if link is None:
+            self._status(op, Status.UNKNOWN_CONNECTION)
+            return
+        self._status(op)
+        for address, handle in link.ends.items():
+            if address not in link.gone:
+                body = struct.pack("<BHB", Status.SUCCESS, handle, parameters[2])
+                self._air.send(address, hci.event(Ev.ENCRYPTION_CHANGE, body))

@@ -1,0 +1,1 @@
+"""The lab's virtual machines: how they are built, and how tests boot and command them."""

@@ -1,0 +1,194 @@
+"""Builds the lab's machine from Debian packages and our own release, and keeps it by its content.
+
+Two layers, each in a folder of the cache named by a hash of all that goes into it: `base-*` (Debian's root, its kernel
+and the initial RAM disk) and `image-*` (the disk with the agent and the release in it). A changed source makes a
+new image in less than a minute and leaves the base. The same packages give the same bytes; `SWARM_LAB_MIRROR` may name
+a mirror that stands still, as snapshot.debian.org does.
+"""
+
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from lab import container
+from lab.vm import debian, recipe
+from lab.vm.debian import sh
+from swarm.errors import LocalError
+
+ROOT = Path(__file__).parents[2]
+TOOLS = {
+    "qemu-system-x86_64": "qemu-system-x86",
+    "qemu-img": "qemu-utils",
+    "mmdebstrap": "mmdebstrap",
+    "systemd-nspawn": "systemd-container",
+    "busybox": "busybox-static",
+    "cpio": "cpio",
+    "depmod": "kmod",
+    "mke2fs": "e2fsprogs",
+    "xz": "xz-utils",
+    "ssh-keygen": "openssh-client",
+}
+"""Programs that the lab needs, and the Debian packages that have them."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """What a machine boots from; never written to."""
+
+    disk: Path
+    kernel: Path
+    ramdisk: Path
+    key: Path
+    """Private ssh key that root inside accepts."""
+
+
+def missing() -> str:
+    """What this host lacks to run the lab, and how to get it; empty where it lacks nothing."""
+    if os.geteuid() != 0:
+        return "the lab must be root: it makes Debian roots and boots them"
+    packages = sorted(package for tool, package in TOOLS.items() if shutil.which(tool) is None)
+    return f"apt-get install {' '.join(packages)}" if packages else ""
+
+
+def cache() -> Path:
+    """The folder in which machines are kept."""
+    named = os.environ.get("SWARM_LAB_CACHE")
+    return Path(named) if named else Path.home() / ".cache/balboa-swarm/lab"
+
+
+def image() -> Image:
+    """The machine with the sources of this checkout; built where it is not there yet (some two minutes)."""
+    if lacking := missing():
+        raise LocalError(f"this host cannot run the lab: {lacking}")
+    mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
+    of = [Path(recipe.__file__), Path(debian.__file__), recipe.GUEST / "boot"]
+    base = _kept("base-" + recipe.digest(mirror, *map(Path.read_bytes, of)), lambda folder: debian.make(folder, mirror))
+    with tempfile.TemporaryDirectory() as work:
+        release = _release(Path(work))
+        furniture = recipe.sources(recipe.GUEST) + Path(__file__).read_bytes() + Path(container.__file__).read_bytes()
+        name = recipe.digest(base.name, release.name, furniture)
+        made = _kept("image-" + name, lambda folder: _image(folder, base, release))
+    return Image(made / "disk.ext4", base / "vmlinuz", base / "initrd.gz", made / "ssh_key")
+
+
+# -- the cache ---------------------------------------------------------------------------------------------------
+
+
+def _kept(name: str, make: Callable[[Path], None]) -> Path:
+    """The folder of that name; made by `make` where it is not there, complete or not at all. Older ones of its kind go,
+    but for those that were used within a day: another checkout may boot from them."""
+    folder = cache()
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = folder / name
+    with _locked(folder / "lock"):
+        if not wanted.is_dir():
+            with tempfile.TemporaryDirectory(dir=folder, prefix="making-") as work:
+                made = Path(work) / "made"
+                made.mkdir()
+                make(made)
+                made.rename(wanted)
+        os.utime(wanted)
+        newest = wanted.stat().st_mtime
+        for old in folder.glob(f"{name.split('-')[0]}-*"):
+            if old.stat().st_mtime < newest - 86400:
+                shutil.rmtree(old)
+    return wanted
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+# -- our release in it -------------------------------------------------------------------------------------------
+
+
+def _release(work: Path) -> Path:
+    """The release artefact of these sources, as `swarm deploy` makes it."""
+    made = sh(ROOT / "deploy/release", "--machine", recipe.MACHINE, "--python", recipe.PYTHON, work)
+    return Path(made.split()[-1])
+
+
+INSTALL = """
+set -eu
+mkdir -p /run/lab /etc/systemd/system/swarm-balancer.service.d
+printf '[Service]\\nExecStart=\\nExecStart=/opt/swarm/current/bin/python -m services.sim.body\\n' \
+    >/etc/systemd/system/swarm-balancer.service.d/90-lab.conf
+/opt/release/install --name r0 --config /opt/release/lab.toml
+systemctl disable --quiet swarm.target swarm-bus swarm-mesh swarm-balancer swarm-dwm
+rm /etc/systemd/system/swarm-balancer.service.d/90-lab.conf /etc/swarm/swarm.toml /etc/swarm/robot.env
+"""
+"""The release's own installation, which looks whether all services run; then no robot is made of it yet: a test that
+wants one runs /opt/release/install again, which finds the release unpacked."""
+
+CONFIG = """network = "lab"
+[topology]
+edges = []
+[[robots]]
+name = "r0"
+link = "tcp:127.0.0.1:5501"
+[mesh]
+listen = "127.0.0.1:5501"
+[dwm]
+source = "serial:/dev/ttyS9"
+"""
+
+
+def _image(folder: Path, base: Path, release: Path) -> None:
+    """disk.ext4: the root with the release installed, by its own `install` under systemd in a container."""
+    root = folder / "root"
+    root.mkdir()
+    sh("tar", "-C", root, "-xf", base / "root.tar")
+    sh("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "lab", "-f", folder / "ssh_key")
+    _furnish(root, (folder / "ssh_key.pub").read_text())
+    unpacked = root / "opt/release"
+    unpacked.mkdir(parents=True)
+    sh("tar", "-C", unpacked, "--strip-components=1", "-xf", release)
+    (unpacked / "lab.toml").write_text(CONFIG)
+    code, said = container.boot(root, INSTALL, 300)
+    if code:
+        raise LocalError(f"the release could not be installed in the lab's machine: {said[-2000:]}")
+    shutil.rmtree(root / "var/log/journal", ignore_errors=True)
+    disk = folder / "disk.ext4"
+    options = "hash_seed=0c1d0000-0000-4000-8000-000000000001,root_owner=0:0"
+    uuid = "0c1d0000-0000-4000-8000-000000000002"
+    sh("mke2fs", "-q", "-t", "ext4", "-U", uuid, "-E", options, "-d", root, disk, f"{recipe.DISK_MB}M")
+    shutil.rmtree(root)
+
+
+def _furnish(root: Path, public_key: str) -> None:
+    """What makes a Debian root a lab machine: the agent, ssh for the lab's key, nothing that only costs time."""
+    etc = root / "etc"
+    place = root / "usr/lib/lab"
+    place.mkdir(exist_ok=True)
+    for name in ("agent.py", "radio.py", "init"):
+        shutil.copy(recipe.GUEST / name, place / name)
+    (place / "init").chmod(0o755)
+    units = etc / "systemd/system"
+    for target, unit in (("sysinit", "lab-agent.service"), ("multi-user", "lab-radio.service")):
+        shutil.copy(recipe.GUEST / unit, units / unit)
+        _linked(units / f"{target}.target.wants" / unit, f"/etc/systemd/system/{unit}")
+    for name in recipe.MASKED:
+        _linked(units / name, "/dev/null")
+    _linked(units / "default.target", "/lib/systemd/system/multi-user.target")
+    # A fixed identity saves the work of a first boot; ssh host keys are in the image from the package.
+    (etc / "machine-id").write_text("0123456789abcdef0123456789abcdef\n")
+    (etc / "fstab").write_text("")
+    (root / "share").mkdir(exist_ok=True)
+    keys = root / "root/.ssh/authorized_keys"
+    keys.parent.mkdir(mode=0o700, exist_ok=True)
+    keys.write_text(public_key)
+    (etc / "ssh/sshd_config.d/lab.conf").write_text("PermitRootLogin prohibit-password\nUsePAM no\nUseDNS no\n")
+
+
+def _linked(link: Path, to: str) -> None:
+    link.parent.mkdir(exist_ok=True)
+    link.unlink(missing_ok=True)
+    link.symlink_to(to)

@@ -1,0 +1,55 @@
+"""Inside a lab machine: its Bluetooth controller is on the host. Joins /dev/vhci to the virtio-serial port `radio`.
+
+The kernel gives and takes whole HCI packets at /dev/vhci; on the serial port they follow one another (H4).
+"""
+
+import os
+import select
+import subprocess
+import sys
+
+from agent import port
+
+COMMAND, ACL, EVENT, VENDOR = 1, 2, 4, 0xFF
+HEADERS = {COMMAND: (4, 3, 1), ACL: (5, 3, 2), EVENT: (3, 2, 1)}
+"""Of each packet type: length of its header, where the length of the rest is, in how many bytes."""
+
+
+def packets(rest: bytes) -> tuple[list[bytes], bytes]:
+    """The whole packets at the beginning of these bytes, and what is left."""
+    found = []
+    while rest:
+        header, at, width = HEADERS[rest[0]]
+        size = header + int.from_bytes(rest[at : at + width], "little")
+        if len(rest) < max(header, size):
+            break
+        found.append(rest[:size])
+        rest = rest[size:]
+    return found, rest
+
+
+def main() -> None:
+    """Until the host's radio has gone."""
+    subprocess.run(["modprobe", "-a", "rfcomm", "hci_vhci", "virtio_console"], check=True)
+    serial, vhci = os.open(port("radio"), os.O_RDWR), os.open("/dev/vhci", os.O_RDWR)
+    os.write(vhci, bytes((VENDOR, 0)))
+    rest = b""
+    while True:
+        ready, _, _ = select.select([serial, vhci], [], [])
+        if vhci in ready:
+            packet = os.read(vhci, 4096)
+            while packet and packet[0] != VENDOR:
+                packet = packet[os.write(serial, packet) :]
+                if not packet:
+                    break
+        if serial in ready:
+            data = os.read(serial, 65536)
+            if not data:
+                sys.exit("the host's radio has gone")
+            found, rest = packets(rest + data)
+            for packet in found:
+                os.write(vhci, packet)
+
+
+if __name__ == "__main__":
+    main()

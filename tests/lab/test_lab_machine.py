@@ -1,0 +1,40 @@
+"""The lab's machine itself: it boots both ways, does what it is told, and its disk outlives a power cut."""
+
+from collections.abc import Callable
+
+import pytest
+
+from lab.vm.machine import PLAIN, Machine, MachineError
+
+pytest_plugins = ("lab_fixtures",)
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(400)]
+
+
+def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callable[..., Machine]) -> None:
+    robot = machine("r0", init=PLAIN)
+    robot.start()
+    assert robot.run("cat /proc/sys/kernel/osrelease") >= "6.12"
+    assert robot.run("hostname") == "r0\n"
+    (robot.share / "word").write_text("from the host")
+    assert robot.run("cat /share/word; echo kept >/root/kept; sync") == "from the host"
+    with pytest.raises(MachineError, match="exit code 3: no"):
+        robot.run("echo no; exit 3")
+    slow = robot.spawn("sleep 60", 1.0)
+    assert robot.run("echo meanwhile") == "meanwhile\n"
+    assert robot.wait(slow, 30).code == 124
+    robot.kill()
+    with pytest.raises(MachineError, match="switched off"):
+        robot.run("true")
+    robot.start()
+    assert robot.run("cat /root/kept") == "kept\n"
+    robot.stop()
+
+
+def test_a_whole_system_has_the_release_and_ssh(machine: Callable[..., Machine]) -> None:
+    robot = machine("r0")
+    robot.start()
+    assert robot.ssh("/opt/swarm/current/bin/swarm --version").startswith("swarm ")
+    assert robot.run("systemctl is-enabled swarm-mesh", code=None) == "disabled\n"
+    assert (
+        robot.run("/opt/swarm/current/bin/python -c 'import bluetooth, socket; print(socket.AF_BLUETOOTH)'") == "31\n"
+    )

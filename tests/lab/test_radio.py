@@ -1,0 +1,346 @@
+"""The radio's core in virtual time: golden bytes, links, and what ends them."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lab.radio.core import hci
+from lab.radio.core.air import Air
+from lab.radio.core.controller import FEATURES
+from lab.radio.core.hci import Ev, Op, Status
+
+A, B, C = "02:10:BA:00:00:01", "02:10:BA:00:00:02", "02:10:BA:00:00:03"
+KEY = bytes(range(16))
+
+
+def command(op: int, parameters: bytes = b"") -> bytes:
+    return bytes((1, op & 0xFF, op >> 8, len(parameters))) + parameters
+
+
+class World:
+    """Three hosts at their controllers, and a clock."""
+
+    def __init__(self) -> None:
+        self.air = Air(lambda: 0.5, lambda: KEY)
+        self.now = 0.0
+        self.heard: dict[str, list[bytes]] = {}
+        for address in (A, B, C):
+            self.heard[address] = []
+            self.air.add(address)
+            self.tell(address, Op.WRITE_SCAN, b"\3")
+            self.heard[address].clear()
+
+    def tell(self, address: str, op: int, parameters: bytes = b"") -> None:
+        self.air.receive(address, command(op, parameters), self.now)
+        self.collect()
+
+    def collect(self) -> None:
+        for address, packet in self.air.to_send():
+            self.heard[address].append(packet)
+
+    def run(self, seconds: float) -> None:
+        end = self.now + seconds
+        while (deadline := self.air.next_deadline()) is not None and deadline <= end:
+            self.now = max(self.now, deadline)
+            self.air.handle_timer(self.now)
+            self.collect()
+        self.now = end
+
+    def events(self, address: str) -> list[tuple[int, bytes]]:
+        """(code, body) of what came since the last time."""
+        packets, self.heard[address] = self.heard[address], []
+        return [(packet[1], packet[3:]) for packet in packets if packet[0] == 4]
+
+    def codes(self, address: str) -> list[int]:
+        return [code for code, _ in self.events(address)]
+
+    def link(self, caller: str, called: str) -> tuple[int, int]:
+        """Make a link; the handles of both sides."""
+        self.tell(caller, Op.CREATE_CONNECTION, hci.to_wire(called) + bytes(7))
+        self.run(0.05)
+        assert self.codes(called)[-1] == Ev.CONNECTION_REQUEST
+        self.tell(called, Op.ACCEPT_CONNECTION, hci.to_wire(caller) + b"\1")
+        bodies = [dict(self.events(each))[Ev.CONNECTION_COMPLETE] for each in (caller, called)]
+        assert all(body[0] == 0 for body in bodies)
+        one, other = (int.from_bytes(body[1:3], "little") for body in bodies)
+        return one, other
+
+    def data(self, address: str, handle: int, payload: bytes) -> None:
+        self.air.receive(address, b"\2" + hci.acl(handle, 0, payload)[1:], self.now)
+        self.collect()
+
+    def arrived(self, address: str) -> list[bytes]:
+        packets = [packet[5:] for packet in self.heard[address] if packet[0] == 2]
+        self.heard[address] = [packet for packet in self.heard[address] if packet[0] != 2]
+        return packets
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def test_golden_bytes() -> None:
+    assert hci.complete(Op.RESET).hex() == "040e0401030c00"
+    assert hci.status(Op.CREATE_CONNECTION).hex() == "040f0400010504"
+    assert hci.connected(0, 1, A).hex() == "04030b00010001" + "0000ba1002" + "0100"
+    assert hci.disconnected(0x41, 8).hex() == "04050400410008"
+    assert hci.completed(0x41).hex() == "0413050141000100"
+    assert hci.acl(0x41, 0, b"xy").hex() == "02412002007879"
+    assert hci.acl(0x41, 1, b"xy").hex() == "02411002007879"
+    assert hci.parse(bytes.fromhex("01030c00")) == hci.Command(Op.RESET, b"")
+    assert hci.parse(bytes.fromhex("02410002007879")) == hci.Acl(0x41, 0, b"xy")
+    assert hci.from_wire(hci.to_wire(A)) == A
+    assert FEATURES.hex() == "2700004000000880"
+
+
+def test_a_host_that_starts_learns_what_its_controller_can(world: World) -> None:
+    world.tell(A, Op.READ_ADDRESS)
+    assert world.events(A) == [(Ev.COMMAND_COMPLETE, bytes.fromhex("01091000") + hci.to_wire(A))]
+    world.tell(A, 0x2003)  # of LE, which we do not have
+    assert world.events(A) == [(Ev.COMMAND_COMPLETE, bytes.fromhex("01032001"))]
+    assert world.air.counts["unknown_2003"] == 1
+
+
+def test_data_goes_both_ways_and_is_counted(world: World) -> None:
+    one, other = world.link(A, B)
+    assert one != other
+    world.data(A, one, b"there")
+    world.data(B, other, b"back")
+    assert world.arrived(B) == [b"there"]
+    assert world.arrived(A) == [b"back"]
+    assert world.codes(A) == world.codes(B) == [Ev.COMPLETED_PACKETS]
+    assert world.air.links() == [(A, B)]
+
+
+def test_time_on_the_air(world: World) -> None:
+    one, _ = world.link(A, B)
+    world.air.medium.bandwidth, world.air.medium.latency, world.air.medium.jitter = 1000.0, 0.1, 0.04
+    for _ in range(2):
+        world.data(A, one, bytes(50))
+    world.run(0.0501)
+    assert world.codes(A) == [Ev.COMPLETED_PACKETS]  # the first has left
+    assert world.arrived(B) == []
+    world.run(0.12)  # 0.05 + 0.1 + half of the jitter
+    assert world.arrived(B) == [bytes(50)]
+    world.run(0.0501)
+    assert world.arrived(B) == [bytes(50)]
+
+
+def test_a_short_cut_loses_nothing(world: World) -> None:
+    one, _ = world.link(A, B)
+    world.air.cut(A, B, world.now)
+    world.data(A, one, b"kept")
+    world.run(19.0)
+    assert world.arrived(B) == []
+    assert world.codes(A) == []  # not counted either: the host waits
+    world.air.mend(A, B, world.now)
+    world.collect()
+    assert world.arrived(B) == [b"kept"]
+    world.run(30.0)
+    assert world.air.links() == [(A, B)]
+
+
+@pytest.mark.parametrize("how", ["cut", "silence", "place"])
+def test_a_long_silence_ends_the_link_on_both_sides(world: World, how: str) -> None:
+    one, other = world.link(A, B)
+    world.air.medium.supervision, world.air.medium.range = 4.0, 10.0
+    if how == "cut":
+        world.air.cut(A, B, world.now)
+    elif how == "silence":
+        world.air.silence(B, world.now)
+    else:
+        world.air.place(A, 0, 0, world.now)
+        world.air.place(B, 10.1, 0, world.now)
+    world.run(3.9)
+    assert world.events(A) == []
+    world.run(0.2)
+    assert world.events(A) == [(Ev.DISCONNECTION_COMPLETE, hci.disconnected(one, Status.CONNECTION_TIMEOUT)[3:])]
+    assert world.events(B) == [(Ev.DISCONNECTION_COMPLETE, hci.disconnected(other, Status.CONNECTION_TIMEOUT)[3:])]
+    assert world.air.links() == []
+
+
+def test_a_page_that_nobody_hears_times_out(world: World) -> None:
+    world.tell(A, Op.WRITE_PAGE_TIMEOUT, (1600).to_bytes(2, "little"))  # 1 s
+    for absent in ("02:10:BA:00:00:77", B):
+        world.air.topology([(B, C)], world.now)
+        world.events(A)
+        world.tell(A, Op.CREATE_CONNECTION, hci.to_wire(absent) + bytes(7))
+        world.run(1.0)
+        assert world.codes(A) == [Ev.COMMAND_STATUS]
+        world.run(0.1)
+        assert [body[0] for _, body in world.events(A)] == [Status.PAGE_TIMEOUT]
+
+
+def test_two_that_page_each_other_hear_nothing(world: World) -> None:
+    for one, other in ((A, B), (B, A)):
+        world.tell(one, Op.CREATE_CONNECTION, hci.to_wire(other) + bytes(7))
+    world.run(5.3)
+    for each in (A, B):
+        assert [body[0] for code, body in world.events(each) if code == Ev.CONNECTION_COMPLETE] == [4]
+
+
+def test_a_disconnect_arrives_after_the_data_before_it(world: World) -> None:
+    one, _ = world.link(A, B)
+    world.air.medium.latency = 0.1
+    world.data(A, one, b"last words")
+    world.tell(A, Op.DISCONNECT, one.to_bytes(2, "little") + b"\x13")
+    assert world.codes(A) == [Ev.COMPLETED_PACKETS, Ev.COMMAND_STATUS, Ev.DISCONNECTION_COMPLETE]
+    world.run(0.2)
+    assert world.arrived(B) == [b"last words"]
+    assert [body[3] for _, body in world.events(B)] == [0x13]
+    assert world.air.links() == []
+
+
+def test_a_lost_adapter_is_noticed_by_supervision_and_can_come_back(world: World) -> None:
+    one, _ = world.link(A, B)
+    world.air.remove(B, world.now)
+    world.data(A, one, b"to nobody")
+    world.air.add(B)
+    world.tell(B, Op.WRITE_SCAN, b"\3")
+    # It knows nothing of the link, the other side still has it.
+    world.tell(B, Op.CREATE_CONNECTION, hci.to_wire(A) + bytes(7))
+    world.run(0.1)
+    assert [body[0] for code, body in world.events(B) if code == Ev.CONNECTION_COMPLETE] == [Status.CONNECTION_EXISTS]
+    world.run(20.0)
+    assert world.codes(A)[-1] == Ev.DISCONNECTION_COMPLETE
+    world.link(B, A)
+
+
+def test_a_reset_forgets_links(world: World) -> None:
+    world.link(A, B)
+    world.tell(A, Op.RESET)
+    world.run(20.0)
+    assert world.codes(B) == [Ev.DISCONNECTION_COMPLETE]
+    assert world.codes(A) == [Ev.COMMAND_COMPLETE]
+    assert world.air.links() == []
+
+
+def test_an_inquiry_finds_those_that_can_be_found(world: World) -> None:
+    world.tell(C, Op.WRITE_SCAN, b"\2")
+    world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x02\0")
+    world.run(3.0)
+    events = world.events(A)
+    assert [code for code, _ in events] == [Ev.COMMAND_STATUS, Ev.INQUIRY_RESULT_RSSI, Ev.INQUIRY_COMPLETE]
+    assert events[1][1][1:7] == hci.to_wire(B)
+
+
+def pair(world: World, answer: dict[int, tuple[int, bytes]]) -> dict[str, list[tuple[int, bytes]]]:
+    """Both hosts answer each question by that table until none is left: what else they heard."""
+    rest: dict[str, list[tuple[int, bytes]]] = {A: [], B: []}
+    busy = True
+    while busy:
+        busy = False
+        for address in (A, B):
+            for code, body in world.events(address):
+                if code in answer:
+                    op, more = answer[code]
+                    world.tell(address, op, body[:6] + more)
+                    busy = True
+                elif code not in (Ev.COMMAND_COMPLETE, Ev.COMMAND_STATUS):
+                    rest[address].append((code, body))
+    return rest
+
+
+def test_simple_pairing_gives_both_the_key_and_next_time_it_is_enough(world: World) -> None:
+    for address in (A, B):
+        world.tell(address, Op.WRITE_SIMPLE_PAIRING, b"\1")
+    one, _ = world.link(A, B)
+    handle = one.to_bytes(2, "little")
+    world.tell(A, Op.AUTHENTICATION_REQUESTED, handle)
+    answers = {
+        Ev.LINK_KEY_REQUEST: (Op.LINK_KEY_NEGATIVE_REPLY, b""),
+        Ev.IO_CAPABILITY_REQUEST: (Op.IO_CAPABILITY_REPLY, b"\3\0\2"),
+        Ev.CONFIRMATION_REQUEST: (Op.CONFIRM, b""),
+    }
+    rest = pair(world, answers)
+    assert [code for code, _ in rest[A]] == [
+        *(Ev.IO_CAPABILITY_RESPONSE, Ev.SIMPLE_PAIRING_COMPLETE, Ev.LINK_KEY, Ev.AUTHENTICATION_COMPLETE),
+    ]
+    for address in (A, B):
+        assert dict(rest[address])[Ev.LINK_KEY][6:] == KEY + b"\x04"
+    assert dict(rest[A])[Ev.AUTHENTICATION_COMPLETE] == b"\0" + handle
+    world.tell(A, Op.AUTHENTICATION_REQUESTED, handle)
+    assert pair(world, {Ev.LINK_KEY_REQUEST: (Op.LINK_KEY_REPLY, KEY)})[A] == [
+        (Ev.AUTHENTICATION_COMPLETE, b"\0" + handle)
+    ]
+    world.tell(A, Op.SET_ENCRYPTION, handle + b"\1")
+    assert dict(world.events(B))[Ev.ENCRYPTION_CHANGE][3] == 1
+
+
+@pytest.mark.parametrize(
+    ("refusal", "code"),
+    [
+        ({Ev.IO_CAPABILITY_REQUEST: (Op.IO_CAPABILITY_NEGATIVE_REPLY, b"\x18")}, Status.PAIRING_NOT_ALLOWED),
+        (
+            {
+                Ev.IO_CAPABILITY_REQUEST: (Op.IO_CAPABILITY_REPLY, b"\3\0\2"),
+                Ev.CONFIRMATION_REQUEST: (Op.CONFIRM_NEGATIVE, b""),
+            },
+            Status.AUTHENTICATION_FAILURE,
+        ),
+    ],
+)
+def test_who_does_not_want_to_pair_does_not(world: World, refusal: dict[int, tuple[int, bytes]], code: int) -> None:
+    for address in (A, B):
+        world.tell(address, Op.WRITE_SIMPLE_PAIRING, b"\1")
+    one, _ = world.link(A, B)
+    world.tell(A, Op.AUTHENTICATION_REQUESTED, one.to_bytes(2, "little"))
+    rest = pair(world, {Ev.LINK_KEY_REQUEST: (Op.LINK_KEY_NEGATIVE_REPLY, b""), **refusal})
+    assert dict(rest[A])[Ev.AUTHENTICATION_COMPLETE][0] == code
+    assert Ev.LINK_KEY not in dict(rest[B])
+
+
+@pytest.mark.parametrize(("second", "code"), [(b"1234", 0), (b"9999", Status.AUTHENTICATION_FAILURE)])
+def test_pins_must_agree(world: World, second: bytes, code: int) -> None:
+    one, _ = world.link(A, B)
+    world.tell(A, Op.AUTHENTICATION_REQUESTED, one.to_bytes(2, "little"))
+    world.tell(A, Op.LINK_KEY_NEGATIVE_REPLY, hci.to_wire(B))
+    for address, other, pin in ((A, B, b"1234"), (B, A, second)):
+        world.tell(address, Op.PIN_REPLY, hci.to_wire(other) + bytes((4,)) + pin.ljust(16, b"\0"))
+    assert dict(world.events(A))[Ev.AUTHENTICATION_COMPLETE][0] == code
+
+
+@given(st.binary(max_size=80))
+def test_no_bytes_of_a_host_break_the_parser(data: bytes) -> None:
+    try:
+        packets, rest = hci.split(data)
+    except hci.HciError:
+        return
+    assert b"".join(packets) + rest == data
+    for packet in packets:
+        hci.parse(packet)
+
+
+steps = st.one_of(
+    st.tuples(st.just("data"), st.booleans()),
+    st.tuples(st.just("cut"), st.booleans()),
+    st.tuples(st.just("run"), st.floats(0.0, 1.0)),
+)
+
+
+@given(st.lists(steps, max_size=60), st.floats(0, 0.3), st.floats(0, 0.3), st.sampled_from([0.0, 100.0]))
+def test_whatever_happens_below_the_supervision_time_nothing_is_lost_doubled_or_reordered(
+    plan: list[tuple[str, object]], latency: float, jitter: float, bandwidth: float
+) -> None:
+    world = World()
+    handles = world.link(A, B)
+    world.air.medium.supervision = 1000.0
+    world.air.medium.latency, world.air.medium.jitter, world.air.medium.bandwidth = latency, jitter, bandwidth
+    sent: dict[str, list[bytes]] = {A: [], B: []}
+    for what, value in plan:
+        if what == "data":
+            sender, handle, receiver = (A, handles[0], B) if value else (B, handles[1], A)
+            sent[receiver].append(len(sent[receiver]).to_bytes(2, "little"))
+            world.data(sender, handle, sent[receiver][-1])
+        elif what == "cut":
+            (world.air.cut if value else world.air.mend)(A, B, world.now)
+        else:
+            world.run(float(str(value)))
+    world.air.mend(A, B, world.now)
+    world.collect()
+    world.run(60.0)
+    assert world.arrived(A) == sent[A]
+    assert world.arrived(B) == sent[B]
+    done = [len([code for code in world.codes(each) if code == Ev.COMPLETED_PACKETS]) for each in (A, B)]
+    assert done == [len(sent[B]), len(sent[A])]

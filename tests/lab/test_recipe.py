@@ -1,0 +1,67 @@
+"""What the lab's build and the radio's pipe decide without a machine."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lab.vm import build, recipe
+
+
+def guest(name: str) -> object:
+    """A module of those that run inside, with Debian's Python alone."""
+    sys.path.insert(0, str(recipe.GUEST))
+    try:
+        spec = importlib.util.spec_from_file_location(f"guest_{name}", recipe.GUEST / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(recipe.GUEST))
+    return module
+
+
+radio, agent = guest("radio"), guest("agent")
+
+
+def test_equal_content_has_an_equal_name_and_other_content_another(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("1")
+    first = recipe.sources(tmp_path)
+    assert recipe.digest(first, "x") == recipe.digest(recipe.sources(tmp_path), "x")
+    (tmp_path / "a").write_text("2")
+    assert recipe.digest(first) != recipe.digest(recipe.sources(tmp_path))
+    assert recipe.digest("ab", "c") != recipe.digest("a", "bc")
+
+
+def test_a_host_without_the_tools_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build.shutil, "which", lambda tool: None if tool in ("cpio", "qemu-img") else tool)
+    monkeypatch.setattr(build.os, "geteuid", lambda: 0)
+    assert build.missing() == "apt-get install cpio qemu-utils"
+    monkeypatch.setattr(build.os, "geteuid", lambda: 1000)
+    assert "root" in build.missing()
+
+
+packet = st.one_of(
+    st.builds(lambda p: b"\x04\x0e" + bytes([len(p)]) + p, st.binary(max_size=255)),
+    st.builds(lambda p: b"\x02\x01\x20" + len(p).to_bytes(2, "little") + p, st.binary(max_size=600)),
+    st.builds(lambda p: b"\x01\x03\x0c" + bytes([len(p)]) + p, st.binary(max_size=255)),
+)
+
+
+@given(st.lists(packet), st.integers(0, 40))
+def test_packets_of_a_serial_line_are_found_again_however_it_is_cut(sent: list[bytes], size: int) -> None:
+    line, rest, found = b"".join(sent), b"", []
+    for at in range(0, len(line), size + 1):
+        some, rest = radio.packets(rest + line[at : at + size + 1])
+        found += some
+    assert (found, rest) == (sent, b"")
+
+
+def test_a_command_that_hangs_is_ended_and_one_that_leaves_a_daemon_is_not_waited_for() -> None:
+    assert agent.run("echo one; exit 4", 5.0) == (4, "one\n")
+    assert agent.run("sleep 30", 0.05) == (124, "")
+    code, said = agent.run("sleep 30 & echo $!", 5.0)
+    assert code == 0
+    agent.os.kill(int(said), agent.signal.SIGKILL)
