@@ -6,8 +6,9 @@ Written a few times in a run, when the members change: whole and on the disk bef
 import os
 
 from swarm.codec import decode, encode
-from swarm.core.epoch_notes import Kept
+from swarm.core.epoch_notes import Epoch, Kept
 from swarm.errors import LocalError, PayloadError
+from swarm.messages import AppEpoch
 from swarm.paths import state_dir
 
 
@@ -40,3 +41,11 @@ class BallotFile:
             new.replace(self._path)
         except OSError as error:
             raise LocalError(f"{self._path}: {error.strerror}") from None
+
+
+def told(epoch: Epoch, now: float) -> AppEpoch:
+    """What a host tells, and records, of the epoch it is in."""
+    return AppEpoch(
+        *(now, epoch.counter, epoch.k, epoch.members, epoch.edges, epoch.away, epoch.forced),
+        epoch.number,
+    )

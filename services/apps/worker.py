@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from services.apps import topology
-from services.apps.ballots import BallotFile
+from services.apps.ballots import BallotFile, told
 from services.apps.core.strand import ALONE, Action, Renew, Strand, Terms
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
@@ -309,11 +309,7 @@ class Worker:
         return AppProgress(now, phase, self._strand.k, peers, reason)
 
     def _epoch(self) -> AppEpoch:
-        epoch = self._strand.epochs.epoch
-        return AppEpoch(
-            *(clock.now(), epoch.counter, epoch.k, epoch.members, epoch.edges, epoch.away, epoch.forced),
-            epoch.number,
-        )
+        return told(self._strand.epochs.epoch, clock.now())
 
     def _answer(self, *_: object) -> bytes | None:
         state = self._state
@@ -339,10 +335,10 @@ class Worker:
                 self._service.log.info(
                     "epoch %d from iteration %d on: %s", epoch.counter, epoch.k, " ".join(epoch.members)
                 )
-                told = self._epoch()
-                self._publish("epoch", told)
+                message = self._epoch()
+                self._publish("epoch", message)
                 if self._recorder is not None:
-                    self._recorder.epoch(told, self._part)
+                    self._recorder.epoch(message, self._part)
             case Send(data, to):
                 if self._channel is not self._strand.channel:
                     self._channel = self._strand.channel

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.mesh.core.delay import MAX_LOSS
 from services.sim.core.noise import ERRORS
 from services.sim.virtual.body import MODELS
 from swarm import conduct, settings
@@ -16,7 +17,7 @@ from swarm.settings import Setting
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
-_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z]*)")
+_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z%]*)")
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,17 @@ class Cut:
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
 """Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
+
+
+@dataclass(frozen=True)
+class Off:
+    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
+
+    robot: str
+    at: float | None
+    """s, counted like a cut's; None: from the beginning."""
+    seconds: float
+
 
 SLOWEST, FASTEST = 0.01, 1000.0
 """s of virtual time a second that a page may wish for."""
@@ -66,7 +78,10 @@ class Options:
     latency: float
     jitter: float
     bandwidth: float | None
+    loss: float
+    """Probability that a radio packet is lost and sent again."""
     cuts: tuple[Cut, ...]
+    offs: tuple[Off, ...]
     presses: tuple[Press, ...]
     lying: str | None
     """front or back: how robots lie at the start; None: as the app wants it."""
@@ -129,6 +144,18 @@ def cut(text: str) -> Cut:
     return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
 
 
+def off(text: str) -> Off:
+    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
+    at = None if match[2] == FROM_START else duration(match[2])
+    seconds = duration(match[3])
+    if not seconds > 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
+    return Off(match[1], at, seconds)
+
+
 def press(text: str) -> Press:
     """A button `r4.A@5s`: whose, which, when."""
     match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
@@ -165,6 +192,14 @@ def speed(text: str) -> float:
     value = _quantity(text, {"": 1.0}, "a speed such as 0.5, or max")
     if not SLOWEST <= value <= FASTEST:
         raise argparse.ArgumentTypeError(f"expected {SLOWEST:g} to {FASTEST:g}, or max")
+    return value
+
+
+def loss(text: str) -> float:
+    """A probability `5%` or `0.05`."""
+    value = _quantity(text, {"": 1.0, "%": 0.01}, "a probability such as 5% or 0.05")
+    if not value <= MAX_LOSS:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {100 * MAX_LOSS:g}%")
     return value
 
 
@@ -215,8 +250,14 @@ def parser() -> argparse.ArgumentParser:
         "--jitter", type=duration, default=0.0, metavar="10ms", help="standard deviation of the latency (0)"
     )
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
+    radio.add_argument(
+        "--loss", type=loss, default=0.0, metavar="5%%", help="radio packets that are lost, and sent again (0)"
+    )
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
+    radio.add_argument("--off", dest="offs", action="append", type=off, default=[], metavar="r2@5s,10s",
+                       help="under virtual time: switch a robot off 5 s after the first iteration for 10 s; "
+                       "@start: it comes late")  # fmt: skip
     bodies = p.add_argument_group("the bodies")
     bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
                         help="press a button 5 s after the first iteration")  # fmt: skip
@@ -265,6 +306,8 @@ def parse(arguments: list[str]) -> Options:
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
+    if options.offs and not options.virtual:
+        raise ConfigError("--off is for --virtual; of real processes: swarm kill r2 app, swarm kill r2 mesh")
     if options.view and not options.virtual:
         raise ConfigError("--view shows virtual time; for this one: swarm view, in another terminal")
     if (options.speed is not None or options.no_open) and not options.view:
@@ -275,6 +318,7 @@ def parse(arguments: list[str]) -> Options:
             (options.settings, "--set"),
             (options.replay, "--replay"),
             (options.noise, "--noise"),
+            (options.offs, "--off"),
             (options.plot, "--plot"),
         ):
             if given:
@@ -287,6 +331,6 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
-    for name in ("settings", "cuts", "presses"):
+    for name in ("settings", "cuts", "offs", "presses"):
         setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

@@ -114,6 +114,9 @@ class Run:
             if started is None:
                 if self._has_started(seen, missing):
                     started = now
+                elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
+                    self._problems += faults
+                    break
                 elif now - self._commanded > START_LIMIT_S:
                     self._problems.append(f"no first iteration within {START_LIMIT_S:g} s: {_obstacles(seen, missing)}")
                     break
@@ -151,6 +154,7 @@ class Run:
             "latency": options.latency,
             "jitter": options.jitter,
             "bandwidth": options.bandwidth,
+            "loss": options.loss,
             "seed": options.seed,
         }
         return {
@@ -169,14 +173,10 @@ class Run:
             return not any(missing.values()) and all(
                 robot.progress is not None and robot.progress.phase == "running" for robot in seen.values()
             )
-        return all(_iteration(robot) >= 1 for robot in seen.values())
+        return all(_iteration(robot) >= 1 or _failed(robot) for robot in seen.values())
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
-        faults = [
-            f"{name} app {robot.progress.reason}"
-            for name, robot in seen.items()
-            if robot.progress is not None and robot.progress.phase == "fault"
-        ]
+        faults = _faults(seen)
         if faults and not self._scenario.conduct.drop:
             self._problems += faults
             return True
@@ -252,6 +252,14 @@ def _make_records(directory: Path) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     if next(directory.iterdir(), None) is not None:
         raise LocalError(f"--record {directory}: the folder is not empty; name a new one")
+
+
+def _faults(seen: Mapping[str, Seen]) -> list[str]:
+    return [f"{name} app {robot.progress.reason}" for name, robot in seen.items() if robot.progress and _failed(robot)]
+
+
+def _failed(seen: Seen) -> bool:
+    return seen.progress is not None and seen.progress.phase == "fault"
 
 
 def _iteration(seen: Seen) -> int:

@@ -129,6 +129,11 @@ def build(options: Options, run_dir: Path) -> Scenario:
     for cut in options.cuts:
         if not config.auto and cut.b not in config.neighbours(cut.a):
             raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
+    for off in options.offs:
+        if off.robot not in config.names:
+            raise ConfigError(f"--off {off.robot}: the robots are {', '.join(config.names)}")
+        if app is not None and any(issubclass(kind, EventApp) for kind in app.algorithms.values()):
+            raise ConfigError(f"--off {off.robot}: {app.name} has no lockstep whose members could change")
     for press in options.presses:
         if press.robot not in config.names:
             raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")

@@ -134,17 +134,19 @@ def test_a_broken_app_file_is_named(tmp_path):
     assert "Traceback" not in str(failure.value)
 
 
-def test_an_app_that_raises_is_named_with_robot_and_iteration(tmp_path):
+@pytest.mark.parametrize("iteration", [0, 7])
+def test_an_app_that_raises_is_named_with_robot_and_iteration(iteration, tmp_path):
     app = tmp_path / "crashing.py"
     app.write_text(
         "from swarm import SyncApp\n"
         "class Crashing(SyncApp):\n"
         "    value: float = 0.0\n"
         "    def step(self, neighbours):\n"
-        "        self.value = 1 / (7 - self.k)\n"
+        f"        self.value = 1 / ({iteration} - self.k)\n"
     )
-    with pytest.raises(SimulationError, match=r"iteration 7"):
+    with pytest.raises(SimulationError, match=rf"iteration {iteration}") as failure:
         simulate(str(app), "--iterations", "20")
+    assert "no first iteration" not in str(failure.value)
 
 
 def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):

@@ -1,13 +1,9 @@
 """Whole runs under virtual time: as the cores alone compute them, the same bytes each time, whatever happens."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from services.apps import loader
 from services.sim.virtual.run import simulate
 from swarm.recording.run import Run
 
@@ -42,6 +38,7 @@ def test_consensus_ends_on_the_mean_in_the_time_of_the_links(undisturbed):
         ("--jitter", "10ms", "--bandwidth", "2kB"),
         ("--cut", "r2-r3@0.5s,2s", "--cut", "r0-r1@0.6s,8s"),
         ("--latency", "0ms"),
+        ("--loss", "30%", "--jitter", "5ms"),
         ("--seed", "7", "--jitter", "25ms"),
     ],
 )
@@ -55,6 +52,9 @@ def test_jitter_and_cuts_cost_the_time_that_they_should(undisturbed):
     jittered, _ = simulate("consensus", "--robots", "6", "--iterations", "600", "--jitter", "10ms")
     # An independent model of lockstep on such links has 39.4 ms on a line of six, 1.4 ms of them for steps and bytes.
     assert jittered["iteration_s_median"] == pytest.approx(0.0380, abs=0.0006)
+    lossy, _ = simulate("consensus", "--robots", "6", "--iterations", "600", "--loss", "50%")
+    # Of two neighbours' frames the later one counts: at a loss of one half that is lost 5/3 times, for one 1 time.
+    assert 0.03 + 3.75e-3 < lossy["iteration_s_median"] < 0.03 + 3 * 3.75e-3
     cut, _ = simulate(*SIX, "--cut", "r2-r3@0.5s,2s")
     assert cut["seconds"] == pytest.approx(undisturbed[0]["seconds"] + 2.0, abs=0.15)
 
@@ -69,21 +69,6 @@ def test_equal_seeds_give_equal_recordings_and_others_do_not(tmp_path):
     assert first == files("b")
     assert sorted(first) == ["consensus.mcap", "run.toml", "swarm.toml"]
     assert first != files("c", "--seed", "2")
-
-
-def test_equal_seeds_give_equal_recordings_in_another_process(tmp_path):
-    """Where the hashes of texts, and with them the order of sets, are others."""
-
-    def files(name, salt):
-        command = [sys.executable, "-m", "services.sim", *SIX, "--virtual", "--jitter", "10ms", "--json"]
-        environment = {"PYTHONHASHSEED": salt, "PATH": "", "PYTHONPATH": ":".join(sys.path)}
-        done = subprocess.run(
-            [*command, "--record", str(tmp_path / name)], env=environment, capture_output=True, text=True, check=True
-        )
-        assert json.loads(done.stdout.splitlines()[-1])["problems"] == []
-        return {path.name: path.read_bytes() for path in sorted((tmp_path / name).iterdir())}
-
-    assert files("a", "1") == files("b", "2")
 
 
 def test_a_robot_alone_and_an_automatic_topology_run():
@@ -156,22 +141,6 @@ class Blink(PeriodicApp):
 """
 
 
-@pytest.mark.parametrize("app", sorted(path.stem for path in EXAMPLES.glob("*.py")))
-def test_every_example_runs_the_same_twice(app, tmp_path):
-    def files(name):
-        folder = tmp_path / name
-        report, _ = simulate(
-            str(EXAMPLES / f"{app}.py"), "--robots", "4", "--seconds", "3", "--jitter", "10ms",
-            "--press", "r1.A@1s", "--record", str(folder),
-        )  # fmt: skip
-        assert report["problems"] == []
-        return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-    first = files("a")
-    assert f"{app}.mcap" in first
-    assert first == files("b")
-
-
 def test_a_button_reaches_an_event_driven_app_and_its_neighbours():
     app = str(EXAMPLES / "button_count.py")
     report, _ = simulate(app, "--robots", "3", "--seconds", "4", "--press", "r1.A@1s", "--press", "r1.A@2s")
@@ -230,19 +199,3 @@ def test_a_periodic_app_follows_an_automatic_topology(tmp_path):
     results = report["result"].values()
     assert all(result["near"] == result["links"] for result in results)
     assert max(result["changes"] for result in results) == 2
-
-
-@pytest.mark.parametrize("app", loader.BUILT_IN)
-def test_every_built_in_app_records_the_same_bytes_twice(app, tmp_path):
-    def files(name):
-        folder = tmp_path / name
-        report, _ = simulate(
-            app, "--robots", "3", "--seconds", "2", "--jitter", "10ms", "--seed", "4",
-            "--press", "r2.A@0.5s", "--record", str(folder),
-        )  # fmt: skip
-        assert report["problems"] == []
-        return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-    first = files("a")
-    assert first
-    assert first == files("b")

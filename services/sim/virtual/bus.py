@@ -58,6 +58,7 @@ class VirtualBus:
     def __init__(self, router: VirtualRouter) -> None:
         self._router = router
         self._time = router.time
+        self._closed = False
         self.targets: dict[str, tuple[OnSample, ...]] = {}
         """Who gets what this session publishes, by key, as far as it was asked for."""
         router.sessions.append(self)
@@ -130,6 +131,8 @@ class VirtualBus:
     def close(self) -> None:
         """Hear and say nothing any more."""
         router = self._router
+        self._closed = True
+        self.targets.clear()
         router.subscriptions = [each for each in router.subscriptions if each.session is not self]
         router.sessions.remove(self)
         router.changed()
@@ -138,7 +141,9 @@ class VirtualBus:
         found = self.targets.get(key)
         if found is None:
             found = self.targets[key] = tuple(
-                each.callback for each in self._router.subscriptions if each.session is not self and each.takes(key)
+                each.callback
+                for each in self._router.subscriptions
+                if each.session is not self and each.takes(key) and not self._closed
             )
         return found
 

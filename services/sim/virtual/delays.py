@@ -43,6 +43,10 @@ class DelayMesh:
             bus.subscribe(expression, partial(self._publish, source))
         bus.subscribe([key(robot, "mesh", "set", "*"), key(robot, "mesh", "set", "*", "**")], self._refuse)
 
+    def renewed(self, peer: str) -> None:
+        """A neighbour's hosts are others now."""
+        self._heard = {at: heard for at, heard in self._heard.items() if at[0] != peer}
+
     def _publish(self, source: int, name: str, payload: bytes) -> None:
         now = self._time.now
         for leg, data in self._relay.publish(source, name, payload, now):

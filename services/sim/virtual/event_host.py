@@ -10,7 +10,7 @@ from services.apps.changes import Changes
 from services.apps.event_host import REMIND, TICK
 from services.apps.event_runner import EventRunner, version
 from services.apps.topology import of_edges
-from services.sim.virtual.host import INCARNATION, Place, VirtualHost
+from services.sim.virtual.host import Place, VirtualHost
 from services.sim.virtual.strand import Line, Told
 from swarm.codec import Value, decode
 from swarm.config import Config
@@ -55,7 +55,7 @@ class VirtualEventHost:
         assert devices is not None
         self._overlays: Overlays = overlays
         self._devices: Devices = devices
-        channel = Channel(place.run, 0, INCARNATION, version(app, digest))
+        channel = Channel(place.run, 0, place.incarnation, version(app, digest))
         self._core = Asynchronous(
             place.robot,
             place.neighbours,
@@ -103,6 +103,11 @@ class VirtualEventHost:
     def waiting(self) -> tuple[str, ...]:
         """Robots that the barrier waits for."""
         return self._core.missing
+
+    @property
+    def obstacle(self) -> str:
+        """None but those: an asynchronous app has no members to agree on."""
+        return ""
 
     def start(self) -> None:
         """Let the app begin."""

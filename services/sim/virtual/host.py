@@ -11,15 +11,13 @@ from services.sim.virtual.events import EventQueue
 from services.sim.virtual.strand import Measurements, Told, VirtualStrand
 from swarm.codec import decode
 from swarm.conduct import Conduct
-from swarm.core.epoch_notes import Epoch
+from swarm.core.epoch_notes import Epoch, Kept
+from swarm.core.epochs import Order
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError
 from swarm.keys import key
-from swarm.messages import Links
-
-INCARNATION = 1
-"""Of every app host: nobody is started anew."""
+from swarm.messages import Links, SetAppEpoch, Topology
 
 
 class Place(NamedTuple):
@@ -35,6 +33,10 @@ class Place(NamedTuple):
     conduct: Conduct
     time: EventQueue
     bus: VirtualBus
+    incarnation: int = 1
+    """Goes up with every start of the robot."""
+    kept: Kept | None = None
+    """What it has voted before the newest one."""
 
     @property
     def neighbours(self) -> tuple[str, ...]:
@@ -44,7 +46,7 @@ class Place(NamedTuple):
     @property
     def prefix(self) -> str:
         """What the tickets of this host's requests begin with: another one in each run."""
-        return f"{self.run & 0xFFFFFFFFFFFF:012x}"
+        return f"{self.run & 0xFFFFFFFFFFFF:012x}" + (f"-{self.incarnation}" if self.incarnation > 1 else "")
 
 
 class VirtualHost:
@@ -68,6 +70,8 @@ class VirtualHost:
         self._place = place
         self._by_schema: dict[int, VirtualStrand] = {}
         self._notes: dict[str, VirtualStrand] = {}
+        self._closed = False
+        self._edges: tuple[tuple[str, ...], ...] = ()
         self._senders: dict[str, tuple[VirtualStrand, str, Channel | None] | None] = {}
         self._connections: dict[str, int] = {}
         for part, runner in runners.items():
@@ -75,7 +79,7 @@ class VirtualHost:
             how = place.conduct
             terms = Terms(place.run, schema, how.last, how.rule, how.drop, how.after)
             begin, graph = place.begin, place.graph
-            strand = Strand(place.robot, place.names, terms, begin, graph, INCARNATION, runner)
+            strand = Strand(place.robot, place.names, terms, begin, graph, place.incarnation, runner, place.kept)
             self.strands[part] = self._by_schema[schema] = self._notes[terms.notes] = VirtualStrand(
                 strand,
                 runner,
@@ -90,12 +94,27 @@ class VirtualHost:
             )
         place.bus.subscribe(key("*", f"app/{app}", "sync", "**"), self._on_sync)
         place.bus.subscribe(key(place.robot, "mesh", "links"), self._on_links)
+        place.bus.subscribe(key(place.robot, f"app/{app}", "set", "epoch"), self._on_order)
+        if place.conduct.drop:  # else nobody asks which links are in force
+            place.bus.subscribe(key(place.robot, "mesh", "topology"), self._on_topology)
 
     def start(self) -> None:
         """Begin all channels."""
         for strand in self.strands.values():
             strand.start()
         self._place.time.at(self._place.time.now + TICK, self._show)
+
+    @property
+    def kept(self) -> Kept | None:
+        """What the robot keeps of the app through a reboot."""
+        return self.strands[""].kept
+
+    def close(self) -> None:
+        """End as by kill -9."""
+        self._closed = True
+        self._place.bus.close()
+        for strand in self.strands.values():
+            strand.close()
 
     def _on_sync(self, name: str, payload: bytes) -> None:
         try:
@@ -136,8 +155,22 @@ class VirtualHost:
             if renewed:
                 strand.nudge()
 
+    def _on_order(self, name: str, payload: bytes) -> None:
+        wish = decode(SetAppEpoch, payload, name)
+        for strand in self.strands.values():
+            strand.order(Order(wish.drop, wish.add, wish.force))
+
+    def _on_topology(self, name: str, payload: bytes) -> None:
+        edges = decode(Topology, payload, name).edges
+        if edges != self._edges:
+            self._edges = edges
+            for strand in self.strands.values():
+                strand.strand.epochs.take_links(edges)
+
     def _show(self) -> None:
         """Ten times a second: states and progress, for who watches."""
+        if self._closed:
+            return
         self._place.time.at(self._place.time.now + TICK, self._show)
         for strand in self.strands.values():
             strand.show()

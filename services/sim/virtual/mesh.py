@@ -31,7 +31,7 @@ REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links`, `mesh/clock` and `mesh/topology`, as the service has it."""
 
 FIRST_INCARNATION = 1
-"""Of every robot's floods: nobody is started anew."""
+"""Of every robot's floods."""
 
 _NEVER = float("inf")
 
@@ -64,7 +64,17 @@ class Common:
 class VirtualMesh:
     """One robot's mesh."""
 
-    def __init__(self, common: Common, robot: str, time: EventQueue, air: Air, bus: VirtualBus, seed: object) -> None:
+    def __init__(
+        self,
+        common: Common,
+        robot: str,
+        time: EventQueue,
+        air: Air,
+        bus: VirtualBus,
+        seed: object,
+        incarnation: int = FIRST_INCARNATION,
+    ) -> None:
+        """`incarnation` goes up with every start of the robot."""
         self.robot = robot
         self.running = True
         self.counters: Counter[str] = Counter()
@@ -75,7 +85,7 @@ class VirtualMesh:
         self._timer = _NEVER
         self._changed = False
         # The text's hash is not Python's own, which differs from process to process.
-        numbers = random.Random(f"{seed} {robot} mesh")
+        numbers = random.Random(f"{seed} {robot} mesh" + (f" {incarnation}" if incarnation > 1 else ""))
         config, settings = common.config, common.config.mesh
         local = Local(
             robot=robot,
@@ -92,7 +102,7 @@ class VirtualMesh:
         overlays = Overlays(
             robot,
             common.names,
-            incarnation=FIRST_INCARNATION,
+            incarnation=incarnation,
             random=numbers.random,
             counters=self.counters,
             metric=settings.metric,

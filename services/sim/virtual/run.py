@@ -22,10 +22,11 @@ from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.host import VirtualHost
 from services.sim.virtual.strand import Line, Teller, Told
 from services.sim.virtual.tape import Tape
-from services.sim.virtual.world import World
+from services.sim.virtual.world import Launch, World
 from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import ConfigError, LocalError
+from swarm.messages import AppEpoch
 from swarm.recording import folder
 from swarm.recording.plain import PlainRecording
 from swarm.recording.reader import SUFFIX
@@ -57,7 +58,7 @@ class Run:
         mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
-        model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed)
+        model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
         self._witness = Witness(names) if scenario.app in scene.WATCHED else None
         self.world = World(
             scenario.config,
@@ -71,8 +72,13 @@ class Run:
         self._tapes = {name: Tape(keep=self._rows) for name in names}
         self._recording: PlainRecording | None = None
         self._recorders: dict[str, Recorder] = {}
+        self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
         self._running = set(names)
-        self._missing_first = set(names)
+        self._missing_first = set(names) - self._late.keys()
+        self._epoch = (0, 0)
+        """Counter and number of the newest epoch."""
+        self._members = frozenset(names)
+        """Of the newest epoch."""
         self._started: float | None = None
         self._last_progress = 0.0
         self._problems: list[str] = []
@@ -88,15 +94,12 @@ class Run:
             number = random.Random(f"{options.seed} run").getrandbits(64)
             if options.record is not None:
                 self._begin_record(options.record, app, number)
+            told = Told(self._advanced, self._ended, self._switched)
+            for name, seconds in self._late.items():
+                world.switch_off(name, seconds)
             for name in scenario.config.names:
-                world.start_app(
-                    name,
-                    app,
-                    run=number,
-                    conduct=scenario.conduct,
-                    recording=scenario.recordings.get(name),
-                    told=Told(self._advanced, self._ended),
-                )
+                launch = Launch(app, number, scenario.conduct, scenario.recordings.get(name), told)
+                world.start_app(name, launch, after=self._late.get(name, 0.0))
         else:
             self._first_done()
         with _without_looking_for_garbage():
@@ -125,7 +128,11 @@ class Run:
         tellers: list[Teller] = [*strands, *(host for host in hosts if isinstance(host, VirtualEventHost))]
         if tellers and all(_has_no_steps(each) for each in tellers):
             return
-        stuck = [f"{each.robot} waits for {', '.join(each.waiting)}" for each in tellers if each.waiting]
+        stuck = [
+            each.obstacle or f"{each.robot} waits for {', '.join(each.waiting)}"
+            for each in tellers
+            if each.obstacle or each.waiting
+        ]
         self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
     def _advanced(self, teller: Teller, line: Line) -> None:
@@ -164,23 +171,50 @@ class Run:
             self.world.act(press.robot, now + press.at, hands.Press(press.button, PRESS_S))
         for cut in self._options.cuts:
             self.world.cut(cut.a, cut.b, now + cut.at, cut.seconds)
+        for off in self._options.offs:
+            if off.at is not None:
+                self.world.time.at(now + off.at, self.world.switch_off, off.robot, off.seconds)
 
     def _ended(self, teller: Teller) -> None:
         """A robot is at its last iteration, or its app has failed: that ends the run."""
         if teller.reason:
             self._problems.append(f"{teller.robot} app {teller.reason}")
-            self.world.time.stop()
-            return
+            if not self._scenario.conduct.drop:
+                self.world.time.stop()
+                return
         if teller.part:
             return
         self._running.discard(teller.robot)
-        if not self._running and self._options.seconds is None:
+        self._look_whether_over()
+
+    def _switched(self, teller: Teller, epoch: AppEpoch) -> None:
+        """The members have changed."""
+        name = teller.robot
+        self._last_progress = epoch.t
+        if self._recorders:
+            self._recorders[name].epoch(epoch, teller.part)
+        if teller.part:
+            return
+        self._tapes[name].go_back(epoch.k)
+        if name in epoch.members:
+            self._running.add(name)
+        if (epoch.epoch, epoch.frames) > self._epoch:
+            self._epoch = epoch.epoch, epoch.frames
+            self._members = frozenset(epoch.members)
+            self._missing_first &= self._members
+            if self._started is None and not self._missing_first:
+                self._first_done()
+            self._look_whether_over()
+
+    def _look_whether_over(self) -> None:
+        """Robots that the others go on without are waited for no more."""
+        if not self._running & self._members and self._options.seconds is None:
             self.world.time.stop()
 
     def _outcome(self, ended_at: float) -> Outcome:
         names = self._scenario.config.names
         started = self._started
-        frames = sum(robot.mesh.sent for robot in self.world.robots.values())
+        frames = sum(robot.sent for robot in self.world.robots.values())
         return Outcome(
             scenario=self._scenario,
             seed=self._options.seed,

@@ -4,16 +4,18 @@ its thread and files."""
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
+from services.apps import ballots
 from services.apps.core.strand import ALONE, Renew, Strand
 from services.apps.runner import AppRunner, Runner
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import EventQueue
 from swarm.codec import Value
-from swarm.core.epochs import Tell
+from swarm.core.epoch_notes import Kept
+from swarm.core.epochs import Keep, Order, Switch, Tell
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Send
 from swarm.errors import AppError
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState, Measurement
+from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
 
 _NEVER = float("inf")
 
@@ -63,6 +65,10 @@ class Teller(Protocol):
     def waiting(self) -> tuple[str, ...]:
         """Robots that are waited for."""
 
+    @property
+    def obstacle(self) -> str:
+        """What else keeps it from going on; empty where nothing does."""
+
 
 class Told(NamedTuple):
     """Who is told what becomes of an app."""
@@ -71,6 +77,8 @@ class Told(NamedTuple):
     """For each iteration of each channel, for each step or event."""
     ended: Callable[[Teller], None]
     """When the last one is done or the app has failed."""
+    switched: Callable[[Teller, AppEpoch], None]
+    """When the members have changed: the iterations from the epoch's first one on are done again."""
 
 
 class VirtualStrand:
@@ -101,7 +109,10 @@ class VirtualStrand:
         self._bus = bus
         self._measurements = measurements
         self._measured: Measurement | None = None
-        self._advanced, self._ended = told
+        self._advanced, self._ended, self._switched = told
+        self.kept: Kept | None = None
+        """What a robot keeps through a reboot: its votes."""
+        self._closed = False
         self._latest = latest
         self._prefix = key(robot, f"app/{app}", "sync")
         self._channel = strand.channel
@@ -109,7 +120,8 @@ class VirtualStrand:
         self._notes = f"{self._prefix}/{strand.terms.notes}"
         keys = f"app/{app}/{part}" if part else f"app/{app}"
         self._state_key, self._progress_key = key(robot, keys, "state"), key(robot, keys, "progress")
-        self._shown: tuple[str, int] | None = None
+        self._epoch_key = key(robot, keys, "epoch")
+        self._shown: tuple[str, int, tuple[str, ...], str] | None = None
         self._heard = False
         """Whether it is planned to do what the frames of this moment call for."""
         self._timer = _NEVER
@@ -123,6 +135,11 @@ class VirtualStrand:
     def waiting(self) -> tuple[str, ...]:
         """See `Teller`."""
         return self.strand.waiting
+
+    @property
+    def obstacle(self) -> str:
+        """See `Teller`."""
+        return self.strand.obstacle
 
     def start(self) -> None:
         """Let the app begin, as soon as there is a measurement for it where it wants one."""
@@ -148,6 +165,15 @@ class VirtualStrand:
         self.strand.nudge(self._time.now)
         self._perform()
 
+    def order(self, wish: Order) -> None:
+        """The operator wants other members."""
+        self.strand.order(wish, self._time.now)
+        self._perform()
+
+    def close(self) -> None:
+        """End as by kill -9."""
+        self._closed = True
+
     def take_rtt(self, rtt: float) -> None:
         """The slowest link's round-trip time, s."""
         self.strand.rtt = rtt
@@ -155,17 +181,22 @@ class VirtualStrand:
     def show(self) -> None:
         """Publish state and progress where they are new and somebody hears them."""
         strand, runner = self.strand, self.runner
-        if self._shown == (strand.phase, strand.k):
+        shown = strand.phase, strand.k, strand.waiting, strand.obstacle
+        if self._shown == shown:
             return
-        self._shown = strand.phase, strand.k
+        self._shown = shown
         if self._bus.wanted(self._progress_key):
-            progress = AppProgress(self._time.now, strand.phase, strand.k, strand.waiting, strand.reason)
+            reason = strand.reason or strand.obstacle
+            phase = "waiting" if strand.phase == "running" and (strand.waiting or reason) else strand.phase
+            progress = AppProgress(self._time.now, phase, strand.k, strand.waiting, reason)
             self._bus.publish(self._progress_key, progress)
         if strand.begun and not strand.reason and self._bus.wanted(self._state_key):
             state = AppState(strand.computed_at, runner.k, runner.state(), runner.result())
             self._bus.publish(self._state_key, state)
 
     def _begin(self, measurement: Measurement | None) -> None:
+        if self._closed:
+            return
         try:
             self.strand.begin((), measurement, self._time.now)
         except AppError as error:
@@ -182,7 +213,7 @@ class VirtualStrand:
             self._time.at(self._time.now + ALONE, self._step, todo, None)
 
     def _step(self, todo: Compute, measurement: Measurement | None) -> None:
-        if self.strand.phase == "fault":
+        if self._closed or self.strand.phase == "fault":
             return
         try:
             self._measured = measurement
@@ -200,6 +231,8 @@ class VirtualStrand:
             self._change(todo, None)
 
     def _change(self, todo: Renew, measurement: Measurement | None) -> None:
+        if self._closed:
+            return
         try:
             answer = self.strand.renew(todo.epoch, measurement)
         except AppError as error:
@@ -212,6 +245,8 @@ class VirtualStrand:
         """Carry out what the strand wants, in its order."""
         strand = self.strand
         self._heard = False
+        if self._closed:
+            return
         for action in strand.actions():
             if type(action) is Send:
                 to = action.to
@@ -222,6 +257,12 @@ class VirtualStrand:
             elif type(action) is Compute:
                 # Not from within: a robot without neighbours would never come back.
                 self._time.soon(self._compute, action)
+            elif type(action) is Keep:
+                self.kept = action.kept
+            elif type(action) is Switch:
+                told = ballots.told(action.epoch, self._time.now)
+                self._bus.publish(self._epoch_key, told)
+                self._switched(self, told)
             elif type(action) is Tell:
                 self._bus.publish(self._notes, action.data, urgent=True)
             elif type(action) is Renew:
@@ -244,7 +285,7 @@ class VirtualStrand:
             self._time.at(deadline, self._tick, deadline)
 
     def _tick(self, planned: float) -> None:
-        if planned != self._timer:
+        if planned != self._timer or self._closed:
             return  # an earlier one came before
         self._timer = _NEVER
         deadline = self.strand.next_deadline(self._time.now)

@@ -24,9 +24,15 @@ class Tape:
             self._lines.clear()
         self._lines[line.k] = line
 
+    def go_back(self, k: int) -> None:
+        """The members have changed: the iterations from k on are done again."""
+        for kept in (self._times, self._lines):
+            for later in [other for other in kept if other >= k]:
+                del kept[later]
+
     def trajectory(self) -> Trajectory:
         """As the recorder would have written it."""
-        if self._teller is None:
+        if self._teller is None or not self._lines:
             return EMPTY
         shared = [column for field in self._teller.runner.schema.fields for column in field.columns]
         results: list[str] = []

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from services.apps import loader, topology
 from services.apps.event_runner import EventRunner
@@ -28,7 +29,7 @@ from swarm.app import SyncApp
 from swarm.codec import Value
 from swarm.conduct import Conduct
 from swarm.config import Config
-from swarm.core.epoch_notes import Epoch, first
+from swarm.core.epoch_notes import Epoch, Kept, first
 from swarm.core.graph import Graph
 from swarm.core.hands import Act
 from swarm.devices import Devices
@@ -56,6 +57,26 @@ class VirtualRobot:
     balancer: VirtualBalancer
     dwm: VirtualDwm
     apps: dict[str, VirtualHost | VirtualEventHost] = field(default_factory=dict)
+    starts: int = 1
+    """How often it was switched on."""
+    sent_before: int = 0
+    """Messages of meshes that have ended."""
+
+    @property
+    def sent(self) -> int:
+        """Messages of its apps that left, counted once for each neighbour."""
+        return self.sent_before + self.mesh.sent
+
+
+class Launch(NamedTuple):
+    """How an app's hosts are started."""
+
+    app: loader.App
+    run: int
+    conduct: Conduct
+    recording: Recording | None
+    """That the app replays."""
+    told: Told
 
 
 class World:
@@ -87,6 +108,7 @@ class World:
         self._lying = lying
         self._witness = witness
         self._names = frozenset(config.names)
+        self._launched: dict[str, Launch] = {}
         self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
@@ -102,26 +124,58 @@ class World:
         """Let nothing pass between two robots from `at` on."""
         self.time.at(at, self.air.cut, a, b, seconds)
 
+    def switch_off(self, robot: str, seconds: float) -> None:
+        """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes. After
+        `seconds` they start anew. The body stays as it is."""
+        there = self.robots[robot]
+        begun = [(self._launched[robot], host.kept) for host in there.apps.values() if isinstance(host, VirtualHost)]
+        for host in there.apps.values():
+            assert isinstance(host, VirtualHost)  # `Run` lets no other app be switched off
+            host.close()
+        there.apps.clear()
+        if isinstance(there.mesh, VirtualMesh):
+            there.sent_before += there.mesh.sent
+            there.mesh.kill()
+        else:
+            for peer in self._common.near[robot]:
+                self.air.cut(robot, peer, seconds)
+        self.time.at(self.time.now + seconds, self._switch_on, robot, begun)
+
+    def _switch_on(self, robot: str, begun: list[tuple[Launch, Kept | None]]) -> None:
+        there = self.robots[robot]
+        there.starts += 1
+        if isinstance(there.mesh, VirtualMesh):
+            there.meshes_bus = VirtualBus(there.router)
+            there.mesh = VirtualMesh(
+                self._common, robot, self.time, self.air, there.meshes_bus, self.seed, incarnation=there.starts
+            )
+        for launch, kept in begun:
+            self._begin(robot, launch, kept)
+        for peer in self._common.near[robot]:
+            if isinstance(near := self.robots[peer].mesh, DelayMesh):
+                near.renewed(robot)
+
     def act(self, robot: str, at: float, act: Act) -> None:
         """Let a person do something to a robot."""
         self.time.at(at, self.robots[robot].balancer.act, act)
 
-    def start_app(
-        self, robot: str, app: loader.App, *, run: int, conduct: Conduct, recording: Recording | None, told: Told
-    ) -> None:
-        """Start an app's host; with an automatic topology it begins when that links all robots."""
-        self.time.soon(self._begin, robot, app, run, conduct, recording, told)
+    def start_app(self, robot: str, launch: Launch, after: float = 0.0) -> None:
+        """Start an app's host after so many s; with an automatic topology it begins when that links all robots."""
+        self._launched[robot] = launch
+        if after:
+            self.time.at(self.time.now + after, self._begin, robot, launch)
+        else:
+            self.time.soon(self._begin, robot, launch)
 
-    def _begin(
-        self, robot: str, app: loader.App, run: int, conduct: Conduct, recording: Recording | None, told: Told
-    ) -> None:
+    def _begin(self, robot: str, launch: Launch, kept: Kept | None = None) -> None:
+        app, run, conduct, recording, told = launch
         config, epoch = self.config, topology.CONFIGURED
         if config.auto:
             mesh = self.robots[robot].mesh
             assert isinstance(mesh, VirtualMesh)  # an automatic topology is found by meshes
             in_force = mesh.node.overlays.topology(self.time.now)
             if topology.lacking(config, in_force, self.time.now):
-                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, app, run, conduct, recording, told)
+                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, launch, kept)
                 return
             links = topology.of_edges(config, in_force.edges)
             config, epoch = links.config, links.epoch
@@ -129,7 +183,9 @@ class World:
         bus = VirtualBus(self.robots[robot].router)
         if epoch not in self._begin_with:
             self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
-        place = Place(robot, self._names, *self._begin_with[epoch], run, conduct, self.time, bus)
+        there = self.robots[robot]
+        begin = self._begin_with[epoch]
+        place = Place(robot, self._names, *begin, run, conduct, self.time, bus, there.starts, kept)
         self._equip(instance.robot, bus, place.prefix)
         host: VirtualHost | VirtualEventHost
         if isinstance(instance, EventApp):
@@ -144,7 +200,7 @@ class World:
             host = VirtualHost(
                 app.name, {"": Runner(instance, app.source, conduct.tolerance)}, app.digest, place, measurements, told
             )
-        self.robots[robot].apps[app.name] = host
+        there.apps[app.name] = host
         host.start()
 
     def _event_host(self, app: loader.App, instance: EventApp, place: Place, told: Told) -> VirtualEventHost:
