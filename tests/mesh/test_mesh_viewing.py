@@ -180,19 +180,20 @@ def test_it_crosses_the_mesh_to_the_robot_that_is_watched_and_not_in_anothers_na
 @pytest.mark.slow
 def test_real_meshes_tell_it(build: Build) -> None:
     swarm = build(edges=(("r0", "r1"), ("r1", "r2")), times=SHORT)
-    views: dict[str, View] = {}
-    swarm["r0"].bus.subscribe(
-        "swarm/*/mesh/view", lambda key, payload: views.update({key.split("/")[1]: decode(View, payload, key)})
-    )
+    told: dict[str, dict[str, object]] = {"r1": {}, "r2": {}}
+
+    def hear(key: str, payload: bytes) -> None:
+        view = decode(View, payload, key)
+        told[key.split("/")[1]].update(view.values | view.services)
+
+    swarm["r0"].bus.subscribe("swarm/*/mesh/view", hear)
     swarm.start()
-    pose = TYPICAL_SAMPLES["dwm/pose"]
 
-    def told() -> bool:
+    def all_told() -> bool:
         swarm["r0"].bus.publish("swarm/r0/mesh/set/watch", Watch(clock.now(), 3.0))
-        swarm["r2"].bus.publish("swarm/r2/dwm/pose", pose)
-        return "r2" in views and "dwm/pose" in views["r2"].values and "mesh/links" in views["r2"].values
+        swarm["r2"].bus.publish("swarm/r2/dwm/pose", TYPICAL_SAMPLES["dwm/pose"])
+        return {"dwm/pose", "mesh/links", "mesh"} <= told["r2"].keys()
 
-    wait_until(told, what="r2 tells r0")
-    assert views["r2"].services == {"mesh": "ready"}
-    assert set(views) <= {"r1", "r2"}
+    wait_until(all_told, timeout=30, what="r2 tells r0")
+    assert told["r2"]["mesh"] == "ready"
     assert "WARN" not in log_of(swarm["r2"].mesh)  # ended while it tells
