@@ -251,7 +251,7 @@ def parser() -> argparse.ArgumentParser:
     )
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
     radio.add_argument(
-        "--loss", type=loss, default=0.0, metavar="5%%", help="radio packets that are lost, and sent again (0)"
+        "--loss", type=loss, default=0.0, metavar="0.05", help="radio packets that are lost, and sent again (0)"
     )
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
