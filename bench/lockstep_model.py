@@ -33,7 +33,7 @@ def run(graph: Graph, air: AirModel, iterations: int, outages: Sequence[Outage] 
         for way in ((a, b), (b, a)):
             cuts.setdefault(way, []).append(outage)
     lines = {
-        (sender, receiver): DelayLine(air, random.Random(f"{air.seed}:{sender}>{receiver}").gauss)
+        (sender, receiver): DelayLine(air, random.Random(f"{air.seed}:{sender}>{receiver}"))
         for receiver in graph.names
         for sender in graph.neighbours(receiver)
     }

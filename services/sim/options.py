@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.mesh.core.delay import MAX_LOSS
 from services.sim.core.noise import ERRORS
 from services.sim.virtual.body import MODELS
 from swarm import conduct, settings
@@ -16,7 +17,7 @@ from swarm.settings import Setting
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
 _SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
-_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z]*)")
+_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z%]*)")
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,8 @@ class Options:
     latency: float
     jitter: float
     bandwidth: float | None
+    loss: float
+    """Probability that a radio packet is lost and sent again."""
     cuts: tuple[Cut, ...]
     offs: tuple[Off, ...]
     presses: tuple[Press, ...]
@@ -192,6 +195,14 @@ def speed(text: str) -> float:
     return value
 
 
+def loss(text: str) -> float:
+    """A probability `5%` or `0.05`."""
+    value = _quantity(text, {"": 1.0, "%": 0.01}, "a probability such as 5% or 0.05")
+    if not value <= MAX_LOSS:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {100 * MAX_LOSS:g}%")
+    return value
+
+
 def _positive(text: str) -> float:
     value = _quantity(text, {"": 1.0}, "a number")
     if value <= 0:
@@ -239,6 +250,9 @@ def parser() -> argparse.ArgumentParser:
         "--jitter", type=duration, default=0.0, metavar="10ms", help="standard deviation of the latency (0)"
     )
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
+    radio.add_argument(
+        "--loss", type=loss, default=0.0, metavar="0.05", help="radio packets that are lost, and sent again (0)"
+    )
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
     radio.add_argument("--off", dest="offs", action="append", type=off, default=[], metavar="r2@5s,10s",

@@ -154,6 +154,7 @@ class Run:
             "latency": options.latency,
             "jitter": options.jitter,
             "bandwidth": options.bandwidth,
+            "loss": options.loss,
             "seed": options.seed,
         }
         return {

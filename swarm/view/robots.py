@@ -25,7 +25,7 @@ SILENT_S = 4.0
 """s without a word after which a robot with an ssh connection counts as silent: it says something each second."""
 
 VIEW_SILENT_S = 5.0
-SHARE_S = 0.6
+SHARE_S = 0.8
 """The same over the mesh, and what each robot of the swarm adds to it: large swarms tell less often."""
 
 BY_SSH, BY_MESH = "ssh", "mesh"

@@ -53,8 +53,8 @@ class Link:
         self.now = 0.0
         self._schedule: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
-        self.a = Side("a", "b", True, DelayLine(model, draw.gauss))
-        self.b = Side("b", "a", False, DelayLine(model, draw.gauss))
+        self.a = Side("a", "b", True, DelayLine(model, draw))
+        self.b = Side("b", "a", False, DelayLine(model, draw))
         self._timers: dict[Side, float | None] = {self.a: None, self.b: None}
         for side in (self.a, self.b):
             self.work(side)

@@ -327,7 +327,7 @@ class World:
     def _write(self, end: End) -> None:
         """From the session into the socket, from there onto the air at its own pace."""
         if end.line is None:
-            end.line = DelayLine(self.air, self.random.gauss)
+            end.line = DelayLine(self.air, self.random)
         session, line, other = end.session, end.line, end.peer
         assert session is not None
         while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(self.now, 4096)):

@@ -1,6 +1,8 @@
 """Queues and handles of one connection: order, bounds, replacement."""
 
+import random
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from mesh_world import World
 
 from services.mesh.core import frames
 from services.mesh.core.channels import Channels
-from services.mesh.core.delay import FLOOR, AirModel, DelayLine
+from services.mesh.core.delay import AGAIN, FLOOR, PACKET, AirModel, DelayLine
 from services.mesh.core.frames import BULK, CONTROL, SYNC, Decoder
 from services.mesh.core.outbox import LIMITS, Outbox
 from swarm.config.types import RelayRule
@@ -144,19 +146,28 @@ def arrivals(line: DelayLine) -> list[tuple[float, bytes]]:
     return out
 
 
-def no_gauss(mean: float, deviation: float) -> float:
-    raise AssertionError("no jitter was asked for")
+class Drawn:
+    """Numbers that were drawn before."""
+
+    def __init__(self, *, deviates: Iterable[float] = (), uniform: Iterable[float] = ()) -> None:
+        self._deviates, self._uniform = iter(deviates), iter(uniform)
+
+    def gauss(self, mean: float, _: float) -> float:
+        return mean + next(self._deviates)
+
+    def random(self) -> float:
+        return next(self._uniform)
 
 
 def test_latency_alone_shifts() -> None:
-    line = DelayLine(AirModel(latency=0.03), no_gauss)
+    line = DelayLine(AirModel(latency=0.03), Drawn())
     line.push(b"a", 1.0)
     line.push(b"bb", 1.001)
     assert arrivals(line) == [(1.03, b"a"), (1.031, b"bb")]
 
 
 def test_bandwidth_queues_behind_earlier_bytes() -> None:
-    line = DelayLine(AirModel(latency=0.03, bandwidth=1000.0), no_gauss)
+    line = DelayLine(AirModel(latency=0.03, bandwidth=1000.0), None)
     line.push(bytes(100), 1.0)
     line.push(bytes(50), 1.01)
     line.push(bytes(10), 2.0)
@@ -166,8 +177,7 @@ def test_bandwidth_queues_behind_earlier_bytes() -> None:
 
 @given(st.lists(st.tuples(st.floats(0.0, 0.1), st.floats(-0.1, 0.2)), max_size=50))
 def test_jitter_keeps_order_and_floor(steps: list[tuple[float, float]]) -> None:
-    drawn = iter(deviate for _, deviate in steps)
-    line = DelayLine(AirModel(latency=0.03, jitter=0.01), lambda mean, _: mean + next(drawn))
+    line = DelayLine(AirModel(latency=0.03, jitter=0.01), Drawn(deviates=[deviate for _, deviate in steps]))
     now, stamps = 1.0, []
     for number, (gap, _) in enumerate(steps):
         now += gap
@@ -181,10 +191,46 @@ def test_jitter_keeps_order_and_floor(steps: list[tuple[float, float]]) -> None:
         assert times[number] >= times[number - 1]
 
 
+def test_what_is_lost_comes_again_later() -> None:
+    """Each packet of its own: with a loss of one half it is lost as often as 1 - u falls short of 1/2, 1/4, ..."""
+    line = DelayLine(AirModel(latency=0.03, loss=0.5), Drawn(uniform=[0.0, 0.6, 0.3, 0.9]))
+    line.push(bytes(PACKET), 1.0)
+    line.push(bytes(PACKET), 2.0)
+    line.push(bytes(PACKET + 1), 3.0)
+    assert [time for time, _ in arrivals(line)] == pytest.approx([1.03, 2.03 + AGAIN, 3.03 + 3 * AGAIN])
+
+
+def test_packets_that_are_sent_again_hold_up_those_behind_them() -> None:
+    line = DelayLine(AirModel(latency=0.03, bandwidth=1000.0, loss=0.5), Drawn(uniform=[0.9, 0.0]))
+    line.push(bytes(100), 1.0)
+    line.push(bytes(100), 1.0)
+    assert [time for time, _ in arrivals(line)] == pytest.approx([1.13 + 3 * AGAIN, 1.23 + 3 * AGAIN])
+
+
+@given(st.floats(0.01, 0.8), st.integers(0, 5))
+def test_so_many_packets_are_lost_as_the_model_says(loss: float, seed: int) -> None:
+    line, n = DelayLine(AirModel(loss=loss), random.Random(seed)), 2000
+    for number in range(n):
+        line.push(b"x", float(number))
+    lost = sum(time - stamp for stamp, (time, _) in enumerate(arrivals(line))) / AGAIN / n
+    deviation = loss**0.5 / (1 - loss)
+    assert lost == pytest.approx(loss / (1 - loss), abs=5 * deviation / n**0.5)
+
+
 def test_air_models_are_read_from_text() -> None:
     assert AirModel.parse("") == AirModel()
     assert AirModel.parse("latency=0.03,jitter=0.01,bandwidth=78000,seed=5") == AirModel(0.03, 0.01, 78000.0, 5)
     assert AirModel.parse("dial=2").dial == 2.0
-    for wrong in ("latency", "latency=x", "speed=3", "jitter=-1", "bandwidth=0", "latency=nan", "latency=inf"):
+    assert AirModel.parse("loss=0.1").loss == 0.1
+    for wrong in (
+        "latency",
+        "latency=x",
+        "speed=3",
+        "jitter=-1",
+        "bandwidth=0",
+        "latency=nan",
+        "latency=inf",
+        "loss=1",
+    ):
         with pytest.raises(ConfigError, match="SWARM_SIM_LINK"):
             AirModel.parse(wrong)

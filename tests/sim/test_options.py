@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.sim import options
-from services.sim.options import Cut, Press, Setting
+from services.sim.options import Cut, Off, Press, Setting
 from swarm.errors import ConfigError
 
 
@@ -14,6 +14,9 @@ def test_durations_and_rates_have_units():
     assert options.duration("2min") == 120
     assert options.duration("1.5") == 1.5
     assert options.rate("78kB") == 78000
+    assert options.loss("5%") == options.loss("0.05") == 0.05
+    assert options.off("r2@5s,10s") == Off("r2", 5.0, 10.0)
+    assert options.off("r2@start,1min") == Off("r2", None, 60.0)
     assert options.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
     assert options.press("r4.a@1500ms") == Press("r4", "A", 1.5)
     assert options.setting("value=0.5") == Setting(None, "value", 0.5)
@@ -30,6 +33,10 @@ def test_durations_and_rates_have_units():
         (options.rate, "0kB"),
         (options.cut, "r0r1@12s,3s"),
         (options.cut, "r0-r1@12s"),
+        (options.loss, "95%"),
+        (options.loss, "5kB"),
+        (options.off, "r2@5s"),
+        (options.off, "r2@5s,0s"),
         (options.press, "r4.D@1s"),
         (options.press, "r4@1s"),
         (options.setting, "value"),
@@ -44,7 +51,15 @@ def test_wrong_text_is_refused_by_argparse(convert, text):
 
 @given(st.text(max_size=20))
 def test_any_text_is_a_value_or_refused(text):
-    for convert in (options.duration, options.rate, options.cut, options.press, options.setting):
+    for convert in (
+        options.duration,
+        options.rate,
+        options.cut,
+        options.loss,
+        options.off,
+        options.press,
+        options.setting,
+    ):
         try:
             convert(text)
         except argparse.ArgumentTypeError:

@@ -4,7 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from services.sim.virtual.run import simulate
+from services.sim.options import parse
+from services.sim.report import summary
+from services.sim.scenario import build
+from services.sim.virtual.run import PLACE, simulate
+from services.sim.virtual.run import Run as Virtual
+from swarm.messages import SetAppParameters, read
 from swarm.recording.run import Run
 
 EDGES_OF_LINE = 5
@@ -38,6 +43,7 @@ def test_consensus_ends_on_the_mean_in_the_time_of_the_links(undisturbed):
         ("--jitter", "10ms", "--bandwidth", "2kB"),
         ("--cut", "r2-r3@0.5s,2s", "--cut", "r0-r1@0.6s,8s"),
         ("--latency", "0ms"),
+        ("--loss", "30%", "--jitter", "5ms"),
         ("--seed", "7", "--jitter", "25ms"),
     ],
 )
@@ -51,6 +57,9 @@ def test_jitter_and_cuts_cost_the_time_that_they_should(undisturbed):
     jittered, _ = simulate("consensus", "--robots", "6", "--iterations", "600", "--jitter", "10ms")
     # An independent model of lockstep on such links has 39.4 ms on a line of six, 1.4 ms of them for steps and bytes.
     assert jittered["iteration_s_median"] == pytest.approx(0.0380, abs=0.0006)
+    lossy, _ = simulate("consensus", "--robots", "6", "--iterations", "600", "--loss", "50%")
+    # Of two neighbours' frames the later one counts: at a loss of one half that is lost 5/3 times, for one 1 time.
+    assert 0.03 + 3.75e-3 < lossy["iteration_s_median"] < 0.03 + 3 * 3.75e-3
     cut, _ = simulate(*SIX, "--cut", "r2-r3@0.5s,2s")
     assert cut["seconds"] == pytest.approx(undisturbed[0]["seconds"] + 2.0, abs=0.15)
 
@@ -195,3 +204,38 @@ def test_a_periodic_app_follows_an_automatic_topology(tmp_path):
     results = report["result"].values()
     assert all(result["near"] == result["links"] for result in results)
     assert max(result["changes"] for result in results) == 2
+
+
+def test_parameters_of_a_channel_change_while_it_runs(tmp_path):
+    app = tmp_path / "tuned.py"
+    app.write_text(
+        "from swarm import PeriodicApp, SyncApp, channel, parameter\n\n\n"
+        "class Hold(SyncApp):\n    value: float\n    gain: float = parameter(0.5, low=0, high=1, live=True)\n"
+        "    fixed: int = parameter(3)\n\n"
+        "    def step(self, neighbours):\n        self.value = self.gain\n\n\n"
+        "class Tuned(PeriodicApp):\n    x: float\n    inner = channel(Hold)\n    inner_most: float = parameter(1.0)\n"
+        '    _told: str = ""\n\n'
+        "    def step(self, neighbours):\n        self.x = self.inner.value\n\n"
+        "    def on_parameter(self, name):\n        self._told += name\n\n"
+        '    def result(self):\n        return {"x": self.x, "told": self._told, "most": self.inner_most}\n'
+    )
+    options = parse([str(app), "--virtual", "--robots", "2", "--seconds", "4", "--set", "inner_gain=0.25"])
+    run = Virtual(options, build(options, PLACE))
+    bus, answers, told = run.world.robots["r0"].meshes_bus, [], []
+    bus.subscribe("swarm/r0/app/tuned/parameters_set", lambda name, data: answers.append(read(name, data).problem))
+    bus.subscribe("swarm/r0/app/tuned/parameters", lambda name, data: told.append(read(name, data).parameters))
+    for at, values in enumerate(({"inner_gain": 0.75, "inner_most": 2.0}, {"inner_gain": 1.5}, {"inner_fixed": 4}), 1):
+        change = SetAppParameters(str(at), values)
+        run.world.time.at(float(at), bus.publish, "swarm/r0/app/tuned/set/parameters", change)
+    report = summary(run.go())
+    assert report["problems"] == []
+    assert report["result"]["r0"] == {"x": 0.75, "told": "inner_gaininner_most", "most": 2.0}
+    assert report["result"]["r1"] == {"x": 0.25, "told": None, "most": 1.0}
+    assert answers == [
+        "",
+        "app tuned on r0: channel inner: gain: expected a finite number from 0 to 1, got 1.5",
+        "app tuned on r0: channel inner: fixed: cannot be changed while the app runs: it is declared without live=True",
+    ]
+    assert told[0]["inner_gain"].value == 0.25
+    assert told[-1]["inner_gain"].value == 0.75
+    assert told[-1]["inner_fixed"].live is False

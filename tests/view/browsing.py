@@ -44,6 +44,16 @@ def chromium() -> Iterator[Any]:
 def shown(browser: Any, *arguments: object, **options: Any) -> Iterator[Any]:
     """The page of `swarm view ARGUMENTS`; nothing may be complained of in it."""
     view = View(*arguments)
+    try:
+        with visit(browser, view, **options) as page:
+            yield page
+    finally:
+        view.close()
+
+
+@contextmanager
+def visit(browser: Any, view: View, **options: Any) -> Iterator[Any]:
+    """The page of a server that goes on; nothing may be complained of in it."""
     page = browser.new_page(**{"viewport": {"width": 1400, "height": 1000}, **options})
     problems: list[str] = []
     page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
@@ -54,7 +64,6 @@ def shown(browser: Any, *arguments: object, **options: Any) -> Iterator[Any]:
         yield page
     finally:
         page.close()
-        view.close()
     # A server that the test has ended is complained of by the browser; nothing else may be.
     assert [text for text in problems if "WebSocket" not in text] == []
 

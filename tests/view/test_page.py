@@ -3,12 +3,12 @@
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, chromium, seek, shown, until
+from browsing import PATIENCE_MS, View, chromium, seek, shown, until, visit
 from virtual_run import recorded
 
 from bench.simulation import Simulation
@@ -39,9 +39,24 @@ def browser() -> Iterator[Any]:
         yield browser
 
 
+@pytest.fixture(scope="module")
+def views(simulation: Simulation) -> Iterator[Callable[..., View]]:
+    """One server for all tests with the same options."""
+    made: dict[tuple[str, ...], View] = {}
+
+    def view(*options: str) -> View:
+        if options not in made:
+            made[options] = View("--run-dir", simulation.run_dir, *options)
+        return made[options]
+
+    yield view
+    for each in made.values():
+        each.close()
+
+
 @pytest.fixture
-def page(browser: Any, simulation: Simulation, request: pytest.FixtureRequest) -> Iterator[Any]:
-    with shown(browser, "--run-dir", simulation.run_dir, *getattr(request, "param", ())) as page:
+def page(browser: Any, views: Callable[..., View], request: pytest.FixtureRequest) -> Iterator[Any]:
+    with visit(browser, views(*getattr(request, "param", ()))) as page:
         yield page
 
 
@@ -101,6 +116,18 @@ def test_a_killed_service_is_named_and_comes_back(page: Any) -> None:
 
 
 @pytest.mark.parametrize("page", [("--control",)], indirect=True)
+def test_hands_are_laid_on_a_robot(page: Any) -> None:
+    row(page, "r3").click(timeout=PATIENCE_MS)
+    expect(row(page, "r3")).to_contain_text("balancing", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="press C").click(timeout=PATIENCE_MS)
+    until(page, "swarmView.store.get('r3', 'balancer/buttons')?.presses_c >= 1")
+    page.get_by_role("button", name="push").click()
+    expect(page.locator("#said")).to_contain_text("r3: pushed", timeout=PATIENCE_MS)
+    page.get_by_role("button", name="lay on back").click()
+    expect(page.locator("#events li", has_text="r3 fault fell").first).to_be_visible(timeout=PATIENCE_MS)
+
+
+@pytest.mark.parametrize("page", [("--control",)], indirect=True)
 def test_stop_stops_and_is_confirmed_by_the_robots(page: Any) -> None:
     page.locator("#stop").click(timeout=PATIENCE_MS)
     expect(page.locator("#stop")).to_have_text("STOPPED 6/6", timeout=PATIENCE_MS)
@@ -136,22 +163,24 @@ def test_apps_are_started_set_and_stopped(page: Any) -> None:
     expect(page.locator("#said")).to_contain_text("no app nothing: expected consensus", timeout=PATIENCE_MS)
 
 
-@pytest.mark.parametrize("page", [("--control",)], indirect=True)
-def test_hands_are_laid_on_a_robot(page: Any) -> None:
-    row(page, "r3").click(timeout=PATIENCE_MS)
-    expect(row(page, "r3")).to_contain_text("balancing", timeout=PATIENCE_MS)
-    page.get_by_role("button", name="press C").click(timeout=PATIENCE_MS)
-    until(page, "swarmView.store.get('r3', 'balancer/buttons')?.presses_c >= 1")
-    page.get_by_role("button", name="push").click()
-    expect(page.locator("#said")).to_contain_text("r3: pushed", timeout=PATIENCE_MS)
-    page.get_by_role("button", name="lay on back").click()
-    expect(page.locator("#events li", has_text="r3 fault fell").first).to_be_visible(timeout=PATIENCE_MS)
+def test_two_viewers_see_the_same_and_one_that_slept_is_up_to_date_at_once(page: Any, browser: Any) -> None:
+    with visit(browser, page.view) as other:
+        for each in (page, other):
+            expect(row(each, "r0")).to_contain_text("consensus", timeout=PATIENCE_MS)
+        session = other.context.new_cdp_session(other)
+        session.send("Page.setWebLifecycleState", {"state": "frozen"})
+        k = page.evaluate("swarmView.store.get('r0', 'app/consensus/state').k")
+        until(page, f"swarmView.store.get('r0', 'app/consensus/state').k > {k + 30}")
+        session.send("Page.setWebLifecycleState", {"state": "active"})
+        until(other, f"swarmView.store.get('r0', 'app/consensus/state').k > {k + 30}")
+        expect(other.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
 
 
-def test_a_lost_server_is_shown_as_lost(page: Any) -> None:
-    expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
-    page.view.close()
-    expect(page.locator("#connection")).to_have_text("server lost", timeout=LOST_WITHIN_MS)
+def test_a_lost_server_is_shown_as_lost(browser: Any, simulation: Simulation) -> None:
+    with shown(browser, "--run-dir", simulation.run_dir) as page:
+        expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
+        page.view.close()
+        expect(page.locator("#connection")).to_have_text("server lost", timeout=LOST_WITHIN_MS)
 
 
 def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> None:
@@ -161,6 +190,15 @@ def test_a_picture_without_a_person(simulation: Simulation, tmp_path: Path) -> N
     data = picture.read_bytes()
     assert data.startswith(b"\x89PNG")
     assert len(data) > 50_000  # an empty page has 15 kB
+
+
+def test_of_a_recording_that_was_cut_off_the_rest_is_named(browser: Any, tmp_path: Path) -> None:
+    recorded(tmp_path, "consensus", "--robots", "2", "--iterations", "100")
+    file = next(tmp_path.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-2000])
+    with shown(browser, tmp_path) as page:
+        expect(page.locator("#player .bad")).to_contain_text("cut off", timeout=PATIENCE_MS)
+        until(page, "swarmView.store.get('r1', 'app/consensus/state')?.k > 5")
 
 
 def test_a_recording_is_scrubbed_to_an_instant(browser: Any, tmp_path: Path) -> None:

@@ -2,19 +2,23 @@
 
 import asyncio
 import json
+import math
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp import WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
 
+from swarm.cli import main
 from swarm.codec import encode
 from swarm.errors import LocalError
 from swarm.messages import Status
 from swarm.simulations import claim
+from swarm.view import server
 from swarm.view.control import Control
 from swarm.view.feed import Simulation
 from swarm.view.server import application
@@ -203,3 +207,65 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
 def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match="no simulation is running"):
         Simulation(tmp_path)
+
+
+def test_a_number_that_is_none_is_told_as_text(feed: Simulation) -> None:
+    """NaN is no JSON: a browser would refuse the whole step."""
+    for number in (math.nan, math.inf):
+        payload = msgpack.packb({"x": number, "y": 1.0, "links": [{"peer": number, "state": number}]})
+        for topic in ("dwm/pose", "mesh/links", "app/x/state", "app/x/progress"):
+            feed.picture.take("r0", f"swarm/r0/{topic}", payload, 0.0)
+
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect("/live?token=" + TOKEN)
+        text = ""
+        while '"robots"' not in text:
+            text = await socket.receive_str(timeout=10)
+        await socket.send_json({"history": {"robot": "r0", "topic": "dwm/pose"}})
+        while '"history"' not in text:
+            text += await socket.receive_str(timeout=10)
+        assert "NaN" not in text
+        assert "Infinity" not in text
+        assert '"x":"inf"' in text
+
+    talk(feed, act)
+
+
+def test_a_page_that_sleeps_costs_no_memory_and_is_up_to_date_when_it_returns(
+    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "RATE", 500.0)
+    steps, size = 300, 400_000  # 120 MB, if they were kept
+
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect("/live?token=" + TOKEN, max_msg_size=0)
+        for number in range(steps):
+            with feed.lock:
+                feed.picture.put("r0", "app/x/state", {"k": number, "text": "x" * size}, 0.0)
+            await asyncio.sleep(0.004)
+        received = 0
+        while True:
+            text = await socket.receive_str(timeout=10)
+            received += len(text)
+            step = json.loads(text)
+            if step.get("robots", {}).get("r0", {}).get("app/x/state", {}).get("k") == steps - 1:
+                break
+        assert received < steps * size / 4  # what the kernel and this client hold
+        await socket.close()
+
+    talk(feed, act)
+
+
+def test_the_command_says_that_there_is_nothing_to_see(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, said in (
+        (["--run-dir", str(tmp_path)], "no simulation is running"),
+        ([str(tmp_path)], "no recording"),
+        (["--robot", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
+        (["--robot", "r0", str(tmp_path)], "--robot looks at real robots"),
+        (["--config", "swarm.toml"], "name one with --robot"),
+        ([str(tmp_path), "--control"], "nothing to control"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(["view", "--no-open", *words])
+        assert end.value.code == 2
+        assert said in capsys.readouterr().err

@@ -1,17 +1,35 @@
 """The radio of a simulated link, receiving side: bytes wait here as long as they would be on the air.
 
 A chunk that was sent at `stamp` is on the air when the bytes before it have passed (bandwidth), arrives after
-the latency, and never before the chunk sent earlier: a link keeps its order.
+the latency, and never before the chunk sent earlier: a link keeps its order. Nothing is ever missing: a radio packet
+that is lost is sent again by the baseband (Bluetooth Core, vol 2 part B, 7.6: ARQ), which shows as delay.
 """
 
+import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Protocol
 
 from swarm.errors import ConfigError
 
 FLOOR = 0.012
 """Shortest one-way time with jitter, s: what the thesis' Bluetooth links never went below."""
+
+PACKET = 339
+"""Bytes of a DH5 packet, the largest of Bluetooth's basic rate. At 78 kB/s they take 4.3 ms; six slots are 3.75 ms."""
+AGAIN = 6 * 625e-6
+"""s until a lost packet is there: its five slots, and the one in which the receiver says that it lacks it."""
+MAX_LOSS = 0.9
+
+
+class Numbers(Protocol):
+    """A seeded generator, as `random.Random` is one."""
+
+    def gauss(self, mean: float, deviation: float, /) -> float:
+        """A number of a normal distribution."""
+
+    def random(self) -> float:
+        """A number from 0 up to 1."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +45,13 @@ class AirModel:
     seed: int = 0
     dial: float = 0.0
     """s until a connection is there, or found impossible: finding the other one takes a radio its time."""
+    loss: float = 0.0
+    """Probability that a radio packet is lost, and has to be sent again."""
+
+    @property
+    def draws(self) -> bool:
+        """Whether its links need random numbers."""
+        return self.jitter > 0.0 or self.loss > 0.0
 
     @property
     def shortest(self) -> float:
@@ -35,7 +60,7 @@ class AirModel:
 
     @classmethod
     def parse(cls, text: str) -> "AirModel":
-        """Read `latency=0.03,jitter=0.01,bandwidth=78000,seed=1,dial=2`, each part optional."""
+        """Read `latency=0.03,jitter=0.01,bandwidth=78000,seed=1,dial=2,loss=0.05`, each part optional."""
         names = [field.name for field in fields(cls)]
         values: dict[str, float] = {}
         for part in filter(None, text.split(",")):
@@ -48,22 +73,25 @@ class AirModel:
                 raise ConfigError(f"SWARM_SIM_LINK: {part!r}: expected {'|'.join(names)}=number, not negative")
         if values.get("bandwidth") == 0.0:
             raise ConfigError("SWARM_SIM_LINK: bandwidth=0: expected bytes per second, or leave it out for no limit")
+        if values.get("loss", 0.0) > MAX_LOSS:
+            raise ConfigError(f"SWARM_SIM_LINK: loss={values['loss']:g}: expected at most {MAX_LOSS:g}")
         return cls(
             values.get("latency", 0.0),
             values.get("jitter", 0.0),
             values.get("bandwidth"),
             int(values.get("seed", 0)),
             values.get("dial", 0.0),
+            values.get("loss", 0.0),
         )
 
 
 class DelayLine:
     """One direction of one link."""
 
-    def __init__(self, model: AirModel, gauss: Callable[[float, float], float]) -> None:
-        """`gauss(mean, deviation)` draws from a generator seeded for this direction of this link."""
+    def __init__(self, model: AirModel, numbers: Numbers | None) -> None:
+        """`numbers` are seeded for this direction of this link; None where the model draws none."""
         self._model = model
-        self._gauss = gauss
+        self._numbers = numbers
         self._chunks: deque[tuple[float, bytes]] = deque()
         self._last_arrival = 0.0
         self.free_at = 0.0
@@ -83,9 +111,21 @@ class DelayLine:
         if model.bandwidth is not None:
             self.free_at += size / model.bandwidth
         delay = model.latency
-        if model.jitter:
-            delay = max(self._gauss(delay, model.jitter), model.shortest)
+        if self._numbers is not None:
+            if model.jitter:
+                delay = max(self._numbers.gauss(delay, model.jitter), model.shortest)
+            if model.loss:
+                again = AGAIN * self._losses(size, self._numbers)
+                if model.bandwidth is None:
+                    delay += again
+                else:
+                    self.free_at += again
         return self.hold(max(self._last_arrival, self.free_at + delay))
+
+    def _losses(self, size: int, numbers: Numbers) -> int:
+        """How many packets are lost until all of so many bytes are there: for each a geometric distribution."""
+        scale = 1.0 / math.log(self._model.loss)
+        return sum(int(math.log(1.0 - numbers.random()) * scale) for _ in range(max(1, math.ceil(size / PACKET))))
 
     def hold(self, arrival: float) -> float:
         """Nothing sent later arrives before this time."""

@@ -77,7 +77,7 @@ class Air:
 
     def line(self, peer: str) -> DelayLine:
         """The way of bytes from `peer` to us; both names and the seed decide its randomness."""
-        return DelayLine(self.model, random.Random(f"{self.model.seed}:{peer}>{self.me}").gauss)
+        return DelayLine(self.model, random.Random(f"{self.model.seed}:{peer}>{self.me}"))
 
     def wait_for_dial(self) -> bool:
         """Wait as long as a radio needs to find the other; False when this mesh stops meanwhile."""

@@ -3,7 +3,6 @@ them of Unix sockets, with the same delays from the same generators."""
 
 import random
 from collections import deque
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from services.mesh.core.delay import AirModel, DelayLine
@@ -163,14 +162,6 @@ class Air:
 
 def line_of(model: AirModel, sender: str, receiver: str) -> DelayLine:
     """The way from one robot to another; both names and the seed decide its randomness."""
-    return DelayLine(model, _gauss(model, sender, receiver))
-
-
-def _gauss(model: AirModel, sender: str, receiver: str) -> Callable[[float, float], float]:
-    if not model.jitter:
-        return _unused  # a generator takes 2.5 kB, and there may be many links
-    return random.Random(f"{model.seed}:{sender}>{receiver}").gauss
-
-
-def _unused(mean: float, deviation: float) -> float:
-    raise AssertionError("a link without jitter draws no numbers")
+    if not model.draws:
+        return DelayLine(model, None)  # a generator takes 2.5 kB, and there may be many links
+    return DelayLine(model, random.Random(f"{model.seed}:{sender}>{receiver}"))

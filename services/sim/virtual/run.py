@@ -58,7 +58,7 @@ class Run:
         mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
-        model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed)
+        model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
         self._witness = Witness(names) if scenario.app in scene.WATCHED else None
         self.world = World(
             scenario.config,
