@@ -37,15 +37,11 @@ def test_a_lockstep_needs_no_common_clock(tmp_path):
         n: path.rows for n, path in plain.trajectories.items()
     }
     assert sorted(path.name for path in tmp_path.glob("*.mcap")) == [f"r{i}.consensus.mcap" for i in range(6)]
-    assert (
-        simulate(*SIX, *SKEWED)[1].trajectories["r3"].times
-        != simulate(*SIX, "--jitter", "10ms")[1].trajectories["r3"].times
-    )
 
 
 def test_leds_blink_together_by_the_mesh_clock_alone(tmp_path):
-    """Zeros up to an hour apart, rates up to 30 ppm: within what the thesis' eyes could tell apart, without NTP."""
-    arguments = ("led_sync", "--robots", "6", *SKEWED, "--seconds", "30", "--record", str(tmp_path))
+    """Zeros up to an hour apart, rates up to 30 ppm, no NTP."""
+    arguments = ("led_sync", "--robots", "6", *SKEWED, "--seconds", "15", "--record", str(tmp_path))
     report, _ = simulate(*arguments)
     assert report["problems"] == []
     assert report["scene"]["apart_neighbours_p95_ms"] <= 10
