@@ -15,14 +15,14 @@ import statistics
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
 from bench import restless_rule
 from bench.rows import Row
-from bench.simulation import Simulation
+from bench.simulation import Simulation, SimulationError
 from swarm import clock, power
 from swarm.air import silence
 from swarm.core.graph import Graph
@@ -56,6 +56,9 @@ START_S = 300.0
 """Until all robots have done so many iterations, on a machine that others use as well."""
 BACK_WITHIN_S = 120.0
 """All robots have gone on by then, after the last fault."""
+AT_ONCE = 5
+"""So many faults at most come while a robot stands still: a busy machine starts services more slowly than faults come,
+and what is always down can show nothing."""
 AT_MOST = 3
 AGAIN_S = 11.0
 """A service that ends five times within 10 s is given up, by the simulation as by systemd: none is killed so often."""
@@ -150,13 +153,18 @@ def _faults(simulation: Simulation, draw: random.Random, done: Done, until: int,
     ends = list[tuple[float, str, str]]()
     kills: dict[tuple[str, str], deque[float]] = {}
     away: dict[str, float] = {}
+    recent_faults: deque[float] = deque(maxlen=AT_ONCE)
+    count = done.count
     while done.count < until:
+        if done.count > count:
+            count = done.count
+            recent_faults.append(clock.now())
         due = time.monotonic() + draw.uniform(*PAUSE_S)
-        while (now := time.monotonic()) < due:
+        while (now := time.monotonic()) < due or _stands_still(simulation, recent_faults):
             for end in [end for end in ends if end[0] <= now]:
                 ends.remove(end)
                 _signal(simulation, end[1], end[2], "CONT")
-            time.sleep(0.02)
+            time.sleep(0.02 if now < due else 0.2)
         kind = REBOOT if draw.random() < reboots else draw.choice(KINDS)
         robot, service = draw.choice(NAMES), draw.choice(SERVICES)
         if kind == REBOOT:
@@ -187,6 +195,16 @@ def _faults(simulation: Simulation, draw: random.Random, done: Done, until: int,
                 done.count += _signal(simulation, robot, service, "KILL" if kind == "kill" else "TERM")
     for _, robot, service in ends:
         _signal(simulation, robot, service, "CONT")
+
+
+def _stands_still(simulation: Simulation, faults: Sequence[float]) -> bool:
+    """Whether a robot has done nothing since the first of the newest `AT_ONCE` faults."""
+    if len(faults) < AT_ONCE:
+        return False
+    still = [name for name in NAMES if simulation.trajectory(name, APP).newest <= faults[0]]
+    if still and (simulation.process.poll() is not None or clock.now() > faults[-1] + BACK_WITHIN_S):
+        raise SimulationError(f"{', '.join(still)} did not go on: {simulation.said()}")
+    return bool(still)
 
 
 def _signal(simulation: Simulation, robot: str, service: str, name: str) -> bool:

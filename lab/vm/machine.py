@@ -64,7 +64,8 @@ class Machine:
         """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller.
 
         `steady`: its clock counts its own instructions, 2 ns each, while it has something to do. So a busy host makes
-        it slow but not late, and a program that needs a millisecond inside needs it anywhere.
+        it slow but not late, and a program that needs a millisecond inside needs it anywhere. Several at once have each
+        a clock of its own, which on a busy host do not go alike.
         """
         self.name = name
         self.folder = folder

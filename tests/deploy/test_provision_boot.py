@@ -33,7 +33,7 @@ PLACES = {"model": "/rig/model", "kernel": "/rig/kernel"}
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(900),
+    pytest.mark.timeout(1500),
     pytest.mark.skipif(
         not os.environ.get("CI") and (os.geteuid() != 0 or any(shutil.which(tool) is None for tool in TOOLS)),
         reason="needs root, and: apt-get install systemd-container mmdebstrap openssh-client",
