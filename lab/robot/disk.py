@@ -14,7 +14,8 @@ from lab.vm.build import Image
 from swarm.errors import LocalError
 
 UNITS = "/etc/systemd/system"
-SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm", "lab-i2c", "lab-module")
+OURS = ("lab-i2c", "lab-module", "lab-scan")
+SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm", *OURS)
 HERE = Path(__file__).parent
 PLACE = "/opt/lab"
 """Of this package inside."""
@@ -80,7 +81,7 @@ def robots(image: Image, folder: Path, config: str, key: Path) -> Image:
     for pattern in CARRIED:
         for source in ours.glob(pattern):
             disk.file(source, f"{PLACE}/lab/{source.relative_to(ours)}")
-    for unit in ("lab-i2c", "lab-module"):
+    for unit in OURS:
         disk.file(HERE / f"units/{unit}.service", f"{UNITS}/{unit}.service")
     disk.file(HERE / "units/balancer.conf", f"{UNITS}/swarm-balancer.service.d/90-lab.conf")
     disk.link(f"{UNITS}/multi-user.target.wants/swarm.target", f"{UNITS}/swarm.target")

@@ -37,7 +37,9 @@ def browser() -> str:
 class Page:
     """A page of a browser of its own; made by `opened`."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def __init__(self, pid: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.pid = pid
+        """Of the browser, and of its process group."""
         self._reader, self._writer = reader, writer
         self._number = 0
         self._session: str | None = None
@@ -117,7 +119,7 @@ async def opened(address: str, size: tuple[int, int]) -> AsyncIterator[Page]:
         reading, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), os.fdopen(our_in, "rb"))
         writing, protocol = await loop.connect_write_pipe(asyncio.streams.FlowControlMixin, os.fdopen(our_out, "wb"))
         try:
-            page = Page(reader, asyncio.StreamWriter(writing, protocol, reader, loop))
+            page = Page(pid, reader, asyncio.StreamWriter(writing, protocol, reader, loop))
             await page.start(size, address)
             yield page
         finally:

@@ -27,6 +27,7 @@ async def take(address: str, path: Path, at: float | None, charts: Sequence[str]
         if at is not None:
             await page.evaluate(f"swarmView.player.seek({at!r})")
         await asyncio.sleep(SETTLE_S if at is None else DRAWN_S)
+        await page.until("document.querySelector('#connection').textContent !== 'server lost'")  # on a busy machine
         picture = await page.picture()
     try:
         path.write_bytes(picture)

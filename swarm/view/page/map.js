@@ -45,7 +45,9 @@ export class SwarmMap {
       const place = this.store.place(name, now);
       if (place) found.set(name, place);
     }
-    if (!found.size) {
+    if (this.imagined && found.size) this.box = null; // fitted to a circle that is no more
+    this.imagined = !found.size;
+    if (this.imagined) {
       names.forEach((name, index) => {
         const angle = (2 * Math.PI * index) / names.length;
         found.set(name, { x: Math.cos(angle), y: Math.sin(angle), heading: null, tilt: 0 });
@@ -62,7 +64,7 @@ export class SwarmMap {
         const { x, y, sigma, var_x: xx, cov_xy: xy, var_y: yy } = this.store.get(name, `${app}/state`)?.result ?? {};
         if (!(Math.abs(x) < FAR && Math.abs(y) < FAR)) continue;
         const known = typeof xx === "number" && typeof yy === "number" ? { xx, xy: xy ?? 0, yy } : typeof sigma === "number" ? { xx: sigma ** 2, xy: 0, yy: sigma ** 2 } : null;
-        found.push({ x, y, colour: this.store.colour(name), known });
+        if (known || app === "app/localization") found.push({ x, y, colour: this.store.colour(name), known }); // others tell their own place so
       }
     }
     return found;

@@ -3,6 +3,9 @@
 const COLUMNS = 9; // behind the name
 
 // Clocks are apart by a few milliseconds (one machine) or by the time between two boots.
+// What a robot says may lack anything, and hold what is no number.
+const fixed = (value, digits, unit) => (typeof value === "number" ? `${value.toFixed(digits)}${unit}` : "-");
+const list = (value) => (Array.isArray(value) ? value : []);
 const seconds = (value) => (Math.abs(value) < 1 ? `${(value * 1000).toFixed(1)} ms` : `${value.toFixed(3)} s`);
 
 export class Robots {
@@ -47,18 +50,18 @@ export class Robots {
   cells(name) {
     const get = (topic) => this.store.get(name, topic);
     const body = get("balancer/state"), battery = get("balancer/battery"), clock = get("mesh/clock");
-    const links = get("mesh/links")?.links ?? [], up = links.filter((each) => each.state === "up").length;
+    const links = list(get("mesh/links")?.links), up = links.filter((each) => each?.state === "up").length;
     const [app, progress] = this.app(name), left = body?.battery_left;
-    const volts = body?.battery ?? battery?.voltage;
+    const volts = body?.battery ?? battery?.voltage, waits = list(progress?.waiting_for);
     return [
       this.services(name),
-      body ? [`${body.mode} ${((body.tilt * 180) / Math.PI).toFixed(1)}°`, body.mode === "fault" ? "bad" : ""] : ["-"],
-      [volts ? `${volts.toFixed(2)} V${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : "-", { low: "warn", empty: "bad" }[body?.battery_level] ?? ""],
+      body ? [`${body.mode} ${fixed((body.tilt * 180) / Math.PI, 1, "°")}`, body.mode === "fault" ? "bad" : ""] : ["-"],
+      [typeof volts === "number" ? `${fixed(volts, 2, " V")}${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : "-", { low: "warn", empty: "bad" }[body?.battery_level] ?? ""],
       [`${up}/${links.length}`, up < links.length ? "bad" : ""],
       [app ? `${app} ${progress?.phase ?? ""}` : "-", { fault: "bad", waiting: "warn" }[progress?.phase] ?? ""],
       [app ? String(this.k(name, app, progress)) : "-"],
-      [progress?.waiting_for?.join(" ") || "-", progress?.waiting_for?.length ? "warn" : ""],
-      [typeof clock?.error === "number" ? `${seconds(clock.offset)} ±${(clock.error * 1000).toFixed(1)} ms by ${clock.root}` : "-"],
+      [waits.join(" ") || "-", waits.length ? "warn" : ""],
+      [typeof clock?.error === "number" ? `${typeof clock.offset === "number" ? `${seconds(clock.offset)} ` : ""}±${(clock.error * 1000).toFixed(1)} ms by ${clock.root}` : "-"],
       this.fault(name, progress),
     ];
   }

@@ -160,7 +160,7 @@ export class Store {
   }
 
   judge(a, b) {
-    const seen = [[a, b], [b, a]].map(([from, to]) => this.get(from, "mesh/links")?.links?.find((each) => each.peer === to));
+    const seen = [[a, b], [b, a]].map(([from, to]) => [this.get(from, "mesh/links")?.links].flat().find((each) => each?.peer === to));
     const known = seen.filter(Boolean);
     if (!known.length) return null;
     const state = known.map((each) => each.state).sort((x, y) => BADNESS.indexOf(y) - BADNESS.indexOf(x))[0];
