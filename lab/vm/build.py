@@ -21,6 +21,9 @@ from lab.vm.debian import sh
 from swarm.errors import LocalError
 
 ROOT = Path(__file__).parents[2]
+RELEASED = ("swarm", "services", "deploy", "pyproject.toml", "README.md", "LICENSE", "requirements-robot.lock")
+"""What a release is made of (deploy/release)."""
+
 TOOLS = {
     "qemu-system-x86_64": "qemu-system-x86",
     "qemu-img": "qemu-utils",
@@ -68,12 +71,17 @@ def image() -> Image:
     mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
     of = [Path(recipe.__file__), Path(debian.__file__), recipe.GUEST / "boot"]
     base = _kept("base-" + recipe.digest(mirror, *map(Path.read_bytes, of)), lambda folder: debian.make(folder, mirror))
-    with tempfile.TemporaryDirectory() as work:
-        release = _release(Path(work))
-        furniture = recipe.sources(recipe.GUEST) + Path(__file__).read_bytes() + Path(container.__file__).read_bytes()
-        name = recipe.digest(base.name, release.name, furniture)
-        made = _kept("image-" + name, lambda folder: _image(folder, base, release))
+    parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]
+    made = _kept("image-" + recipe.digest(base.name, *map(_content, parts)), lambda folder: _image(folder, base))
     return Image(made / "disk.ext4", base / "vmlinuz", base / "initrd.gz", made / "ssh_key")
+
+
+def _content(path: Path) -> bytes:
+    """All bytes of a file, or of a folder's sources."""
+    if path.is_file():
+        return path.read_bytes()
+    inner = [each for each in path.rglob("*") if each.is_dir() and each.name != "__pycache__"]
+    return recipe.sources(path, *inner)
 
 
 # -- the cache ---------------------------------------------------------------------------------------------------
@@ -110,12 +118,6 @@ def _locked(path: Path) -> Iterator[None]:
 # -- our release in it -------------------------------------------------------------------------------------------
 
 
-def _release(work: Path) -> Path:
-    """The release artefact of these sources, as `swarm deploy` makes it."""
-    made = sh(ROOT / "deploy/release", "--machine", recipe.MACHINE, "--python", recipe.PYTHON, work)
-    return Path(made.split()[-1])
-
-
 INSTALL = """
 set -eu
 mkdir -p /run/lab /etc/systemd/system/swarm-balancer.service.d
@@ -141,7 +143,7 @@ source = "serial:/dev/ttyS9"
 """
 
 
-def _image(folder: Path, base: Path, release: Path) -> None:
+def _image(folder: Path, base: Path) -> None:
     """disk.ext4: the root with the release installed, by its own `install` under systemd in a container."""
     root = folder / "root"
     root.mkdir()
@@ -150,7 +152,9 @@ def _image(folder: Path, base: Path, release: Path) -> None:
     _furnish(root, (folder / "ssh_key.pub").read_text())
     unpacked = root / "opt/release"
     unpacked.mkdir(parents=True)
-    sh("tar", "-C", unpacked, "--strip-components=1", "-xf", release)
+    artefact = sh(ROOT / "deploy/release", "--machine", recipe.MACHINE, "--python", recipe.PYTHON, folder).split()[-1]
+    sh("tar", "-C", unpacked, "--strip-components=1", "-xf", artefact)
+    Path(artefact).unlink()
     (unpacked / "lab.toml").write_text(CONFIG)
     code, said = container.boot(root, INSTALL, 300)
     if code:
