@@ -7,7 +7,7 @@ left out meanwhile, with the newest that it had; who has lost its state by a reb
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,12 +36,13 @@ class Epoch:
     """Iterations that a robot has recorded twice with different values."""
 
 
-def read(paths: Mapping[str, Path], graph: Graph) -> dict[int, Epoch]:
-    """All epochs by their number, in their order; `graph` is that of the first one, whose number is 0 here."""
+def read(paths: Mapping[str, Sequence[Path]], graph: Graph) -> dict[int, Epoch]:
+    """All epochs by their number, in their order, from each robot's recordings; `graph` is that of the first one, whose
+    number is 0 here."""
     epochs = {0: Epoch(0, 0, graph)}
-    for robot, path in paths.items():
-        reader, number = Reader(path), 0
-        for sample in reader.samples():
+    for robot, files in paths.items():
+        number = 0
+        for sample in (sample for path in files for sample in Reader(path).samples()):
             message = sample.message
             if is_state(sample.topic):
                 state = float(message["state"]["value"]), int(message["result"]["n"])
@@ -74,23 +75,26 @@ def compare(epochs: Mapping[int, Epoch], starts: Mapping[str, float]) -> Compari
     """Work all of it out again; `starts`: each robot's first value, whose place among them is its phase."""
     result = Comparison()
     before: dict[str, dict[int, State]] = {}
+    newest: dict[str, State] = {}
     for epoch in epochs.values():
         result.wrong += epoch.forks
         known = {name: dict(epoch.states.get(name, {})) for name in epoch.graph.names}
         for name, states in known.items():
             if epoch.first in states:
-                _begin(result, epoch, name, states[epoch.first], before.get(name, {}), (starts[name], 0))
+                own = before.get(name, {}).get(epoch.first), newest.get(name)
+                _begin(result, epoch, name, states[epoch.first], own, (starts[name], 0))
+        newest.update({name: states[max(states)] for name, states in known.items() if states})
         _go_on(result, epoch, known, {name: float(index) for index, name in enumerate(starts)})
         before.update(known)
     return result
 
 
 def _begin(
-    result: Comparison, epoch: Epoch, name: str, begun: State, before: Mapping[int, State], start: State
+    result: Comparison, epoch: Epoch, name: str, begun: State, own: tuple[State | None, State | None], start: State
 ) -> None:
-    """The state with which a robot goes into an epoch must be one of its own."""
-    newest = before[max(before)] if before else None
-    if begun in (before.get(epoch.first), newest):
+    """The state with which a robot goes into an epoch must be one of its own: that of its first iteration in the epoch
+    before, or the newest that it has recorded."""
+    if begun in own:
         result.compared += 1
     elif begun == start:
         result.compared += 1

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, cast
 from swarm.app_spec import Spec, checked, read_spec
 from swarm.codec import Value
 from swarm.errors import AppError
-from swarm.parameters import parameter
+from swarm.parameters import Parameter, parameter
 from swarm.robot import Robot
 
 WEIGHTS = ("metropolis", "row")
@@ -111,6 +111,10 @@ class App:
                 raise AppError(f"{name}: cannot be changed while the app runs: it is declared without live=True")
             found[name] = cast(Value, checked(declared, name, value))
         return found
+
+    def told_parameters(self) -> dict[str, tuple[Parameter, Value]]:
+        """All parameters by name, as they are declared and as they are now: what the host tells of them."""
+        return {name: (declared, getattr(self, name)) for name, declared in type(self).spec.parameters.items()}
 
     def change(self, values: Mapping[str, Value]) -> None:
         """Called by the host between two handlers or steps, with what `check_change` gave."""

@@ -13,15 +13,16 @@ holds up nobody. See docs/apps.md. A lockstep may run within such an app: `chann
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from swarm.app import App, SyncApp
 from swarm.app_spec import checked
+from swarm.codec import Value
 from swarm.core.state import Item
 from swarm.errors import AppError
 from swarm.messages import Flooded, Sent
-from swarm.parameters import parameter
+from swarm.parameters import Parameter, parameter
 from swarm.robot import Robot
 
 if TYPE_CHECKING:
@@ -113,6 +114,50 @@ class EventApp(App):
         self._put("finished", reason)
 
     @classmethod
+    def check_change(cls, values: Mapping[str, object]) -> dict[str, Value]:
+        """See `App`; `CHANNEL_NAME` is a parameter of a channel."""
+        found: dict[str, Value] = {}
+        for name, value in values.items():
+            part, inner = cls._of_channel(name)
+            if part is None:
+                found |= super().check_change({name: value})
+                continue
+            try:
+                found[name] = channels_of(cls)[part].kind.check_change({inner: value})[inner]
+            except AppError as error:
+                raise AppError(f"channel {part}: {error}") from None
+        return found
+
+    def told_parameters(self) -> dict[str, tuple[Parameter, Value]]:
+        """See `App`; those of channels behind its own."""
+        found = super().told_parameters()
+        for part in channels_of(type(self)):
+            told = getattr(self, part).app.told_parameters()
+            found |= {f"{part}_{name}": known for name, known in told.items()}
+        return found
+
+    def change(self, values: Mapping[str, Value]) -> None:
+        """See `App`. A channel's parameters change with its next step, perhaps a little later."""
+        mine: dict[str, Value] = {}
+        for name, value in values.items():
+            part, inner = self._of_channel(name)
+            if part is None:
+                mine[name] = value
+            else:
+                getattr(self, part).change({inner: value})
+        super().change(mine)
+
+    @classmethod
+    def _of_channel(cls, name: str) -> tuple[str | None, str]:
+        """Channel and name within it of a parameter; None where it is the app's own."""
+        if name not in cls.spec.parameters:
+            for part, declared in channels_of(cls).items():
+                inner = name.removeprefix(f"{part}_")
+                if inner != name and inner in declared.kind.spec.parameters:
+                    return part, inner
+        return None, name
+
+    @classmethod
     def check_state(cls) -> None:
         """See `App`; an app that shares nothing is fine."""
         if cls.spec.schema.fields:
@@ -180,6 +225,7 @@ class Channel:
         put("name", name)
         put("app", declared.kind(seeded, {**declared.values, **values}))
         put("begun", False)
+        put("change", self.app.change)
         put("k", 0)
         put("_values", {field: getattr(self.app, field) for field in declared.kind.spec.schema.names})
 
@@ -187,12 +233,16 @@ class Channel:
     app: SyncApp
     begun: bool
     """Whether the host has started it: from then on its state can only be read."""
+    change: Callable[[Mapping[str, Value]], None]
+    """Puts other parameters in force: at once as long as nothing runs, then as the host does it."""
     k: int
     _values: Mapping[str, Item]
 
-    def begin(self) -> None:
-        """Called by the host when it starts the channel, after the app's `start`."""
+    def begin(self, change: Callable[[Mapping[str, Value]], None]) -> None:
+        """Called by the host when it starts the channel, after the app's `start`. `change(values)` puts other
+        parameters in force between two steps."""
         super().__setattr__("begun", True)
+        super().__setattr__("change", change)
 
     def take(self, k: int, values: Mapping[str, Item]) -> None:
         """Called by the host with each new state: unpacked and never changed again."""

@@ -1,4 +1,5 @@
-"""Fixtures of all tests: a short runtime directory, processes that never outlive a test, a real router."""
+"""Fixtures of all tests: a short runtime directory, processes that never outlive a test, a real router; and which of
+the test processes runs what."""
 
 import contextlib
 import os
@@ -10,9 +11,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from xdist.scheduler import LoadScopeScheduling
 
 with contextlib.suppress(ImportError):  # a machine of the lab has none
     from hypothesis import settings
@@ -39,7 +45,37 @@ insecure = true
 """
 
 
-def wait_until(condition: Callable[[], object], timeout: float = 10.0, what: str = "") -> None:
+@cache
+def shares(file: str) -> bool:
+    """Whether tests of a file share what is made once: a simulation, a browser, a booted system."""
+    return 'scope="' in Path(file).read_text()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> "LoadScopeScheduling":
+    """Each test goes to the process that is free, and the tests of a file that share something go together. Whole files
+    to each process would leave one of them alone with a long one in the end."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.split("::", 1)[0]
+            return file if shares(str(config.rootpath / file)) else nodeid
+
+    return Scheduling(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that may take longest begin first, or all would wait for them in the end."""
+
+    def allowed(item: pytest.Item) -> float:
+        mark = item.get_closest_marker("timeout")
+        return mark.args[0] if mark else 0.0
+
+    items.sort(key=allowed, reverse=True)
+
+
+def wait_until(condition: Callable[[], object], timeout: float = 40.0, what: str = "") -> None:
     """Poll until `condition()` is true; the deadline only bounds a failure."""
     deadline = time.monotonic() + timeout * PATIENCE
     while not condition():
@@ -85,7 +121,7 @@ class Processes:
         sock.bind(address)
         sock.settimeout(0.1)
         process = self.start(*arguments, NOTIFY_SOCKET=address, **environment)
-        deadline = time.monotonic() + 20 * PATIENCE
+        deadline = time.monotonic() + 60 * PATIENCE
         while True:
             try:
                 if until in sock.recv(4096).decode():

@@ -515,7 +515,7 @@ def swarms(draw):
     )
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=50, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(swarms())
 def test_written_and_read_again(config):
     assert parse(dump(config), config.path) == config

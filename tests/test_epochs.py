@@ -50,6 +50,18 @@ def test_a_robot_that_reboots_comes_back_in_a_new_epoch():
     assert world.moving()
 
 
+def test_where_robots_are_waited_for_one_that_reboots_waits_for_the_operator():
+    world = running(loop(4), drop=False)
+    world.reboot("r1")
+    world.start("r1")
+    world.run(20.0)
+    assert set(counters(world).values()) == {0}
+    assert world.processes["r1"].strand.obstacle == "r1 has lost its state and waits for the next epoch"
+    world.processes["r3"].take(lambda p: p.strand.order(Order(), world.now))
+    assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
+    assert world.moving()
+
+
 def test_the_whole_swarm_reboots_and_begins_anew():
     world = running(line(3))
     for name in world.names:

@@ -2,6 +2,8 @@
 
 import dataclasses
 import re
+import subprocess
+import sys
 import types
 import typing
 from pathlib import Path
@@ -11,12 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarm import messages
 from swarm.codec import decode, encode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, key
-from swarm.messages import TOPICS, AppState, SetLeds, SetMode, Status, Stop, read, type_of
+from swarm.messages import AppState, SetLeds, SetMode, Status, Stop, read, topics, type_of
 
-TYPES = sorted({*TOPICS.values(), Stop}, key=lambda kind: kind.__name__)
+TYPES = sorted({*topics().values(), Stop}, key=lambda kind: kind.__name__)
 
 
 def strategy(kind: Any) -> st.SearchStrategy[Any]:
@@ -83,8 +86,22 @@ def test_type_of(text: str, kind: type | None) -> None:
 
 
 def test_every_topic_is_found_under_its_key() -> None:
-    for (service, topic), kind in TOPICS.items():
+    for (service, topic), kind in topics().items():
         assert type_of(key("r0", service.replace("*", "mesh"), topic.replace("*", "max"))) is kind
+
+
+def test_every_name_is_to_be_had_though_nothing_is_imported_before() -> None:
+    for name in messages.__all__:
+        found = vars(messages).get(name) or messages.__getattr__(name)
+        assert found.__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'Nonsense'"):
+        messages.__getattr__("Nonsense")
+
+
+def test_a_process_makes_only_the_messages_that_it_speaks() -> None:
+    code = "import sys, services.bus.__main__; print(*sorted(m for m in sys.modules if m.startswith('swarm.messages')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["swarm.messages", "swarm.messages.service"]
 
 
 def test_an_unknown_key_is_refused_by_name() -> None:
@@ -112,7 +129,7 @@ def test_the_page_lists_every_key_and_no_other() -> None:
         topic = topic.replace("*", "<app>", 1).replace("*", second)
         return f"swarm/<robot>/{'<service>' if service == '*' else service}/{topic}"
 
-    wanted = {shown(*place): kind.__name__ for place, kind in TOPICS.items()}
+    wanted = {shown(*place): kind.__name__ for place, kind in topics().items()}
     assert documented()[0] == wanted | {STOP: "Stop"}
 
 

@@ -53,6 +53,7 @@ def work_through(tmp_path: Path, *, slow: bool) -> int:
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_tutorial_works_as_it_stands(tmp_path: Path) -> None:
     assert work_through(tmp_path, slow=False) >= 8

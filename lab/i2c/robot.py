@@ -30,6 +30,8 @@ class Faults:
     """What is read is not what was said."""
     mask: int = 0xFF
     """Bits that corruption turns over, in every byte."""
+    hold_sda: bool = False
+    """The next transfer ends in the middle of a byte: SDA is held (110) until nine clock pulses have come."""
     stuck: bool = False
     """SDA is held by something that no clock pulse frees (110)."""
 
@@ -88,6 +90,8 @@ class RobotAdapter:
 
     def _message(self, message: Message) -> bytes:
         faults, address = self.faults, message.address
+        if faults.hold_sda:
+            faults.hold_sda, self._bus.robot.sda_held = False, True
         if faults.stuck or _spoils(faults.timeout, address):
             raise _failure(errno.ETIMEDOUT)
         if _spoils(faults.nack, address):

@@ -59,8 +59,14 @@ class Machine:
         memory_mb: int = 512,
         cores: int = 1,
         radio: Path | None = None,
+        steady: bool = False,
     ) -> None:
-        """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller."""
+        """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller.
+
+        `steady`: its clock counts its own instructions, 2 ns each, while it has something to do. So a busy host makes
+        it slow but not late, and a program that needs a millisecond inside needs it anywhere. Several at once have each
+        a clock of its own, which on a busy host do not go alike.
+        """
         self.name = name
         self.folder = folder
         self.share = folder / "share"
@@ -72,6 +78,7 @@ class Machine:
         self._memory_mb = memory_mb
         self._cores = cores
         self._radio = radio
+        self._steady = steady
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: dict[int, Result] = {}
         self._next = 0
@@ -181,7 +188,10 @@ class Machine:
     def _words(self, disk: Path, agent: Path) -> list[str]:
         words = ["qemu-system-x86_64", "-name", self.name, "-nodefaults", "-no-user-config", "-no-reboot"]
         # A /dev/kvm may be there and not work (machines of cloud services), so emulation is what is asked for.
-        words += ["-accel", os.environ.get("SWARM_LAB_ACCEL", "tcg,thread=multi"), "-cpu", "max"]
+        if self._steady:
+            words += ["-accel", "tcg,thread=single", "-icount", "shift=1,sleep=on", "-cpu", "max"]
+        else:
+            words += ["-accel", os.environ.get("SWARM_LAB_ACCEL", "tcg,thread=multi"), "-cpu", "max"]
         words += ["-smp", str(self._cores), "-m", str(self._memory_mb), "-display", "none"]
         words += ["-machine", "q35,usb=off,smbus=off,vmport=off", "-serial", "stdio"]
         append = [*KERNEL, f"lab.init={self._init}", f"lab.name={self.name}", f"systemd.hostname={self.name}"]

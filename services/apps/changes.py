@@ -79,12 +79,11 @@ class Changes:
         self._bus.publish(self._key, self._message())
 
     def _message(self) -> AppParameters:
-        app = self._app
         return AppParameters(
             self._now(),
             {
-                name: AppParameter(getattr(app, name), declared.unit, declared.expected(), bool(declared.live))
-                for name, declared in type(app).spec.parameters.items()
+                name: AppParameter(value, declared.unit, declared.expected(), bool(declared.live))
+                for name, (declared, value) in self._app.told_parameters().items()
             },
         )
 

@@ -230,11 +230,13 @@ class EventHost:
             robot = view.app.robot
             robot.bus, robot.overlays, robot.devices = mine.bus, mine.overlays, mine.devices
             robot.mesh_clock, robot.ranging, robot.recording = mine.mesh_clock, mine.ranging, mine.recording
-            view.begin()
         parts = [Part(name, view.app) for name, view in self._views.items()]
         links = links._replace(kept=True)  # saved already
         endless = replace(conduct, last=None, rule=None)
-        self._channels = Host(self._service, self._name, parts, code, run, links, endless, self._recorder, self._claim)
+        host = Host(self._service, self._name, parts, code, run, links, endless, self._recorder, self._claim)
+        for name, view in self._views.items():
+            view.begin(partial(host.change, name, self._changes.tell))
+        self._channels = host
 
     def _take_channels(self) -> None:
         """Let the app see its channels' newest states: the same ones throughout a handler."""

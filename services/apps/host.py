@@ -8,7 +8,7 @@ steps, so that a slow channel holds up no other. A ticker runs the timers and pu
 import hashlib
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from services.apps import topology
@@ -22,7 +22,7 @@ from services.apps.runner import Runner
 from services.apps.worker import CLOSE_WITHIN, Latest, Worker
 from swarm import clock
 from swarm.app import SyncApp
-from swarm.codec import decode
+from swarm.codec import Value, decode
 from swarm.conduct import Conduct
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError, PayloadError
@@ -113,6 +113,10 @@ class Host:
     def latest(self, channel: str) -> Latest | None:
         """The newest state of a channel, whole; None before the first one."""
         return self._workers[channel].latest
+
+    def change(self, channel: str, changed: Callable[[], None], values: Mapping[str, Value]) -> None:
+        """Other values for live parameters of a channel, from its next step on; then `changed()` is called."""
+        self._workers[channel].change(changed, values)
 
     def nudge(self) -> None:
         """The bus or a link came up: ask now for what is missing."""

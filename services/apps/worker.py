@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from services.apps import topology
@@ -159,6 +159,11 @@ class Worker:
         with self._lock:
             self._strand.order(Order(wish.drop, wish.add, wish.force), clock.now())
             self._perform()
+
+    def change(self, changed: Callable[[], None], values: Mapping[str, Value]) -> None:
+        """Other values for live parameters from the next step on; then `changed()` is called."""
+        self._runner.changed = changed
+        self._runner.change(values)
 
     def nudge(self) -> None:
         """The bus or a link came up: ask now for what is missing."""

@@ -8,6 +8,7 @@ ETIMEDOUT, 5 EIO for one that ended too early), on every kind of bus.
 import contextlib
 import fcntl
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +22,15 @@ TIMEOUT_10MS = 2
 """After 20 ms the kernel gives a transfer up. Its own default is a second, five times as long as the ATmega's watchdog
 waits; the longest transfer that we make takes 4 ms."""
 
+PATIENCE_S = 10.0
+"""For the device at the start: on a boot the balancer may be up before udev has made the device its own."""
+RETRY_S = 0.2
+
 _I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, in units of 10 ms
+
+
+class NoDeviceError(LocalError):
+    """There is no such adapter, or it is not ours to use."""
 
 
 class I2CBus(Protocol):
@@ -61,18 +70,20 @@ class KernelBus:
     """
 
     def __init__(self, number: int = 1) -> None:
-        """Raises `LocalError` where smbus2 or the device is missing."""
+        """Raises `LocalError` where smbus2 is missing, `NoDeviceError` where the device is."""
         device = Path(f"/dev/i2c-{number}")
         try:
             import smbus2
         except ImportError:
             raise LocalError("the I2C bus needs smbus2: install the extra `balboa-swarm[robot]`") from None
         if not device.exists():
-            raise LocalError(f"{device} is missing: switch I2C on (dtparam=i2c_arm=on in config.txt) and reboot")
+            raise NoDeviceError(f"{device} is missing: switch I2C on (dtparam=i2c_arm=on in config.txt) and reboot")
         try:
             self._bus: Any = smbus2.SMBus(number)
         except OSError as error:
-            raise LocalError(f"{device} cannot be opened: {error.strerror}; is this user in the group i2c?") from None
+            raise NoDeviceError(
+                f"{device} cannot be opened: {error.strerror}; is this user in the group i2c?"
+            ) from None
         fcntl.ioctl(self._bus.fd, _I2C_TIMEOUT, TIMEOUT_10MS)  # type: ignore[arg-type]
         self._message = smbus2.i2c_msg
 
@@ -108,3 +119,17 @@ class KernelBus:
     def close(self) -> None:
         """See `I2CBus`."""
         self._bus.close()
+
+
+def open_patiently(wait: Callable[[float], None], number: int = 1) -> KernelBus:
+    """The adapter, as soon as it is there and ours; `NoDeviceError` where it is not within `PATIENCE_S`.
+
+    Services start while udev still works through the devices of the boot, and a wrong configuration (exit code 2),
+    which a missing bus is, is left for a person.
+    """
+    for _ in range(round(PATIENCE_S / RETRY_S)):
+        try:
+            return KernelBus(number)
+        except NoDeviceError:
+            wait(RETRY_S)
+    return KernelBus(number)

@@ -20,7 +20,7 @@ from services.balancer.core.body import body_model
 from services.balancer.core.gyro import Zero
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
-from services.balancer.i2c import I2CBus, KernelBus
+from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.orders import obey
 from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
@@ -167,7 +167,9 @@ class Loop:
 
 
 def main(
-    open_bus: Callable[[Config, str], I2CBus] = lambda _config, _robot: KernelBus(), *, start_mode: str = "rest"
+    open_bus: Callable[[Config, str], I2CBus] = lambda _config, _robot: open_patiently(time.sleep),
+    *,
+    start_mode: str = "rest",
 ) -> None:
     """Balance until SIGTERM or SIGINT; the motors are off afterwards, however it ends.
 

@@ -49,6 +49,9 @@ class Off:
 SLOWEST, FASTEST = 0.01, 1000.0
 """s of virtual time a second that a page may wish for."""
 
+MAX_SKEW = 100e-6
+"""More than a crystal errs, and what the mesh clock is made for."""
+
 PRESS_S = 0.3
 """How long a button is held down."""
 
@@ -80,6 +83,8 @@ class Options:
     bandwidth: float | None
     loss: float
     """Probability that a radio packet is lost and sent again."""
+    clock_skew: float
+    """How far the rates of the robots' clocks err at most, 1e-6 = 1 ppm; 0: all have one clock."""
     cuts: tuple[Cut, ...]
     offs: tuple[Off, ...]
     presses: tuple[Press, ...]
@@ -203,6 +208,14 @@ def loss(text: str) -> float:
     return value
 
 
+def skew(text: str) -> float:
+    """An error of clocks, `20ppm`."""
+    value = _quantity(text, {"ppm": 1e-6}, "an error such as 20ppm")
+    if not value <= MAX_SKEW:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {1e6 * MAX_SKEW:g}ppm")
+    return value
+
+
 def _positive(text: str) -> float:
     value = _quantity(text, {"": 1.0}, "a number")
     if value <= 0:
@@ -251,7 +264,7 @@ def parser() -> argparse.ArgumentParser:
     )
     radio.add_argument("--bandwidth", type=rate, metavar="78kB", help="per second and direction (no limit)")
     radio.add_argument(
-        "--loss", type=loss, default=0.0, metavar="5%%", help="radio packets that are lost, and sent again (0)"
+        "--loss", type=loss, default=0.0, metavar="0.05", help="radio packets that are lost, and sent again (0)"
     )
     radio.add_argument("--cut", dest="cuts", action="append", type=cut, default=[], metavar="r0-r1@12s,3s",
                        help="cut a link 12 s after the first iteration for 3 s")  # fmt: skip
@@ -259,6 +272,9 @@ def parser() -> argparse.ArgumentParser:
                        help="under virtual time: switch a robot off 5 s after the first iteration for 10 s; "
                        "@start: it comes late")  # fmt: skip
     bodies = p.add_argument_group("the bodies")
+    bodies.add_argument("--clock-skew", type=skew, default=0.0, metavar="20ppm",
+                        help="under virtual time: each robot's clock has a zero of its own, and a rate that errs by "
+                        "up to this (0: all have one clock)")  # fmt: skip
     bodies.add_argument("--press", dest="presses", action="append", type=press, default=[], metavar="r4.A@5s",
                         help="press a button 5 s after the first iteration")  # fmt: skip
     bodies.add_argument(
@@ -306,6 +322,8 @@ def parse(arguments: list[str]) -> Options:
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
+    if options.clock_skew and not options.virtual:
+        raise ConfigError("--clock-skew is for --virtual: processes of one machine have one clock")
     if options.offs and not options.virtual:
         raise ConfigError("--off is for --virtual; of real processes: swarm kill r2 app, swarm kill r2 mesh")
     if options.view and not options.virtual:

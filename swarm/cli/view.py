@@ -29,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
     parser.add_argument("--control", action="store_true", help="let the page act: stop, cut links, press buttons ...")
     parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
+    parser.add_argument("--at", type=float, metavar="S", help="of a recording: its instant that is pictured (the last)")
+    parser.add_argument(
+        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        help="with a chart in the picture, e.g. app/consensus/state:state.value; several, if you like",
+    )  # fmt: skip
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
 
@@ -49,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
         raise LocalError("--config and --ssh-config are for real robots: name one with --robot")
     if args.robot and (args.recording or args.run_dir):
         raise LocalError("--robot looks at real robots: leave out the recording, and --run-dir")
+    if (args.at is not None or args.chart) and args.screenshot is None:
+        raise LocalError("--at and --chart are for --screenshot")
     if args.recording is not None:
         if args.control:
             raise LocalError("--control: there is nothing to control in a recording")
@@ -63,12 +70,16 @@ def run(args: argparse.Namespace) -> int:
         feed = Simulation((args.run_dir or default_run_dir()).absolute())
         control = Control(feed, allowed=args.control)
 
+    at = None
+    if isinstance(feed, Recording):
+        at = feed.last if args.at is None else min(max(args.at, feed.first), feed.last)
+
     async def main() -> None:
         ended = asyncio.Event()
 
         async def ready(address: str) -> None:
             if args.screenshot is not None:
-                await screenshot.take(address, args.screenshot)
+                await screenshot.take(address, args.screenshot, at, args.chart)
                 print(args.screenshot)
                 ended.set()
                 return

@@ -1,5 +1,8 @@
 """Every message on the bus and the key it travels under. One place, so that no two services can disagree; a
-module for each service, all of them imported from here.
+module for each service, all of them to be had from here.
+
+Each is imported when something of it is first asked for: a robot's processes take those they speak, and making all of
+these classes is a third of what a small service needs until it runs.
 
 Payloads are msgpack maps with these field names (`swarm.codec`). SI units: m, rad, s, V. `t` is the sender's
 monotonic clock in seconds, common to all processes of one robot; the mesh relates the robots' clocks. The
@@ -7,82 +10,86 @@ only binary payloads are what apps send each other: frames of the synchronous ov
 what they flood and send (`swarm.overlays`).
 """
 
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from swarm.codec import decode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, parse
-from swarm.messages import apps, balancer, devices, dwm, mesh, service, sim
-from swarm.messages.apps import (
-    AppEpoch,
-    AppOutput,
-    AppParameter,
-    AppParameters,
-    AppParametersSet,
-    AppProgress,
-    AppState,
-    SetAppEpoch,
-    SetAppParameters,
-)
-from swarm.messages.balancer import (
-    BalancerFault,
-    BalancerState,
-    Leds,
-    Notice,
-    Odometry,
-    Parameters,
-    SetLeds,
-    SetMode,
-    SetParameters,
-    SetVelocity,
-)
-from swarm.messages.devices import (
-    Battery,
-    Buttons,
-    Display,
-    Firmware,
-    I2CRates,
-    ImuRequest,
-    ImuSample,
-    MeasureI2C,
-    ModuleAnswer,
-    ModuleRequest,
-    Note,
-    SetDisplay,
-    SetNotes,
-    Uwb,
-    UwbRange,
-)
-from swarm.messages.dwm import Measurement, Pose, Range, Ranges
-from swarm.messages.mesh import (
-    Arm,
-    Clock,
-    Echo,
-    EchoRequest,
-    Flooded,
-    FloodRequest,
-    GraphRobot,
-    Links,
-    LinkState,
-    Member,
-    MemberChange,
-    Members,
-    MeshGraph,
-    Progress,
-    Reminder,
-    SendRequest,
-    Sent,
-    Stop,
-    Stopped,
-    Topology,
-    TopologyRequest,
-    TopologySet,
-    View,
-    Watch,
-)
-from swarm.messages.service import Status
-from swarm.messages.sim import LedChange, Truth
+
+if TYPE_CHECKING:
+    from swarm.messages.apps import (
+        AppEpoch,
+        AppOutput,
+        AppParameter,
+        AppParameters,
+        AppParametersSet,
+        AppProgress,
+        AppState,
+        SetAppEpoch,
+        SetAppParameters,
+    )
+    from swarm.messages.balancer import (
+        BalancerFault,
+        BalancerState,
+        Leds,
+        Notice,
+        Odometry,
+        Parameters,
+        SetLeds,
+        SetMode,
+        SetParameters,
+        SetVelocity,
+    )
+    from swarm.messages.devices import (
+        Battery,
+        Buttons,
+        Display,
+        Firmware,
+        I2CRates,
+        ImuRequest,
+        ImuSample,
+        MeasureI2C,
+        ModuleAnswer,
+        ModuleRequest,
+        Note,
+        SetDisplay,
+        SetNotes,
+        Uwb,
+        UwbRange,
+    )
+    from swarm.messages.dwm import Measurement, Pose, Range, Ranges
+    from swarm.messages.mesh import (
+        Arm,
+        Clock,
+        Echo,
+        EchoRequest,
+        Flooded,
+        FloodRequest,
+        GraphRobot,
+        Links,
+        LinkState,
+        Member,
+        MemberChange,
+        Members,
+        MeshGraph,
+        Progress,
+        Reminder,
+        SendRequest,
+        Sent,
+        Stop,
+        Stopped,
+        Topology,
+        TopologyRequest,
+        TopologySet,
+        View,
+        Watch,
+    )
+    from swarm.messages.service import Status
+    from swarm.messages.sim import LedChange, Truth
 
 __all__ = [
-    "TOPICS",
     "AppEpoch",
     "AppOutput",
     "AppParameter",
@@ -149,19 +156,65 @@ __all__ = [
     "View",
     "Watch",
     "read",
+    "topics",
     "type_of",
 ]
 
-TOPICS: dict[tuple[str, str], type] = {
-    **service.TOPICS,
-    **mesh.TOPICS,
-    **balancer.TOPICS,
-    **devices.TOPICS,
-    **dwm.TOPICS,
-    **apps.TOPICS,
-    **sim.TOPICS,
+_NAMES = {
+    "apps": (
+        "AppEpoch AppOutput AppParameter AppParameters AppParametersSet AppProgress AppState SetAppEpoch "
+        "SetAppParameters"
+    ),
+    "balancer": (
+        "BalancerFault BalancerState Leds Notice Odometry Parameters SetLeds SetMode SetParameters SetVelocity"
+    ),
+    "devices": (
+        "Battery Buttons Display Firmware I2CRates ImuRequest ImuSample MeasureI2C ModuleAnswer ModuleRequest "
+        "Note SetDisplay SetNotes Uwb UwbRange"
+    ),
+    "dwm": "Measurement Pose Range Ranges",
+    "mesh": (
+        "Arm Clock Echo EchoRequest Flooded FloodRequest GraphRobot Links LinkState Member MemberChange "
+        "Members MeshGraph Progress Reminder SendRequest Sent Stop Stopped Topology TopologyRequest "
+        "TopologySet View Watch"
+    ),
+    "service": "Status",
+    "sim": "LedChange Truth",
 }
-"""Message type of each key, by (service, topic); `*` is any one chunk. A test compares docs/keys.md to it."""
+"""What each module has for others."""
+
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+_OF_SERVICE = {
+    "mesh": ("mesh",),
+    "balancer": ("balancer", "devices"),
+    "dwm": ("dwm",),
+    "app": ("apps",),
+    "sim": ("sim",),
+}
+"""Modules with the topics of a service; `service` has those of all."""
+
+
+def __getattr__(name: str) -> type:
+    """A message type that is asked for by name (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    kind: type = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = kind
+    return kind
+
+
+@cache
+def _topics(modules: tuple[str, ...]) -> dict[tuple[str, str], type]:
+    table: dict[tuple[str, str], type] = {}
+    for module in modules:
+        table |= import_module(f"{__name__}.{module}").TOPICS
+    return table
+
+
+def topics() -> dict[tuple[str, str], type]:
+    """Message type of each key, by (service, topic); `*` is any one chunk. A test compares docs/keys.md to it."""
+    return _topics(tuple(_NAMES))
 
 
 def type_of(key: str) -> type | None:
@@ -170,15 +223,18 @@ def type_of(key: str) -> type | None:
     Raises `PayloadError` for a key that is not even well formed.
     """
     if key == STOP:
+        from swarm.messages.mesh import Stop
+
         return Stop
     _, service, topic = parse(key)
+    known = _topics(("service", *_OF_SERVICE.get(service, ())))
     _, _, tail = topic.partition("/")
     head, _, _ = tail.rpartition("/")
     _, _, deep = tail.partition("/")
     own = (service, topic), (service, f"*/{tail}"), (service, f"*/{head}/*"), (service, f"*/*/{deep}")
     for candidate in (*own, ("*", topic)):
-        if candidate in TOPICS:
-            return TOPICS[candidate]
+        if candidate in known:
+            return known[candidate]
     return None
 
 

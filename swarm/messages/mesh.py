@@ -218,10 +218,10 @@ class View:
 
     t: float
     services: dict[str, str]
-    """Services that have been there since somebody watches: `gone`, or their state (`degraded: no anchors`), or `here`
-    where they have not told it."""
+    """Services that have changed: `gone`, or their state (`degraded: no anchors`), or `here` where they have not told
+    it."""
     values: dict[str, bytes]
-    """By topic (`dwm/pose`), the newest message of that key as msgpack, with a few of its fields."""
+    """By topic (`dwm/pose`) what has changed: the newest message of that key as msgpack, with a few of its fields."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,6 +73,7 @@ class Reader:
     def samples(self, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[Sample]:
         """The messages of the topics that are `wanted`, in the order of their writing."""
         self.damage.clear()
+        self.finished = False  # a process that was started again goes on with what the one before had ended
         chosen: dict[int, str | None] = {}
         with self.path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size

@@ -33,6 +33,11 @@ class Trajectory:
         """The last iteration; -1 where there is none."""
         return max(self.rows, default=-1)
 
+    @property
+    def newest(self) -> float:
+        """When the last iteration was there, s; -inf where there is none."""
+        return self.times.get(self.last, -math.inf)
+
     def value(self, k: int, column: str) -> float:
         """One number; nan where the column holds none (an absent or ambiguous result)."""
         try:

@@ -13,6 +13,9 @@ from swarm.recording.run import Run
 from swarm.view.feed import config_of
 from swarm.view.picture import HISTORY_S, TRAIL_S, Event, Picture, places
 
+JUMP_S = 3.0
+"""A page that goes further than this at once does not play, it jumps."""
+
 
 class Recording:
     """A run, all of it in memory: its messages as they were written, JSON text."""
@@ -49,8 +52,8 @@ class Recording:
 
     def step(self, since: float | None, t: float) -> dict[str, Any]:
         """What a page that shows the instant `since` (None: nothing yet) needs to show the instant `t`, s."""
-        if since is not None and t < since:
-            since = None
+        if since is not None and not since <= t <= since + JUMP_S:
+            since = None  # with the trails of that instant: the way between is not drawn
         robots: dict[str, dict[str, object]] = {}
         for robot, topics in self._rows.items():
             new = {}

@@ -25,8 +25,11 @@ SILENT_S = 4.0
 """s without a word after which a robot with an ssh connection counts as silent: it says something each second."""
 
 VIEW_SILENT_S = 5.0
-SHARE_S = 0.6
+SHARE_S = 0.8
 """The same over the mesh, and what each robot of the swarm adds to it: large swarms tell less often."""
+
+GRACE_S = 5.0
+"""s at the start before a robot that the mesh has not brought anything of is called out of reach."""
 
 BY_SSH, BY_MESH = "ssh", "mesh"
 
@@ -105,6 +108,8 @@ class Robots(RealTime):
             with self.lock:
                 for name in self.config.names:
                     by, why = self._reach(name, now)
+                    if by is None and now < self.began + GRACE_S and name not in self.buses:
+                        continue
                     before = self.picture.newest(name, REACH)
                     value: dict[str, object] = {"by": by, "why": why}
                     if before != value:

@@ -1,47 +1,35 @@
-"""A picture of the page without a person: by the Chromium or Chrome of this machine."""
+"""A picture of the page without a person."""
 
 import asyncio
-import shutil
-import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import urlencode
 
 from swarm.errors import LocalError
+from swarm.view import chromium
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 SIZE = (1400, 1000)
 """Pixels."""
 
-_TIMEOUT_S = 60.0
+SETTLE_S = 4.0
+"""s that a live page has to connect, and for trails and charts to grow."""
+
+DRAWN_S = 0.5
+"""s within which all parts of the page have drawn what they know."""
 
 
-def browser() -> str:
-    """The browser to use; `LocalError` where there is none."""
-    for name in BROWSERS:
-        if (path := shutil.which(name)) is not None:
-            return path
-    raise LocalError(f"no {', '.join(BROWSERS)} found: apt-get install chromium")
-
-
-async def take(address: str, path: Path) -> None:
-    """Write a PNG of the page at `address`. Raises `LocalError` where that fails."""
-    with tempfile.TemporaryDirectory(prefix="swarm-view-") as profile:
-        process = await asyncio.create_subprocess_exec(
-            browser(),
-            "--headless=new",
-            "--no-sandbox",  # as root it does not start otherwise; it sees our own page only
-            "--hide-scrollbars",
-            f"--user-data-dir={profile}",
-            f"--window-size={SIZE[0]},{SIZE[1]}",
-            f"--screenshot={path.absolute()}",
-            f"{address}&settle",
-            stdout=asyncio.subprocess.DEVNULL,
-            stderr=asyncio.subprocess.PIPE,
-        )
-        try:
-            _, errors = await asyncio.wait_for(process.communicate(), _TIMEOUT_S)
-        except TimeoutError:
-            process.kill()
-            await process.wait()
-            raise LocalError(f"the browser took more than {_TIMEOUT_S:g} s") from None
-        if process.returncode != 0 or not path.exists():
-            raise LocalError(f"no picture: {errors.decode(errors='replace').strip()[-300:]}")
+async def take(address: str, path: Path, at: float | None, charts: Sequence[str]) -> None:
+    """Write a PNG of the page at `address`, of a recording at the instant `at`, s. Raises `LocalError` where that
+    fails."""
+    query = urlencode([("chart", chart) for chart in charts])
+    async with chromium.opened(f"{address}&{query}", SIZE) as page:
+        await page.until("Boolean(window.swarmView?.store.swarm)")
+        if at is not None:
+            await page.evaluate(f"swarmView.player.seek({at!r})")
+        await asyncio.sleep(SETTLE_S if at is None else DRAWN_S)
+        await page.until("document.querySelector('#connection').textContent !== 'server lost'")  # on a busy machine
+        picture = await page.picture()
+    try:
+        path.write_bytes(picture)
+    except OSError as error:
+        raise LocalError(f"{path}: {error.strerror}") from None

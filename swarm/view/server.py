@@ -16,6 +16,7 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from swarm.config.types import Config
 from swarm.errors import LocalError
 from swarm.view.control import Control
 from swarm.view.feed import Live
@@ -31,9 +32,6 @@ CROWD = 50
 
 HEARTBEAT_S = 10.0
 """s between two pings; a page that takes half of it to answer is let go of, and connects again when it can."""
-
-SETTLE_S = 4.0
-"""s that a page has before its picture is taken: to connect, and for trails to grow."""
 
 REPEAT_S = 0.2
 """s between two looks whether robots have confirmed a stop."""
@@ -59,7 +57,6 @@ def application(feed: Feed, control: Control | None, token: str) -> web.Applicat
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
     app.router.add_get("/", _index)
     app.router.add_get("/live", _live)
-    app.router.add_get("/settled", _settled)
     app.router.add_static("/page", PAGE)
     return app
 
@@ -85,12 +82,6 @@ async def _guard(request: web.Request, handler: Callable[..., Any]) -> web.Strea
 
 async def _index(_: web.Request) -> web.StreamResponse:
     return web.FileResponse(PAGE / "index.html")
-
-
-async def _settled(_: web.Request) -> web.StreamResponse:
-    """Answers late, and so holds up the end of the page's loading, for which a screenshot waits."""
-    await asyncio.sleep(SETTLE_S)
-    return web.Response(status=204)
 
 
 async def _live(request: web.Request) -> web.StreamResponse:
@@ -182,7 +173,17 @@ def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
         "robots": list(config.names),
         "edges": [list(edge) for edge in config.edges],
         "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],
+        "target": _target(config),
     }
+
+
+def _target(config: Config) -> dict[str, Any] | None:
+    """Where the target really is; of real robots nobody knows, unless it is one of the anchors."""
+    simulated = all(str(robot.link).startswith("sim:") for robot in config.robots)
+    if config.dwm.target is None or not simulated:
+        return None
+    x, y = config.simulation.target
+    return {"name": "target", "x": x, "y": y}
 
 
 def _answer(feed: Live, control: Control | None, text: str) -> dict[str, Any]:

@@ -190,7 +190,7 @@ def test_a_channel_is_another_instance_with_parameters_of_its_own() -> None:
     assert (app.inner.value, app.inner.app.value) == (3.0, 3.0)
     app.inner.feed(_input=0.5)
     assert app.inner.app._input == 0.5
-    app.inner.begin()
+    app.inner.begin(app.inner.app.change)
     app.inner.take(7, {"value": 4.0})
     assert (app.inner.k, app.inner.value) == (7, 4.0)
     with pytest.raises(AttributeError, match=r"channel inner has begun: its first values are set in start\(\)"):

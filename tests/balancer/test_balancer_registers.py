@@ -1,7 +1,9 @@
 """Registers of the two devices: the drivers' arithmetic, and the simulated devices that answer it."""
 
 import contextlib
+import errno
 import math
+import os
 import random
 import struct
 import sys
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 
 from services.balancer.core import balboa, imu
 from services.balancer.drivers import Balboa, Imu
-from services.balancer.i2c import KernelBus
+from services.balancer.i2c import PATIENCE_S, RETRY_S, KernelBus, open_patiently
 from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import SimulatedRobot, draw_errors
 from services.sim.i2c import SimulatedBus
@@ -268,3 +270,37 @@ def test_the_real_bus_needs_its_device(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "smbus2", object())
     with pytest.raises(LocalError, match="/dev/i2c-77 is missing"):
         KernelBus(77)
+
+
+class Reluctant(FakeSmbus2):
+    """A device that udev gives to the balancer after some attempts to open it."""
+
+    refusals = 3
+
+    def SMBus(self, number: int) -> FakeSmbus2:
+        if self.refusals:
+            self.refusals -= 1
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return self
+
+
+def test_at_a_boot_the_device_is_waited_for(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
+    """A balancer that ended at once would stay down: its exit code says that a person is needed."""
+    fake, waited = Reluctant(Bench().robot), []
+    monkeypatch.setitem(sys.modules, "smbus2", fake)
+    monkeypatch.setattr("services.balancer.i2c.Path", lambda _: tmp_path)
+    monkeypatch.setattr("services.balancer.i2c.fcntl.ioctl", lambda *_: None)
+    open_patiently(waited.append).close()
+    assert waited == [RETRY_S] * 3
+    fake.refusals = 1000
+    with pytest.raises(LocalError, match="is this user in the group i2c"):
+        open_patiently(waited.append)
+    assert sum(waited[3:]) == pytest.approx(PATIENCE_S)
+
+
+def test_a_library_that_is_missing_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "smbus2", None)
+    waited: list[float] = []
+    with pytest.raises(LocalError, match="smbus2"):
+        open_patiently(waited.append)
+    assert waited == []

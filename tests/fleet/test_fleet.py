@@ -151,6 +151,47 @@ def test_a_transfer_that_breaks_goes_on_where_it_was(
     assert 3_000_000 < sent(found["r0"]) < 3_400_000
 
 
+TAR = "case $SSH_ORIGINAL_COMMAND in *tar*) {} ;; esac"
+ROOM = 'test -e "$HOME/mended" || ulimit -f 2000'
+DIES = """test -e "$HOME/mended" || { head -c 500000 >/dev/null; kill -9 $PPID; }"""
+
+
+@pytest.mark.slow
+def test_eight_robots_of_which_four_are_in_trouble(
+    robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One is absent, one's disk is full, one has another host key, one dies in mid-transfer: each is named, the others
+    get it, one of them late, and what came of a broken transfer is installed nowhere."""
+    well = ["r0", "r2", "r6", "r7"]
+    trouble: dict[str, dict[str, object]] = {
+        "r1": {"up": False},
+        "r2": {"hook": TAR.format("sleep 2")},
+        "r3": {"hook": TAR.format(ROOM)},
+        "r4": {"known": False},
+        "r5": {"hook": TAR.format(DIES)},
+    }
+    homes = {name: robots.add(name, **trouble.get(name, {})) for name in (f"r{n}" for n in range(8))}
+    for home in homes.values():
+        add_python(home)
+    robots.ready()
+    wheels = {"wheels/a.whl": os.urandom(500_000), "wheels/b.whl": os.urandom(3_000_000)}
+    release = make_release(robots.folder / "a.tar.gz", "1-a", wheels)
+    assert run("deploy", str(release), "--json") == 1
+    found = {name: (outcome["ok"], str(outcome["text"])) for name, outcome in outcomes(capsys).items()}
+    assert [name for name, (ok, _) in found.items() if ok] == well
+    assert found["r1"][1] == "it runs no ssh server (or another port)"
+    assert "is its disk full?" in found["r3"][1]
+    assert found["r4"][1] == "its host key has changed; if set up anew: ssh-keygen -R r4"
+    assert "in the middle of it" in found["r5"][1]
+    assert [name for name, home in homes.items() if (home / "installed").exists()] == well
+    for name in ("r3", "r5"):
+        (homes[name] / "mended").touch()
+    assert run("deploy", str(release), "--json") == 1
+    mended = [name for name, outcome in outcomes(capsys).items() if outcome["ok"]]
+    assert mended == [name for name in homes if name not in ("r1", "r4")]
+    assert [name for name, home in homes.items() if (home / "installed").exists()] == mended
+
+
 def test_a_robot_that_no_release_fits(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     robots.add("r0")
     (robots.folder / "r0/bin/uname").write_text("#!/bin/sh\necho riscv64\n")

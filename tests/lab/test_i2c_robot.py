@@ -79,7 +79,7 @@ def test_nobody_answers_where_nobody_is(rig: Rig) -> None:
 
 
 def test_a_read_from_nobody_frees_a_device_that_holds_sda(rig: Rig) -> None:
-    rig.robot.sda_held = True
+    rig.adapter.faults.hold_sda = True
     rig.fails(WHO, errno.ETIMEDOUT)
     rig.fails([Message(NOBODY, read=1)], errno.EREMOTEIO)
     rig.works()
@@ -113,6 +113,6 @@ def test_faults_are_ordered_as_json_has_them(rig: Rig) -> None:
     assert rig.adapter.report()["faults"]["nack"] == {imu.ADDRESS: 1}
     rig.fails(WHO, errno.EREMOTEIO)
     rig.works()
-    with pytest.raises(LocalError, match="faults: nak unknown; there are corrupt, mask, nack"):
+    with pytest.raises(LocalError, match="faults: nak unknown; there are corrupt, hold_sda, mask, nack"):
         rig.adapter.faults.order({"nak": {}})
     assert json.loads(json.dumps(rig.adapter.report()))["failed"] == 1

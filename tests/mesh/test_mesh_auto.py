@@ -133,7 +133,7 @@ def check(world: TopologyWorld, reach: Edges) -> None:
             assert nx.is_biconnected(graph.subgraph(part))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(data=st.data(), n=st.integers(2, 9), seed=st.integers(0, 99), slow=st.sampled_from([0.0, 1.0]))
 def test_from_nothing_to_a_swarm_that_stays_as_it_is(data: st.DataObject, n: int, seed: int, slow: float) -> None:
     reach = data.draw(reaches(n))

@@ -334,7 +334,7 @@ def disturb(world: World, steps: Sequence[tuple[str, float, int]], sent: list[tu
                 world.run(value)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(accidents, st.sampled_from(sorted(GRAPHS)), st.floats(0.0, 0.02), st.integers(0, 99))
 def test_whatever_happens_once_to_each_and_all_agree_in_the_end(
     steps: list[tuple[str, float, int]], graph: str, jitter: float, seed: int

@@ -421,7 +421,7 @@ accidents = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     accidents, st.sampled_from(sorted(GRAPHS)), st.floats(0.0, 0.02), st.sampled_from((0.0, 0.05)), st.integers(0, 99)
 )

@@ -327,6 +327,18 @@ def test_without_pybluez_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatc
         pybluez.discover(1.0, ask_services=False)
 
 
+class PyBluezSocket(socket.socket):
+    """Knows of itself whether its own `listen` was called, whatever the kernel's socket behind it does (btmodule.c)."""
+
+    listens = False
+
+    def bind(self, address: tuple[str, int]) -> None:
+        assert address == ("", 0)
+
+    def listen(self, backlog: int) -> None:
+        self.listens = True
+
+
 @pytest.fixture
 def bluetooth(monkeypatch: pytest.MonkeyPatch) -> types.SimpleNamespace:
     """A module with the calls of PyBluez 0.23 that are used."""
@@ -335,13 +347,19 @@ def bluetooth(monkeypatch: pytest.MonkeyPatch) -> types.SimpleNamespace:
         SERIAL_PORT_CLASS="1101",
         SERIAL_PORT_PROFILE=("1101", 0x0100),
         advertised=[],
-        BluetoothSocket=lambda protocol: socket.socket(socket.AF_UNIX),
+        BluetoothSocket=lambda protocol: PyBluezSocket(socket.AF_UNIX),
         discover_devices=lambda duration, flush_cache, lookup_names: [(B.lower(), "raspberrypi"), (A, "phone")],
         find_service=lambda uuid, address: (
             [{"protocol": "L2CAP", "port": 3}, {"protocol": "RFCOMM", "port": 1}] if address == B.lower() else []
         ),
     )
-    module.advertise_service = lambda sock, *names, **ids: module.advertised.append((sock.getsockname(), names, ids))
+
+    def advertise_service(sock: PyBluezSocket, *names: str, **ids: object) -> None:
+        if not sock.listens:
+            raise OSError("must have already called socket.listen()")
+        module.advertised.append((sock.getsockname(), names, ids))
+
+    module.advertise_service = advertise_service
     monkeypatch.setitem(__import__("sys").modules, "bluetooth", module)
     return module
 

@@ -219,7 +219,7 @@ def test_a_robot_with_another_configuration_stays_out() -> None:
     assert world.bots["r2"].counters["topology_foreign"]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(data=st.data(), n=st.integers(2, 8), seed=st.integers(0, 99))
 def test_changes_never_split_the_swarm_nor_lose_a_message(data: st.DataObject, n: int, seed: int) -> None:
     """Sets at any robot and any time, while everybody floods and sends."""

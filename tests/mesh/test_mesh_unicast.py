@@ -277,7 +277,7 @@ accidents = st.lists(
 )
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(accidents, st.sampled_from(sorted(GRAPHS)), st.floats(0.0, 0.02), st.integers(0, 99))
 def test_whatever_happens_delivered_at_most_once_and_said_truly(
     steps: Sequence[tuple[str, float, int]], graph: str, jitter: float, seed: int

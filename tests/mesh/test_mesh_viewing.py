@@ -1,5 +1,7 @@
 """What robots tell to whoever watches the swarm through one of them: how much, for how long, and to whom."""
 
+from dataclasses import replace
+
 import pytest
 from conftest import wait_until
 from hypothesis import given
@@ -8,7 +10,7 @@ from overlay_world import World
 from test_mesh_process import SHORT, Build, build, log_of
 
 from services.mesh.core.frames import BULK
-from services.mesh.core.viewing import BUDGET, KEYS, LARGEST, LONGEST_S, REPEAT_S, TYPICAL, Viewing
+from services.mesh.core.viewing import BUDGET, FULL_EVERY, KEYS, LARGEST, LONGEST_S, REPEAT_S, TYPICAL, Viewing
 from swarm import clock
 from swarm.codec import decode, encode, unpack
 from swarm.messages import (
@@ -100,10 +102,31 @@ def test_what_a_person_looks_at_is_in_it_and_it_is_small() -> None:
     pose, links = unpack(told.values["dwm/pose"]), unpack(told.values["mesh/links"])
     assert (round(pose["x"], 6), pose["quality"], "raw_x" in pose) == (1.234, 80, False)
     assert links["links"][1]["peer"] == "r2"
-    assert len(encode(told)) + 100 < 1.1 * TYPICAL  # the packet with its key, tag and answer
+    # Then what changes.
+    sizes = [len(encode(told))]
+    for number in range(1, FULL_EVERY):
+        state = AppState(1.0, 120 + number, {"x": 1.0 + number, "y": 2.0}, {"x": 1.0, "y": 2.0 - number, "sigma": 0.1})
+        viewing.take("swarm/r1/app/localization/state", encode(state))
+        sway = replace(
+            TYPICAL_SAMPLES["balancer/state"], t=float(number), tilt=0.001 * number, battery=7.4 + 0.001 * number
+        )
+        viewing.take("swarm/r1/balancer/state", encode(sway))
+        told = view(viewing, 3.0 * number)
+        viewing.asked(WATCH, "r0", 3.0 * number)
+        assert (told.services, set(told.values)) == ({}, {"app/localization/state"})
+        sizes.append(len(encode(told)))
+    assert sum(sizes) / len(sizes) + 100 < 1.1 * TYPICAL  # the packet with its key, tag and answer
+    # One in a while has everything; what is too long is left out.
     viewing.take("swarm/r1/app/localization/state", encode(AppState(1.0, 1, {"x": "long" * 300}, {})))
-    told = view(viewing, 2.0)
-    assert set(told.values) == set(TYPICAL_SAMPLES) - {"app/localization/state"}
+    assert set(view(viewing, 3.0 * FULL_EVERY).values) == set(TYPICAL_SAMPLES) - {"app/localization/state"}
+
+
+def test_who_comes_later_gets_everything_at_once() -> None:
+    viewing = full()
+    view(viewing, 0.0)
+    assert view(viewing, 2.0).values == {}
+    viewing.asked(WATCH, "r5", 3.0)
+    assert set(view(viewing, 4.0).values) == set(TYPICAL_SAMPLES)
 
 
 def test_a_service_that_is_gone_or_unwell_is_named() -> None:
@@ -157,19 +180,20 @@ def test_it_crosses_the_mesh_to_the_robot_that_is_watched_and_not_in_anothers_na
 @pytest.mark.slow
 def test_real_meshes_tell_it(build: Build) -> None:
     swarm = build(edges=(("r0", "r1"), ("r1", "r2")), times=SHORT)
-    views: dict[str, View] = {}
-    swarm["r0"].bus.subscribe(
-        "swarm/*/mesh/view", lambda key, payload: views.update({key.split("/")[1]: decode(View, payload, key)})
-    )
+    told: dict[str, dict[str, object]] = {"r1": {}, "r2": {}}
+
+    def hear(key: str, payload: bytes) -> None:
+        view = decode(View, payload, key)
+        told[key.split("/")[1]].update(view.values | view.services)
+
+    swarm["r0"].bus.subscribe("swarm/*/mesh/view", hear)
     swarm.start()
-    pose = TYPICAL_SAMPLES["dwm/pose"]
 
-    def told() -> bool:
+    def all_told() -> bool:
         swarm["r0"].bus.publish("swarm/r0/mesh/set/watch", Watch(clock.now(), 3.0))
-        swarm["r2"].bus.publish("swarm/r2/dwm/pose", pose)
-        return "r2" in views and "dwm/pose" in views["r2"].values and "mesh/links" in views["r2"].values
+        swarm["r2"].bus.publish("swarm/r2/dwm/pose", TYPICAL_SAMPLES["dwm/pose"])
+        return {"dwm/pose", "mesh/links", "mesh"} <= told["r2"].keys()
 
-    wait_until(told, what="r2 tells r0")
-    assert views["r2"].services == {"mesh": "ready"}
-    assert set(views) <= {"r1", "r2"}
+    wait_until(all_told, timeout=30, what="r2 tells r0")
+    assert told["r2"]["mesh"] == "ready"
     assert "WARN" not in log_of(swarm["r2"].mesh)  # ended while it tells

@@ -48,6 +48,20 @@ def test_it_is_whole_when_closed(open_file, tmp_path):
     assert reader.metadata == [("run", {"app": "x"})]
 
 
+def test_a_reader_of_an_ended_file_goes_on_when_another_process_does(open_file, tmp_path):
+    path = tmp_path / "x.mcap"
+    file = open_file()
+    file.write(TOPIC, 1.0, {"i": 1})
+    file.close()
+    found, reader = numbers(path)
+    assert (found, reader.finished) == ([1], True)
+    again = open_file(append=True)
+    again.write(TOPIC, 2.0, {"i": 2})
+    again.flush()
+    assert [sample.message["i"] for sample in reader.samples()] == [2]
+    assert not reader.finished
+
+
 @pytest.mark.parametrize("lost", [0, 1, 5, 60])
 def test_another_process_goes_on_behind_what_is_whole(open_file, tmp_path, lost):
     path = tmp_path / "x.mcap"

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 
 from swarm.core.recording import Writer
@@ -40,7 +42,7 @@ def test_every_kind_of_value_has_its_columns(tmp_path):
 
 def test_a_repeated_iteration_must_be_equal(tmp_path):
     again = trajectory.read(write(tmp_path, value(3, 10.0, 0.5), value(3, 11.0, 0.5)))
-    assert again.times[3] == 10.0
+    assert again.times[3] == again.newest == 10.0
     with pytest.raises(RecordingError, match=r"iteration 3 stands there twice"):
         trajectory.read(write(tmp_path, value(3, 10.0, 0.0), value(3, 11.0, -0.0)))
 
@@ -90,6 +92,7 @@ def test_it_goes_on_with_a_file_that_grows(tmp_path):
 
 def test_nothing_recorded_is_empty(tmp_path):
     assert trajectory.read(tmp_path / "absent.mcap").last == -1
+    assert trajectory.EMPTY.newest == -math.inf
     assert trajectory.read(write(tmp_path)).last == -1
     (tmp_path / "empty.mcap").write_bytes(b"")
     assert trajectory.read(tmp_path / "empty.mcap").last == -1

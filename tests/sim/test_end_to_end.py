@@ -94,29 +94,21 @@ def test_a_stopped_app_is_named_and_the_run_goes_on(undisturbed):
 
 
 def test_nothing_survives_the_end_or_a_killed_parent():
-    with Simulation("consensus", "--seconds", "60", "--latency", "10ms") as simulation:
+    with Simulation("consensus", "--robots", "2", "--seconds", "60", "--latency", "10ms") as simulation:
         simulation.wait_for("r0", 5)
-        assert len(processes_of(simulation.run_dir)) > 12
+        assert len(processes_of(simulation.run_dir)) > 8
         simulation.process.send_signal(signal.SIGKILL)
         wait_until(lambda: not processes_of(simulation.run_dir), what="all children are gone")
         # What the killed run left (sockets, locks, snapshots) does not hinder the next.
-        again = [sys.executable, "-m", "swarm.cli", "sim", "consensus", "--iterations", "20", "--run-dir"]
-        done = subprocess.run([*again, str(simulation.run_dir)], capture_output=True, text=True, check=False)
+        again = ["consensus", "--robots", "2", "--iterations", "20", "--run-dir", str(simulation.run_dir)]
+        command = [sys.executable, "-m", "swarm.cli", "sim", *again]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert not processes_of(simulation.run_dir)
 
 
-def test_ctrl_c_ends_it_with_a_report():
-    with Simulation("consensus", "--seconds", "60") as simulation:
-        simulation.wait_for("r0", 5)
-        simulation.process.send_signal(signal.SIGINT)
-        report = simulation.finish(timeout_s=20)
-        assert report["iterations"] >= 4
-        assert not processes_of(simulation.run_dir)
-
-
-def test_a_second_simulation_at_the_same_place_is_refused():
-    with Simulation("consensus", "--seconds", "60") as simulation:
+def test_a_second_simulation_at_the_same_place_is_refused_and_ctrl_c_ends_the_first_with_a_report():
+    with Simulation("consensus", "--robots", "2", "--seconds", "60") as simulation:
         simulation.wait_for("r0", 1)
         command = [sys.executable, "-m", "swarm.cli", "sim", "--run-dir", str(simulation.run_dir)]
         second = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -124,6 +116,10 @@ def test_a_second_simulation_at_the_same_place_is_refused():
         assert "already running" in second.stderr
         assert "--run-dir" in second.stderr
         simulation.wait_for("r0", 10)  # the first one did not notice
+        simulation.process.send_signal(signal.SIGINT)
+        report = simulation.finish()
+        assert report["iterations"] >= 9
+        assert not processes_of(simulation.run_dir)
 
 
 def test_a_broken_app_file_is_named(tmp_path):
@@ -145,7 +141,7 @@ def test_an_app_that_raises_is_named_with_robot_and_iteration(iteration, tmp_pat
         f"        self.value = 1 / ({iteration} - self.k)\n"
     )
     with pytest.raises(SimulationError, match=rf"iteration {iteration}") as failure:
-        simulate(str(app), "--iterations", "20")
+        simulate(str(app), "--robots", "2", "--iterations", "20")
     assert "no first iteration" not in str(failure.value)
 
 
@@ -174,6 +170,7 @@ def test_one_robot_alone_runs():
     assert report["result"] == {"r0": {"value": 2.0}}
 
 
+@pytest.mark.slow
 def test_localization_finds_the_target():
     report = simulate("localization", "--iterations", "60")
     assert report["error_cm"] < 15

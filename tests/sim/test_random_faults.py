@@ -84,7 +84,7 @@ def test_recordings_are_read_epoch_by_epoch(tmp_path: Path) -> None:
     path = tmp_path / "r0.restless.mcap"
     path.write_bytes(writer.take())
     pair = Graph(("r0", "r1"), list(links))
-    first, second = restless_rule.read({"r0": path}, pair).values()
+    first, second = restless_rule.read({"r0": [path]}, pair).values()
     assert (first.counter, first.first, first.states) == (0, 0, {"r0": {0: (0.0, 0), 1: (0.25, 1)}})
     assert (second.counter, second.first, second.graph.edges) == (1, 1, links)
     assert second.states == {"r0": {1: (0.25, 1)}}

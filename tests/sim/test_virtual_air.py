@@ -25,6 +25,10 @@ class FakeMesh:
         self.session, self.end, self.heard, self.failed, self.down = FakeSession(), None, [], [], []
         air.add(self)
 
+    @property
+    def now(self):
+        return self.time.now
+
     def _take(self, end):
         self.end, end.session = end, self.session
 

@@ -4,7 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from services.sim.virtual.run import simulate
+from services.sim.options import parse
+from services.sim.report import summary
+from services.sim.scenario import build
+from services.sim.virtual.run import PLACE, simulate
+from services.sim.virtual.run import Run as Virtual
+from swarm.messages import SetAppParameters, read
 from swarm.recording.run import Run
 
 EDGES_OF_LINE = 5
@@ -199,3 +204,38 @@ def test_a_periodic_app_follows_an_automatic_topology(tmp_path):
     results = report["result"].values()
     assert all(result["near"] == result["links"] for result in results)
     assert max(result["changes"] for result in results) == 2
+
+
+def test_parameters_of_a_channel_change_while_it_runs(tmp_path):
+    app = tmp_path / "tuned.py"
+    app.write_text(
+        "from swarm import PeriodicApp, SyncApp, channel, parameter\n\n\n"
+        "class Hold(SyncApp):\n    value: float\n    gain: float = parameter(0.5, low=0, high=1, live=True)\n"
+        "    fixed: int = parameter(3)\n\n"
+        "    def step(self, neighbours):\n        self.value = self.gain\n\n\n"
+        "class Tuned(PeriodicApp):\n    x: float\n    inner = channel(Hold)\n    inner_most: float = parameter(1.0)\n"
+        '    _told: str = ""\n\n'
+        "    def step(self, neighbours):\n        self.x = self.inner.value\n\n"
+        "    def on_parameter(self, name):\n        self._told += name\n\n"
+        '    def result(self):\n        return {"x": self.x, "told": self._told, "most": self.inner_most}\n'
+    )
+    options = parse([str(app), "--virtual", "--robots", "2", "--seconds", "4", "--set", "inner_gain=0.25"])
+    run = Virtual(options, build(options, PLACE))
+    bus, answers, told = run.world.robots["r0"].meshes_bus, [], []
+    bus.subscribe("swarm/r0/app/tuned/parameters_set", lambda name, data: answers.append(read(name, data).problem))
+    bus.subscribe("swarm/r0/app/tuned/parameters", lambda name, data: told.append(read(name, data).parameters))
+    for at, values in enumerate(({"inner_gain": 0.75, "inner_most": 2.0}, {"inner_gain": 1.5}, {"inner_fixed": 4}), 1):
+        change = SetAppParameters(str(at), values)
+        run.world.time.at(float(at), bus.publish, "swarm/r0/app/tuned/set/parameters", change)
+    report = summary(run.go())
+    assert report["problems"] == []
+    assert report["result"]["r0"] == {"x": 0.75, "told": "inner_gaininner_most", "most": 2.0}
+    assert report["result"]["r1"] == {"x": 0.25, "told": None, "most": 1.0}
+    assert answers == [
+        "",
+        "app tuned on r0: channel inner: gain: expected a finite number from 0 to 1, got 1.5",
+        "app tuned on r0: channel inner: fixed: cannot be changed while the app runs: it is declared without live=True",
+    ]
+    assert told[0]["inner_gain"].value == 0.25
+    assert told[-1]["inner_gain"].value == 0.75
+    assert told[-1]["inner_fixed"].live is False

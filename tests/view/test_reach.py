@@ -49,6 +49,7 @@ class Tunnel:
 @pytest.fixture
 def view(monkeypatch: pytest.MonkeyPatch) -> Iterator[Robots]:
     monkeypatch.setattr(module, "Tunnel", Tunnel)
+    monkeypatch.setattr(module, "GRACE_S", 0.0)
     view = Robots(parse(CONFIG, Path("swarm.toml")), [Host("r0", "r0"), Host("r1", "r1")], Ssh())
     yield view
     view.close()

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,8 @@ SWARM_RUNTIME={runtime} exec {python} "$@"
 """
 RED = Leds(1.0, red=True, yellow=False, green=False)
 MESH = "[mesh]\ninsecure = true\nheartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n"
+wait = partial(wait_until, timeout=40.0)
+"""For many processes on a busy machine."""
 LINE = '[topology]\nshape = "line"\n'
 
 
@@ -134,22 +137,22 @@ def test_one_robot_shows_all_of_them(swarm: Swarm) -> None:
         swarm.buses["r2"].publish("swarm/r2/dwm/pose", pose)
         return newest(view, "r2", "dwm/pose") is not None and reach(view, "r1") == "mesh"
 
-    wait_until(all_seen, what="r2 is seen two links away")
+    wait(all_seen, what="r2 is seen two links away")
     assert newest(view, "r2", "dwm/pose")["x"] == 1.25
     assert "raw_x" not in newest(view, "r2", "dwm/pose")
     assert {reach(view, name) for name in ("r1", "r2")} == {"mesh"}
-    wait_until(lambda: reach(view, "r0") == "ssh")
-    wait_until(lambda: newest(view, "r1", "mesh/links"))
+    wait(lambda: reach(view, "r0") == "ssh")
+    wait(lambda: newest(view, "r1", "mesh/links"))
     assert [link["peer"] for link in newest(view, "r1", "mesh/links")["links"]] == ["r0", "r2"]
-    wait_until(lambda: view.picture.services().get("r2") == {"mesh": True})
+    wait(lambda: view.picture.services().get("r2") == {"mesh": True})
 
     # A stop goes out on the one bus, and all say that they have obeyed; so it is taken back.
     control = Control(view, allowed=True)
     control.do({"act": "stop"})
-    wait_until(lambda: all((newest(view, name, "mesh/stopped") or {}).get("stopped") for name in view.config.names))
+    wait(lambda: all((newest(view, name, "mesh/stopped") or {}).get("stopped") for name in view.config.names))
     control.repeat()
     control.do({"act": "arm"})
-    wait_until(lambda: not any(newest(view, name, "mesh/stopped")["stopped"] for name in view.config.names))
+    wait(lambda: not any(newest(view, name, "mesh/stopped")["stopped"] for name in view.config.names))
     with pytest.raises(LocalError, match="simulated robots only"):
         control.do({"act": "kill", "robot": "r0", "service": "mesh"})
     with pytest.raises(LocalError, match="over the mesh alone"):
@@ -157,7 +160,7 @@ def test_one_robot_shows_all_of_them(swarm: Swarm) -> None:
 
     # One goes in mid-view.
     swarm.meshes["r2"].kill()
-    wait_until(lambda: reach(view, "r2") is None, timeout=15, what="r2 is out of reach")
+    wait(lambda: reach(view, "r2") is None, what="r2 is out of reach")
     assert "r2 out of reach: the mesh has lost it" in events(view)
     assert reach(view, "r1") == "mesh"
 
@@ -185,7 +188,8 @@ def test_what_breaks_is_said_and_mended_and_nothing_stays_behind(swarm: Swarm) -
     swarm.buses["r0"].subscribe("swarm/stop", lambda key, payload: heard.append(read(key, payload)))
     control = Control(view, allowed=True)
     control.do({"act": "stop"})
-    wait_until(lambda: heard)
+    # As the server does: nobody has confirmed it, and the subscription is younger than the first one.
+    wait_until(lambda: heard or control.repeat(), what="the stop is on the robot's bus")
     assert isinstance(heard[0], Stop)
     pid = swarm.lookout()
     view.close()

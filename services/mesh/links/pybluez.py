@@ -70,9 +70,12 @@ class Record:
 
     def __init__(self, descriptor: int) -> None:
         bluetooth = load()
-        # PyBluez advertises only sockets of its own class, and takes no descriptor: give one of its own ours.
+        # PyBluez advertises only sockets of its own class on which its own listen was called, and takes no descriptor:
+        # one of its own listens for a moment, on whichever channel is free, and is given ours then.
         self._sock = bluetooth.BluetoothSocket(bluetooth.RFCOMM)
         try:
+            self._sock.bind(("", 0))
+            self._sock.listen(1)
             os.dup2(descriptor, self._sock.fileno(), inheritable=False)
             bluetooth.advertise_service(
                 self._sock,

@@ -33,7 +33,7 @@ Open = Callable[[], socket.socket]
 
 HINTS = {
     errno.EHOSTUNREACH: "the own Bluetooth adapter is not there or switched off (bluetoothctl list)",
-    errno.EHOSTDOWN: "not in range, or switched off",
+    errno.EHOSTDOWN: "not in range, switched off, or deaf to robots it is not paired with (swarm pair)",
     errno.EBUSY: "an earlier connection to it has not ended yet",
     errno.ECONNREFUSED: "it is there, but no mesh listens on that channel",
     errno.EACCES: "it refuses to pair for encryption",

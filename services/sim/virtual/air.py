@@ -80,10 +80,10 @@ class Air:
         if session is None or not end.alive:
             return
         if self._model.bandwidth is None:
-            while data := session.data_to_send(now, CHUNK):
+            while data := session.data_to_send(end.mesh.now, CHUNK):
                 self._plan(end, end.line.push(data, now))
             return
-        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(now, CHUNK)):
+        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(end.mesh.now, CHUNK)):
             end.socket.append(data)
         self._send(end)
 

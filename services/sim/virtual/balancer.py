@@ -12,7 +12,7 @@ from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim,
 from services.sim.core.witness import Witness
 from services.sim.virtual.body import BALANCING, VirtualBody
 from services.sim.virtual.bus import VirtualBus
-from services.sim.virtual.events import EventQueue
+from services.sim.virtual.events import Time
 from swarm.config import Config
 from swarm.core.hands import BUTTONS, Act, Lay, Place, Press, Push
 from swarm.errors import LocalError, PayloadError
@@ -51,7 +51,7 @@ class VirtualBalancer:
         config: Config,
         robot: str,
         model: str,
-        time: EventQueue,
+        time: Time,
         bus: VirtualBus,
         seed: object,
         witness: Witness | None = None,
@@ -83,6 +83,11 @@ class VirtualBalancer:
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
         if witness is not None:
             time.soon(self._be_seen, witness)
+
+    def look(self) -> VirtualBody:
+        """Its body, as it is now."""
+        self.body.advance(self._time.now)
+        return self.body
 
     def act(self, act: Act) -> None:
         """What a person does to it."""
@@ -144,7 +149,7 @@ class VirtualBalancer:
             return
         self.led_changes.append((now, lamps))
         if self._witness is not None:
-            self._witness.leds(self.robot, now, yellow=lamps[1])
+            self._witness.leds(self.robot, self._time.true, yellow=lamps[1])
         self._bus.publish(self._keys["leds"], Leds(now, *lamps))
         self._bus.publish(self._sim_leds_key, LedChange(now, *lamps))
 
@@ -200,7 +205,7 @@ class VirtualBalancer:
         now, body = self._time.now, self.body
         self._time.at(now + TELEMETRY, self._be_seen, witness)
         body.advance(now)
-        witness.pose(self.robot, now, (body.x, body.y), body.tilt)
+        witness.pose(self.robot, self._time.true, (body.x, body.y), body.tilt)
 
     def _tell_slowly(self) -> None:
         """What is told once a second."""

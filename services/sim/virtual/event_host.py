@@ -187,8 +187,9 @@ class VirtualEventHost:
         if call.handler in ("start", "on_parameter"):
             self._changes.tell()
         if call.handler == "start" and self.channels is not None:
-            for part in self.channels.strands:
-                getattr(runner.app, part).begin()
+            for part, strand in self.channels.strands.items():
+                strand.runner.changed = self._changes.tell
+                getattr(runner.app, part).begin(strand.runner.change)
             self.channels.start()
         if runner.period is not None and runner.period != core.period:
             core.set_period(runner.period, now)

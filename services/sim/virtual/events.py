@@ -2,6 +2,7 @@
 equal. That order is all there is of time, so equal seeds make equal runs."""
 
 import heapq
+import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -26,6 +27,11 @@ class EventQueue:
         self._present: deque[_Call] = deque()
         """What is planned for this moment."""
         self._soon: deque[_Call] = deque()
+
+    @property
+    def true(self) -> float:
+        """The world's time, whoever's clock this is."""
+        return self.now
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
         """Call at `time`; at once, but not before what is planned already, where it is past."""
@@ -71,3 +77,36 @@ class EventQueue:
             return False
         finally:
             self.done += done
+
+
+class LocalTime:
+    """The same by a robot's own clock: another zero, and a rate that errs. What runs on the robot knows no other."""
+
+    def __init__(self, world: EventQueue, offset: float, rate: float) -> None:
+        """The clock shows `offset` + (1 + `rate`) t at time t of the world, s; 1e-5 is 10 ppm too fast."""
+        self._world = world
+        self._offset, self._rate = offset, 1.0 + rate
+
+    @property
+    def now(self) -> float:
+        """What the clock shows, s."""
+        return self._offset + self._rate * self._world.now
+
+    @property
+    def true(self) -> float:
+        """See `EventQueue`."""
+        return self._world.now
+
+    def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
+        """See `EventQueue`; never before this clock shows `time`, or who asks whether it is due asks for ever."""
+        true = (time - self._offset) / self._rate
+        while self._offset + self._rate * true < time:
+            true = math.nextafter(true, math.inf)
+        self._world.at(true, call, *arguments)
+
+    def soon(self, call: Callable[..., object], *arguments: Any) -> None:
+        """See `EventQueue`."""
+        self._world.soon(call, *arguments)
+
+
+Time = EventQueue | LocalTime

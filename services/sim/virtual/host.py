@@ -7,7 +7,7 @@ from services.apps.core.strand import Strand, Terms
 from services.apps.host import TICK, schema_of
 from services.apps.runner import Runner
 from services.sim.virtual.bus import VirtualBus
-from services.sim.virtual.events import EventQueue
+from services.sim.virtual.events import Time
 from services.sim.virtual.strand import Measurements, Told, VirtualStrand
 from swarm.codec import decode
 from swarm.conduct import Conduct
@@ -31,7 +31,7 @@ class Place(NamedTuple):
     graph: Graph
     run: int
     conduct: Conduct
-    time: EventQueue
+    time: Time
     bus: VirtualBus
     incarnation: int = 1
     """Goes up with every start of the robot."""

@@ -21,7 +21,7 @@ from services.mesh.core.topology import Ground
 from services.mesh.door import Door
 from services.sim.virtual.air import Air, End
 from services.sim.virtual.bus import VirtualBus
-from services.sim.virtual.events import EventQueue
+from services.sim.virtual.events import Time
 from swarm.codec import MAX_BINARY
 from swarm.config import Config
 from swarm.keys import key
@@ -68,7 +68,7 @@ class VirtualMesh:
         self,
         common: Common,
         robot: str,
-        time: EventQueue,
+        time: Time,
         air: Air,
         bus: VirtualBus,
         seed: object,
@@ -126,6 +126,11 @@ class VirtualMesh:
         time.soon(self._carry_out)
         # Robots are not switched on in the same microsecond: their reports do not all fall on one moment.
         time.at(time.now + REPORT_PERIOD * numbers.random(), self._report_regularly)
+
+    @property
+    def now(self) -> float:
+        """By the robot's clock, s."""
+        return self._time.now
 
     @property
     def sent(self) -> int:

@@ -6,6 +6,7 @@ import os
 import random
 import time as real_time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from services.apps import loader
@@ -67,10 +68,11 @@ class Run:
             body=options.body,
             mesh=mesh,
             lying=scenario.lying,
+            skew=options.clock_skew,
             witness=self._witness,
         )
         self._tapes = {name: Tape(keep=self._rows) for name in names}
-        self._recording: PlainRecording | None = None
+        self._recordings: list[PlainRecording] = []
         self._recorders: dict[str, Recorder] = {}
         self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
         self._running = set(names)
@@ -105,8 +107,8 @@ class Run:
         with _without_looking_for_garbage():
             self._watch()
         ended_at = world.time.now
-        if self._recording is not None:
-            self._recording.close()
+        for recording in self._recordings:
+            recording.close()
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
 
@@ -138,29 +140,35 @@ class Run:
     def _advanced(self, teller: Teller, line: Line) -> None:
         """A robot has done an iteration."""
         name = teller.robot
-        self._last_progress = line.t
+        self._last_progress = now = self.world.time.now
         if self._recorders:
             if line.measurement is not None:
                 self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
             self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
         if teller.part:
             return
-        self._tapes[name].write(teller, line)
+        self._tapes[name].write(teller, line._replace(t=now) if self._options.clock_skew else line)
         if self._started is None and (line.k >= 1 or _has_no_steps(teller)):
             self._missing_first.discard(name)
             if not self._missing_first:
                 self._first_done()
 
     def _begin_record(self, place: Path, app: loader.App, number: int) -> None:
-        """Begin the recording: one file for all robots."""
+        """Begin the recording: one file for all robots, or one for each where each has a clock of its own."""
         run = folder.describe(app.name, number, self._options.seed, app.digest)
         folder.begin(place, run, {folder.CONFIG_FILE: dump(self._scenario.config).encode()})
-        self._recording = recording = PlainRecording(place / f"{app.name}{SUFFIX}", run)
-        self._recorders = {name: Recorder(recording, name, app.name) for name in self._scenario.config.names}
+        names = self._scenario.config.names
+        if self._options.clock_skew:
+            files = {name: PlainRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in names}
+            self._recordings = list(files.values())
+        else:
+            self._recordings = [PlainRecording(place / f"{app.name}{SUFFIX}", run)]
+            files = dict.fromkeys(names, self._recordings[0])
+        self._recorders = {name: Recorder(files[name], name, app.name) for name in names}
         self.world.records = {name: recorder.value for name, recorder in self._recorders.items()}
         for name, robot in self.world.robots.items():
             bus = VirtualBus(robot.router)
-            watch = Watch(bus, name, app.name, recording, lambda: self.world.time.now)
+            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"))
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 
@@ -190,7 +198,7 @@ class Run:
     def _switched(self, teller: Teller, epoch: AppEpoch) -> None:
         """The members have changed."""
         name = teller.robot
-        self._last_progress = epoch.t
+        self._last_progress = self.world.time.now
         if self._recorders:
             self._recorders[name].epoch(epoch, teller.part)
         if teller.part:

@@ -8,7 +8,7 @@ from services.apps import ballots
 from services.apps.core.strand import ALONE, Renew, Strand
 from services.apps.runner import AppRunner, Runner
 from services.sim.virtual.bus import VirtualBus
-from services.sim.virtual.events import EventQueue
+from services.sim.virtual.events import Time
 from swarm.codec import Value
 from swarm.core.epoch_notes import Kept
 from swarm.core.epochs import Keep, Order, Switch, Tell
@@ -92,7 +92,7 @@ class VirtualStrand:
         robot: str,
         app: str,
         part: str,
-        time: EventQueue,
+        time: Time,
         bus: VirtualBus,
         measurements: Measurements | None,
         told: Told,

@@ -15,7 +15,7 @@ from services.sim.core.uwb import PERIOD, Module, Tag
 from services.sim.module import module_address
 from services.sim.virtual.balancer import VirtualBalancer
 from services.sim.virtual.bus import VirtualBus
-from services.sim.virtual.events import EventQueue
+from services.sim.virtual.events import Time
 from swarm.config import Config, Robot
 from swarm.keys import key
 
@@ -59,13 +59,13 @@ class ModuleField:
         """A robot whose module is an anchor."""
         self._carried[robot] = (address, balancer)
 
-    def around(self, robot: str, now: float) -> list[Module]:
+    def around(self, robot: str) -> list[Module]:
         """What a robot's module may range to."""
         modules = [Module(each.address, *each.place, each.known) for each in self._standing]
         for name, (address, balancer) in self._carried.items():
             if name != robot:
-                balancer.body.advance(now)
-                modules.append(Module(address, balancer.body.x, balancer.body.y, 0.0, NOWHERE))
+                body = balancer.look()
+                modules.append(Module(address, body.x, body.y, 0.0, NOWHERE))
         return modules
 
 
@@ -78,7 +78,7 @@ class VirtualDwm:
         known: Robot,
         field: ModuleField,
         balancer: VirtualBalancer,
-        time: EventQueue,
+        time: Time,
         bus: VirtualBus,
         seed: int,
     ) -> None:
@@ -107,10 +107,9 @@ class VirtualDwm:
             return
         if self._localizer is None:
             self._localizer = Localizer(self, now)
-        body = self._balancer.body
-        body.advance(now)
+        body = self._balancer.look()
         location = (
-            self._tag.measure(self._field.around(self.robot, now), body.x, body.y, body.heading)
+            self._tag.measure(self._field.around(self.robot), body.x, body.y, body.heading)
             if self._is_tag
             else Location(NOWHERE, ())
         )

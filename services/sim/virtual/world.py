@@ -1,6 +1,7 @@
 """A swarm under virtual time: for each robot a bus with mesh, balancer, dwm and the hosts of its apps; and the air."""
 
 import logging
+import random
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from services.sim.virtual.body import DIFFERENTIAL
 from services.sim.virtual.bus import VirtualBus, VirtualRouter
 from services.sim.virtual.delays import DelayMesh
 from services.sim.virtual.event_host import VirtualEventHost
-from services.sim.virtual.events import EventQueue
+from services.sim.virtual.events import EventQueue, LocalTime, Time
 from services.sim.virtual.host import Place, VirtualHost
 from services.sim.virtual.measurements import Live, Replayed
 from services.sim.virtual.mesh import FIRST_INCARNATION, Common, VirtualMesh
@@ -44,6 +45,9 @@ from swarm.robot import Robot
 ASK_EVERY = 0.2
 """s between two looks whether an automatic topology links all robots yet, as the real host has it."""
 
+LONGEST_UP = 3600.0
+"""s since when robots may be up whose clocks are not one: so far their zeros lie apart."""
+
 
 @dataclass
 class VirtualRobot:
@@ -56,6 +60,8 @@ class VirtualRobot:
     """Where the messages of others appear."""
     balancer: VirtualBalancer
     dwm: VirtualDwm
+    time: Time
+    """Its clock."""
     apps: dict[str, VirtualHost | VirtualEventHost] = field(default_factory=dict)
     starts: int = 1
     """How often it was switched on."""
@@ -91,10 +97,12 @@ class World:
         body: str = DIFFERENTIAL,
         mesh: str = FROM_START,
         lying: str | None = None,
+        skew: float = 0.0,
         witness: Witness | None = None,
     ) -> None:
         """`body`: which model of `services.sim.virtual.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
-        which robots begin, if they do not stand; `witness`: who is told what is to be seen."""
+        which robots begin, if they do not stand; `skew`: how far the rates of their clocks err at most, 1e-6 = 1 ppm
+        (then their zeros differ, too); `witness`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
@@ -106,6 +114,7 @@ class World:
         """By robot, what `robot.record` calls, where the run is recorded."""
         self._body = body
         self._lying = lying
+        self._skew = skew
         self._witness = witness
         self._names = frozenset(config.names)
         self._launched: dict[str, Launch] = {}
@@ -147,7 +156,7 @@ class World:
         if isinstance(there.mesh, VirtualMesh):
             there.meshes_bus = VirtualBus(there.router)
             there.mesh = VirtualMesh(
-                self._common, robot, self.time, self.air, there.meshes_bus, self.seed, incarnation=there.starts
+                self._common, robot, there.time, self.air, there.meshes_bus, self.seed, incarnation=there.starts
             )
         for launch, kept in begun:
             self._begin(robot, launch, kept)
@@ -173,8 +182,8 @@ class World:
         if config.auto:
             mesh = self.robots[robot].mesh
             assert isinstance(mesh, VirtualMesh)  # an automatic topology is found by meshes
-            in_force = mesh.node.overlays.topology(self.time.now)
-            if topology.lacking(config, in_force, self.time.now):
+            in_force = mesh.node.overlays.topology(mesh.now)
+            if topology.lacking(config, in_force, mesh.now):
                 self.time.at(self.time.now + ASK_EVERY, self._begin, robot, launch, kept)
                 return
             links = topology.of_edges(config, in_force.edges)
@@ -185,7 +194,7 @@ class World:
             self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
         there = self.robots[robot]
         begin = self._begin_with[epoch]
-        place = Place(robot, self._names, *begin, run, conduct, self.time, bus, there.starts, kept)
+        place = Place(robot, self._names, *begin, run, conduct, there.time, bus, there.starts, kept)
         self._equip(instance.robot, bus, place.prefix)
         host: VirtualHost | VirtualEventHost
         if isinstance(instance, EventApp):
@@ -234,8 +243,10 @@ class World:
     def _equip(self, robot: Robot, bus: VirtualBus, prefix: str) -> None:
         """Put in what an app on a bus has: the clients that run on robots, told the virtual time."""
 
+        time = self.robots[robot.name].time
+
         def now() -> float:
-            return self.time.now
+            return time.now
 
         robot.log = logging.getLogger(robot.name)
         robot.time = now
@@ -252,23 +263,27 @@ class World:
         others = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
         for name, robot in self.robots.items():
             assert isinstance(robot.mesh, VirtualMesh)
-            robot.mesh.node.overlays.settle(links[name], others, self.time.now)
+            robot.mesh.node.overlays.settle(links[name], others, robot.mesh.now)
 
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
+        time: Time = self.time
+        if self._skew:
+            numbers = random.Random(f"{self.seed} {name} clock")
+            time = LocalTime(self.time, numbers.uniform(0.0, LONGEST_UP), numbers.uniform(-self._skew, self._skew))
         meshes_bus, bus = VirtualBus(router), VirtualBus(router)
         mesh: VirtualMesh | DelayMesh
         if self._mesh == DELAY:
             mesh = DelayMesh(self.config, name, self._common.near[name], self._model, self.time, meshes_bus)
         else:
-            mesh = VirtualMesh(self._common, name, self.time, self.air, meshes_bus, self.seed)
-        balancer = VirtualBalancer(self.config, name, self._body, self.time, bus, self.seed, self._witness)
+            mesh = VirtualMesh(self._common, name, time, self.air, meshes_bus, self.seed)
+        balancer = VirtualBalancer(self.config, name, self._body, time, bus, self.seed, self._witness)
         if self._lying is not None:
-            balancer.body.lay(self._lying, self.time.now)
+            balancer.body.lay(self._lying, time.now)
         dwm = VirtualDwm(
-            self.config, self._common.robots[name], self.modules, balancer, self.time, VirtualBus(router), self.seed
+            self.config, self._common.robots[name], self.modules, balancer, time, VirtualBus(router), self.seed
         )
-        return VirtualRobot(name, router, mesh, meshes_bus, balancer, dwm)
+        return VirtualRobot(name, router, mesh, meshes_bus, balancer, dwm, time)
 
 
 def _taking(channel: Channel) -> Callable[[int, bytes], None]:

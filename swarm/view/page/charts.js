@@ -1,9 +1,10 @@
-// Charts of any number of any key: one line for each robot that has it. Drawn by uPlot (vendor/).
+// Charts of any number of any key: one line for each robot that has it. Drawn by uPlot (vendor/). What counts iterations
+// (states of apps) may be drawn over them, anything over time.
+
+import { dig } from "./panels.js";
 
 const WINDOW = 120; // s
 const REDRAW_MS = 200;
-
-const dig = (value, path) => path.reduce((each, name) => each?.[name], value);
 
 export class Charts {
   constructor(section, store, ask) {
@@ -27,9 +28,17 @@ export class Charts {
       this.charts.delete(name);
       element.remove();
     });
-    element.append(close);
+    const over = document.createElement("button");
+    over.type = "button";
+    over.hidden = true;
+    over.addEventListener("click", () => {
+      chart.over = chart.over === "k" ? "t" : "k";
+      chart.lines = [];
+      this.drawn = -Infinity;
+    });
+    element.append(over, close);
     this.section.append(element);
-    const chart = { topic, path, name, element, points: new Map(), plot: null, lines: [] };
+    const chart = { topic, path, name, element, button: over, over: topic.startsWith("app/") ? "k" : "t", points: new Map(), plot: null, lines: [], stale: true };
     this.charts.set(name, chart);
     for (const robot of this.store.names) this.ask({ history: { robot, topic } });
   }
@@ -38,8 +47,9 @@ export class Charts {
   history({ robot, topic, rows }) {
     for (const chart of this.charts.values()) {
       if (chart.topic !== topic) continue;
-      const before = rows.map(([t, value]) => [t, dig(value, chart.path)]).filter(([, y]) => typeof y === "number");
+      const before = rows.map(([t, value]) => [t, dig(value, chart.path), value?.k]).filter(([, y]) => typeof y === "number");
       const now = chart.points.get(robot) ?? [];
+      chart.stale = true;
       chart.points.set(robot, [...before.filter(([t]) => !now.length || t < now[0][0]), ...now]);
     }
   }
@@ -51,7 +61,8 @@ export class Charts {
         if (typeof y !== "number") continue;
         if (!chart.points.has(robot)) chart.points.set(robot, []);
         const points = chart.points.get(robot);
-        points.push([step.t, y]);
+        points.push([step.t, y, topics[chart.topic].k]);
+        chart.stale = true;
         while (points.length && points[0][0] < step.t - WINDOW) points.shift();
       }
     }
@@ -60,29 +71,43 @@ export class Charts {
   draw(now) {
     if (now < this.drawn + REDRAW_MS) return;
     this.drawn = now;
-    for (const chart of this.charts.values()) this.redraw(chart);
+    for (const chart of this.charts.values()) if (chart.stale || !chart.lines.length || chart.plot?.width !== this.width()) this.redraw(chart);
+  }
+
+  // At once, whatever has been drawn when.
+  flush() {
+    this.drawn = -Infinity;
+    this.draw(0);
   }
 
   redraw(chart) {
     const robots = this.store.names.filter((name) => chart.points.get(name)?.length);
     if (!robots.length) return;
-    const data = uPlot.join(robots.map((name) => [chart.points.get(name).map((each) => each[0]), chart.points.get(name).map((each) => each[1])]));
-    const width = Math.max(240, this.section.clientWidth - 24);
+    const counts = robots.every((name) => typeof chart.points.get(name)[0][2] === "number"), over = counts ? chart.over : "t", width = this.width();
+    const data = uPlot.join(robots.map((name) => columns(chart.points.get(name), over === "k" ? 2 : 0)));
+    chart.stale = false;
+    chart.button.hidden = !counts;
+    chart.button.textContent = over === "k" ? "over time" : "over iterations";
     if (!chart.plot || chart.lines.join() !== robots.join()) {
       chart.plot?.destroy();
       chart.lines = robots;
       const ink = getComputedStyle(document.documentElement).getPropertyValue("--ink").trim();
-      const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
+      const digits = (_, values) => values.map((each) => String(+each.toPrecision(5)));
+      const axis = { values: digits, stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
       chart.plot = new uPlot({
         title: chart.name, width, height: 220,
         scales: { x: { time: false } },
-        axes: [{ ...axis, label: "t, s" }, { ...axis }],
-        series: [{ label: "t" }, ...robots.map((name) => ({ label: name, stroke: this.store.colour(name), width: 1.6, spanGaps: true }))],
+        axes: [{ ...axis, label: over === "k" ? "k" : "t, s" }, { ...axis }],
+        series: [{ label: over }, ...robots.map((name) => ({ label: name, stroke: this.store.colour(name), width: 1.6, spanGaps: true }))],
       }, data, chart.element);
     } else {
       if (chart.plot.width !== width) chart.plot.setSize({ width, height: 220 });
       chart.plot.setData(data);
     }
+  }
+
+  width() {
+    return Math.max(240, this.section.clientWidth - 24);
   }
 
   restyle() {
@@ -96,4 +121,14 @@ export class Charts {
       for (const robot of this.store.names) this.ask({ history: { robot, topic: chart.topic } });
     }
   }
+}
+
+// x and y of a line; x goes up (an iteration that is told twice counts once, a run that begins anew hides the one before).
+function columns(points, x) {
+  const kept = [];
+  for (const point of points) {
+    while (kept.length && kept.at(-1)[x] >= point[x]) kept.pop();
+    kept.push(point);
+  }
+  return [kept.map((each) => each[x]), kept.map((each) => each[1])];
 }

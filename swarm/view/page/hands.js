@@ -53,7 +53,7 @@ export class Hands {
     const text = stopped.length ? `STOPPED ${stopped.length}/${names.length}` : "STOP";
     if (this.stop.textContent !== text) this.stop.textContent = text;
     this.drawApps(control);
-    this.panel.hidden = !control || !robot;
+    this.panel.hidden = !control || !robot || this.store.swarm.kind !== "simulation";
     if (this.panel.hidden) return;
     const peers = (this.store.get(robot, "mesh/links")?.links ?? []).map((each) => each.peer);
     const services = Object.keys(this.store.services[robot] ?? {}).sort();
@@ -95,7 +95,7 @@ export class Hands {
   }
 
   drawApps(control) {
-    this.apps.hidden = !control;
+    this.apps.hidden = !control || this.store.swarm.kind !== "simulation";
     if (!control) return;
     const apps = this.running(this.store.names), known = JSON.stringify(apps);
     if (known === this.known) return;

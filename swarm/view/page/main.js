@@ -16,6 +16,8 @@ const PANELS_MS = 100;
 
 const find = (selector) => document.querySelector(selector);
 const store = new Store();
+const wanted = new URLSearchParams(location.search);
+const directed = wanted.has("directed"); // by a program that takes pictures: the page shows what it is told to, when it is
 let socket = null, heard = -Infinity, selected = null;
 
 const ask = (question) => {
@@ -58,41 +60,61 @@ function connect() {
       events.clear();
       front.clear();
     }
-    store.take(step, heard);
+    store.take(step, directed ? step.t * 1000 : heard);
     front.take(step);
     if (!first && !replaced) hands.take(step);
     charts.take(step);
     if (first || replaced) charts.refill();
     first = false;
+    player.taken();
   };
   socket.onclose = () => setTimeout(connect, RETRY_MS);
 }
 
-// In its own rhythm: the table need not be drawn as often as the map.
-setInterval(() => {
+function panels(now) {
   const connection = find("#connection"), silent = performance.now() - heard > SILENCE_MS;
   const [text, kind] = silent ? ["server lost", "bad"] : store.swarm?.recording ? ["recording", "good"] : store.live ? ["live", "good"] : [store.swarm?.kind === "robots" ? "no robot in reach" : "the run has ended", "warn"];
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
-  find("#kind").textContent = store.swarm ? `${store.swarm.kind}, ${store.names.length} robots` : "";
+  const about = store.swarm ? `${store.swarm.kind}, ${store.names.length} robots${directed && store.swarm.recording ? `, ${store.t.toFixed(2)} s` : ""}` : "";
+  if (find("#kind").textContent !== about) find("#kind").textContent = about;
   front.draw(selected);
   robots.draw(selected);
   events.draw(store.events);
   keys.draw();
   hands.draw(selected);
-  player.draw(performance.now());
   pace.draw();
-  charts.draw(performance.now());
-}, PANELS_MS);
+  charts.draw(now);
+}
 
-theme.set(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+// As a program wants it: an instant of a recording, or what is live now.
+async function show(t) {
+  if (t !== undefined) await player.seek(t);
+  const now = t === undefined ? performance.now() : t * 1000;
+  panels(now);
+  map.draw(now);
+  charts.flush();
+}
+
+theme.set(wanted.get("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
 find("#theme").addEventListener("click", () => {
   theme.toggle();
   charts.restyle();
 });
 
-// For whoever measures: pictures drawn, and how old the newest sample is.
-window.swarmView = { store, map, front, get frames() { return map.frames; } };
+// For whoever measures or takes pictures.
+window.swarmView = { store, map, front, charts, player, show };
 connect();
 
-// For a screenshot, which is taken when all has been loaded.
-if (new URLSearchParams(location.search).has("settle")) document.body.append(Object.assign(new Image(), { src: `settled${location.search}`, hidden: true }));
+for (const chart of wanted.getAll("chart")) {
+  const [topic, path] = chart.split(":");
+  charts.open(topic, path.split("."));
+}
+if (directed) document.body.classList.add("directed");
+else {
+  map.run();
+  // In its own rhythm: the table need not be drawn as often as the map.
+  setInterval(() => {
+    panels(performance.now());
+    player.draw(performance.now());
+  }, PANELS_MS);
+}

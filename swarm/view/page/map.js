@@ -1,13 +1,17 @@
-// The map: metres, anchors, robots, links, targets. Drawn on a canvas, a picture for each frame of the screen.
+// The map: metres, anchors, robots, links, targets. Looked at for each frame of the screen, drawn where something that can
+// be seen has changed. What seldom changes (grid, anchors, trails) is a picture of its own below the rest.
 
+import { Pen } from "./ink.js";
 import { sharp, theme } from "./theme.js";
 
-const BODY = 0.055; // half a Balboa's width, m
 const CROWD = 60; // robots above which links are thin, and trails and crowded names are left out
 const ROOM = 60; // pixels between robots of a crowd that have names
-const COLOURS = { up: "--good", suspect: "--warn", connecting: "--warn", down: "--bad" };
 const BUSY = 10; // messages a second above which a link no longer flashes
 const FLASH_MS = 160;
+const MARGIN = 0.3; // m around everything
+const LOOSE = 1.4; // times as large as it might be, and it is fitted anew
+const FINE = 2; // parts of a pixel that count as a change
+const FAR = 1e4; // m; what is further away is no place
 
 export class SwarmMap {
   constructor(canvas, store, select) {
@@ -16,38 +20,40 @@ export class SwarmMap {
     this.select = select;
     this.selected = null;
     this.view = null; // {x, y, scale}; null = fit
-    this.frames = 0;
-    this.context = canvas.getContext("2d");
+    this.box = null; // [left, bottom, right, top]: what is fitted
+    this.frames = 0; // frames of the screen at which it was up to date
+    this.drawn = 0; // of them those for which it had to be drawn
+    this.marks = [];
+    this.context = canvas.getContext("2d", { alpha: false });
+    this.below = document.createElement("canvas");
+    this.belowMarks = [];
     this.listen();
-    requestAnimationFrame((now) => this.draw(now));
   }
 
-  // Everything that has a place.
-  bounds(now) {
-    const points = (this.store.swarm?.anchors ?? []).map((anchor) => [anchor.x, anchor.y]);
-    for (const name of this.store.names) {
-      const place = this.place(name, now);
-      if (place) points.push([place.x, place.y]);
-    }
-    if (!points.length) return { x: 0, y: 0, width: 2, height: 2 };
-    const xs = points.map((each) => each[0]), ys = points.map((each) => each[1]);
-    // An estimate that is far off must not make everything else small.
-    const far = 2 * Math.max(1, Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys)), [x0, y0] = points[0];
-    for (const { x, y } of this.targets()) {
-      if (Math.abs(x - x0) > far || Math.abs(y - y0) > far) continue;
-      xs.push(x);
-      ys.push(y);
-    }
-    const x = (Math.min(...xs) + Math.max(...xs)) / 2, y = (Math.min(...ys) + Math.max(...ys)) / 2;
-    return { x, y, width: 1.06 * (Math.max(...xs) - Math.min(...xs)) + 0.6, height: 1.06 * (Math.max(...ys) - Math.min(...ys)) + 0.6 };
+  // With each frame of the screen, from now on.
+  run() {
+    requestAnimationFrame((now) => {
+      this.draw(now);
+      this.run();
+    });
   }
 
   // A robot without a pose yet has its place on a circle, so that its links can be seen.
-  place(name, now) {
-    const place = this.store.place(name, now);
-    if (place) return place;
-    const names = this.store.names, angle = (2 * Math.PI * names.indexOf(name)) / Math.max(1, names.length);
-    return names.some((each) => this.store.pose(each)) ? null : { x: Math.cos(angle), y: Math.sin(angle), heading: null, tilt: 0 };
+  places(now) {
+    const names = this.store.names, found = new Map();
+    for (const name of names) {
+      const place = this.store.place(name, now);
+      if (place) found.set(name, place);
+    }
+    if (this.imagined && found.size) this.box = null; // fitted to a circle that is no more
+    this.imagined = !found.size;
+    if (this.imagined) {
+      names.forEach((name, index) => {
+        const angle = (2 * Math.PI * index) / names.length;
+        found.set(name, { x: Math.cos(angle), y: Math.sin(angle), heading: null, tilt: 0 });
+      });
+    }
+    return found;
   }
 
   // Every robot's estimate of the target, where its app reports x and y.
@@ -55,192 +61,121 @@ export class SwarmMap {
     const found = [];
     for (const [name, apps] of this.store.apps) {
       for (const app of apps) {
-        const { x, y, sigma } = this.store.get(name, `${app}/state`)?.result ?? {};
-        if (typeof x === "number" && typeof y === "number" && Math.abs(x) < 1e4 && Math.abs(y) < 1e4) found.push({ name, x, y, sigma });
+        const { x, y, sigma, var_x: xx, cov_xy: xy, var_y: yy } = this.store.get(name, `${app}/state`)?.result ?? {};
+        if (!(Math.abs(x) < FAR && Math.abs(y) < FAR)) continue;
+        const known = typeof xx === "number" && typeof yy === "number" ? { xx, xy: xy ?? 0, yy } : typeof sigma === "number" ? { xx: sigma ** 2, xy: 0, yy: sigma ** 2 } : null;
+        if (known || app === "app/localization") found.push({ x, y, colour: this.store.colour(name), known }); // others tell their own place so
       }
     }
     return found;
   }
 
-  fit(now) {
-    const { width, height } = this.canvas;
-    const bounds = this.bounds(now);
-    return { x: bounds.x, y: bounds.y, scale: Math.min(width / bounds.width, height / bounds.height) };
+  // All that has a place, with room to move: the map does not follow each step.
+  fit(places, targets, width, height) {
+    const points = [...(this.store.swarm?.anchors ?? []), ...places.values()];
+    if (this.store.swarm?.target) points.push(this.store.swarm.target);
+    // An estimate that is far off must not make everything else small.
+    const apart = (name) => Math.max(...points.map((each) => each[name])) - Math.min(...points.map((each) => each[name]));
+    const far = points.length ? 2 * Math.max(1, apart("x"), apart("y")) : FAR, [first = { x: 0, y: 0 }] = points;
+    points.push(...targets.filter(({ x, y }) => Math.abs(x - first.x) < far && Math.abs(y - first.y) < far));
+    let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const { x, y } of points) {
+      [left, right] = [Math.min(left, x), Math.max(right, x)];
+      [bottom, top] = [Math.min(bottom, y), Math.max(top, y)];
+    }
+    if (left > right) [left, bottom, right, top] = [-1, -1, 1, 1];
+    const scale = ([x0, y0, x1, y1]) => Math.min(width / (x1 - x0), height / (y1 - y0));
+    const box = this.box, tight = [left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN];
+    const inside = box && left > box[0] && bottom > box[1] && right < box[2] && top < box[3];
+    if (!inside || scale(tight) > LOOSE * scale(box)) this.box = tight;
+    const [x0, y0, x1, y1] = this.box;
+    return { x: (x0 + x1) / 2, y: (y0 + y1) / 2, scale: scale(this.box) };
   }
 
   draw(now) {
-    requestAnimationFrame((next) => this.draw(next));
     const ratio = sharp(this.canvas);
     if (!ratio) return;
-    const { width, height } = this.canvas;
     this.frames += 1;
-    const view = this.view ?? this.fit(now), c = this.context;
-    this.shown = view;
-    this.ratio = ratio;
-    c.setTransform(1, 0, 0, 1, 0, 0);
-    c.fillStyle = theme.colour("--panel");
-    c.fillRect(0, 0, width, height);
-    this.at = (x, y) => [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
-    c.font = `${12 * ratio}px system-ui, sans-serif`;
-    this.grid(c, width, height, view);
-    for (const anchor of this.store.swarm?.anchors ?? []) this.anchor(c, anchor);
-    const names = this.store.names, crowd = names.length > CROWD;
-    if (crowd) this.links(c, now);
-    else for (const [a, b] of this.store.edges) this.link(c, a, b, now);
-    if (!crowd) for (const name of names) this.trail(c, name);
-    for (const target of this.targets()) this.target(c, target);
-    this.named = !crowd || this.room(names) > ROOM * ratio;
-    for (const name of names) this.robot(c, name, now);
+    const { width, height } = this.canvas, store = this.store;
+    const places = this.places(now), targets = this.targets();
+    const view = this.view ?? this.fit(places, targets, width, height);
+    [this.shown, this.ratio, this.placed] = [view, ratio, places];
+    const pen = new Pen(this.context, ratio, view, width, height);
+    const below = this.drawBelow(view, ratio, width, height);
+
+    const marks = [below, width, height, theme.version, this.selected];
+    const fine = (x, y) => [Math.round(x * FINE) / FINE, Math.round(y * FINE) / FINE];
+    const links = [];
+    for (const [a, b] of store.edges) {
+      const from = places.get(a), to = places.get(b);
+      if (!from || !to) continue;
+      const link = store.link(a, b), look = link?.state === "up" && link.slow ? "slow" : link?.state;
+      const width = Math.round(10 * (1.2 + Math.min(4, Math.log10(1 + (link?.rate ?? 0) / 50)))) / 10;
+      const ends = [fine(...pen.at(from.x, from.y)), fine(...pen.at(to.x, to.y))], messages = [];
+      for (const [edge, [x0, y0], [x1, y1]] of [[`${a}>${b}`, ...ends], [`${b}>${a}`, ends[1], ends[0]]]) {
+        const flash = store.flashes.get(edge), share = flash ? (now - flash.at) / FLASH_MS : 2;
+        if (share > 1 || flash.rate > BUSY) continue;
+        messages.push([x0 + share * (x1 - x0), y0 + share * (y1 - y0)]);
+      }
+      links.push({ ends, look, width, messages });
+      marks.push(ends[0][0], ends[0][1], ends[1][0], ends[1][1], look, width, ...messages.flat());
+    }
+    const ellipses = [], crowd = store.names.length > CROWD, named = !crowd || this.room(places) > ROOM * ratio;
+    for (const target of targets) {
+      if (target.known) ellipses.push({ ...target, ...target.known });
+      marks.push(...fine(...pen.at(target.x, target.y)), target.known?.xx);
+    }
+    const robots = [];
+    for (const [name, place] of places) {
+      const leds = store.get(name, "sim/leds") ?? store.get(name, "balancer/leds") ?? {};
+      const services = Object.values(store.services[name] ?? {}), colour = store.colour(name);
+      const [x, y] = fine(...pen.at(place.x, place.y)), known = store.get(name, "dwm/pose");
+      const heading = place.heading === null ? null : Math.round(place.heading * 90) / 90, tilt = Math.round((place.tilt ?? 0) * 30) / 30;
+      const gone = (services.length > 0 && services.every((there) => !there)) || store.get(name, "view/reach")?.by === null;
+      const fault = store.get(name, "balancer/state")?.mode === "fault";
+      robots.push({ name, x, y, heading, tilt, colour, leds, gone, fault, selected: name === this.selected, named });
+      marks.push(x, y, heading, tilt, leds.red, leds.yellow, leds.green, gone, fault);
+      if (typeof known?.deviation_x === "number" && Math.abs(known.x) < FAR && Math.abs(known.y) < FAR) {
+        const sx = known.deviation_x, sy = known.deviation_y ?? sx;
+        ellipses.push({ x: known.x, y: known.y, xx: sx * sx, xy: (known.correlation ?? 0) * sx * sy, yy: sy * sy, colour });
+        marks.push(...fine(...pen.at(known.x, known.y)), Math.round(sx * view.scale * FINE), Math.round(sy * view.scale * FINE));
+      }
+    }
+    if (same(marks, this.marks)) return;
+    this.marks = marks;
+    this.drawn += 1;
+    this.context.drawImage(this.below, 0, 0);
+    if (crowd) pen.crowd(links);
+    else for (const link of links) pen.link(...link.ends, link);
+    for (const link of links) link.messages.forEach((place) => pen.message(place));
+    for (const ellipse of ellipses) pen.ellipse(ellipse);
+    for (const target of targets) pen.cross(target);
+    for (const robot of robots) pen.robot(robot);
   }
 
   // How far robots are apart, in pixels, were they spread evenly.
-  room(names) {
-    const places = names.map((name) => this.store.places.get(name)?.to).filter(Boolean);
-    if (!places.length) return 0;
-    const xs = places.map((each) => each.x), ys = places.map((each) => each.y);
-    const area = (Math.max(...xs) - Math.min(...xs)) * (Math.max(...ys) - Math.min(...ys));
-    return this.shown.scale * Math.sqrt(area / places.length);
+  room(places) {
+    const all = [...places.values()], xs = all.map((each) => each.x), ys = all.map((each) => each.y);
+    return this.shown.scale * Math.sqrt(((Math.max(...xs) - Math.min(...xs)) * (Math.max(...ys) - Math.min(...ys))) / all.length);
   }
 
-  // Of a crowd: thin lines, those of a colour at once.
-  links(c, now) {
-    const lines = new Map();
-    for (const [a, b] of this.store.edges) {
-      const from = this.place(a, now), to = this.place(b, now);
-      if (!from || !to) continue;
-      const colour = COLOURS[this.store.link(a, b)?.state] ?? "--faint";
-      if (!lines.has(colour)) lines.set(colour, new Path2D());
-      lines.get(colour).moveTo(...this.at(from.x, from.y));
-      lines.get(colour).lineTo(...this.at(to.x, to.y));
+  // Counts how often it has changed.
+  drawBelow(view, ratio, width, height) {
+    const store = this.store, marks = [view.x, view.y, view.scale, width, height, theme.version, store.swarm, store.trailed];
+    if (same(marks, this.belowMarks)) return this.belows;
+    this.belowMarks = marks;
+    this.belows = (this.belows ?? 0) + 1;
+    if (this.below.width !== width || this.below.height !== height) [this.below.width, this.below.height] = [width, height];
+    const c = (this.belowContext ??= this.below.getContext("2d", { alpha: false })), pen = new Pen(c, ratio, view, width, height);
+    c.fillStyle = theme.colour("--panel");
+    c.fillRect(0, 0, width, height);
+    pen.grid(view, width, height);
+    for (const anchor of store.swarm?.anchors ?? []) pen.anchor(anchor);
+    if (store.swarm?.target) pen.target(store.swarm.target);
+    if (store.names.length <= CROWD) {
+      for (const [name, trail] of store.trails) if (trail.length > 1) pen.trail(trail, store.colour(name));
     }
-    c.lineWidth = this.ratio;
-    for (const [colour, path] of lines) {
-      c.globalAlpha = colour === "--good" ? 0.35 : 1;
-      c.strokeStyle = theme.colour(colour);
-      c.stroke(path);
-    }
-    c.globalAlpha = 1;
-  }
-
-  grid(c, width, height, view) {
-    const steps = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
-    const step = steps.find((each) => each * view.scale >= 60 * this.ratio) ?? 1000;
-    c.strokeStyle = theme.colour("--line");
-    c.fillStyle = theme.colour("--faint");
-    c.lineWidth = 1;
-    c.beginPath();
-    const left = view.x - width / 2 / view.scale, bottom = view.y - height / 2 / view.scale;
-    for (let x = Math.ceil(left / step) * step; x < left + width / view.scale; x += step) {
-      const [px] = this.at(x, 0);
-      c.moveTo(px, 0); c.lineTo(px, height);
-      c.fillText(`${+x.toFixed(2)}${Math.abs(x) < step / 2 ? " m" : ""}`, px + 3, height - 4 * this.ratio);
-    }
-    for (let y = Math.ceil(bottom / step) * step; y < bottom + height / view.scale; y += step) {
-      const [, py] = this.at(0, y);
-      c.moveTo(0, py); c.lineTo(width, py);
-      c.fillText(`${+y.toFixed(2)}`, 3, py - 3);
-    }
-    c.stroke();
-  }
-
-  anchor(c, anchor) {
-    const [x, y] = this.at(anchor.x, anchor.y), size = 6 * this.ratio;
-    c.fillStyle = theme.colour("--faint");
-    c.beginPath();
-    c.moveTo(x, y - size); c.lineTo(x + size, y + size); c.lineTo(x - size, y + size);
-    c.fill();
-    c.fillText(anchor.name, x + size + 2, y + size);
-  }
-
-  link(c, a, b, now) {
-    const from = this.place(a, now), to = this.place(b, now);
-    if (!from || !to) return;
-    const link = this.store.link(a, b), state = link?.state;
-    c.strokeStyle = theme.colour(COLOURS[state] ?? "--faint");
-    c.lineWidth = this.ratio * (1.2 + Math.min(4, Math.log10(1 + (link?.rate ?? 0) / 50)));
-    c.setLineDash(state === "up" ? [] : [6 * this.ratio, 5 * this.ratio]);
-    const [ax, ay] = this.at(from.x, from.y), [bx, by] = this.at(to.x, to.y);
-    c.beginPath(); c.moveTo(ax, ay); c.lineTo(bx, by); c.stroke();
-    c.setLineDash([]);
-    for (const [edge, x0, y0, x1, y1] of [[`${a}>${b}`, ax, ay, bx, by], [`${b}>${a}`, bx, by, ax, ay]]) {
-      const flash = this.store.flashes.get(edge), age = flash ? now - flash.at : 1e9;
-      if (!flash || age > FLASH_MS || flash.rate > BUSY) continue;
-      const share = age / FLASH_MS;
-      c.fillStyle = theme.colour("--accent");
-      c.beginPath(); c.arc(x0 + share * (x1 - x0), y0 + share * (y1 - y0), 4 * this.ratio, 0, 7); c.fill();
-    }
-  }
-
-  trail(c, name) {
-    const trail = this.store.trails.get(name);
-    if (!trail || trail.length < 2) return;
-    c.strokeStyle = this.store.colour(name);
-    c.globalAlpha = 0.35;
-    c.lineWidth = 1.5 * this.ratio;
-    c.beginPath();
-    trail.forEach(([x, y], index) => (index ? c.lineTo(...this.at(x, y)) : c.moveTo(...this.at(x, y))));
-    c.stroke();
-    c.globalAlpha = 1;
-  }
-
-  target(c, { name, x, y, sigma }) {
-    const [px, py] = this.at(x, y), size = 5 * this.ratio;
-    c.strokeStyle = this.store.colour(name);
-    c.lineWidth = 2 * this.ratio;
-    c.beginPath();
-    c.moveTo(px - size, py - size); c.lineTo(px + size, py + size);
-    c.moveTo(px - size, py + size); c.lineTo(px + size, py - size);
-    c.stroke();
-    if (typeof sigma === "number") this.ellipse(c, x, y, sigma, sigma, this.store.colour(name));
-  }
-
-  ellipse(c, x, y, sx, sy, colour) {
-    const [px, py] = this.at(x, y);
-    c.strokeStyle = colour;
-    c.globalAlpha = 0.6;
-    c.lineWidth = this.ratio;
-    c.beginPath(); c.ellipse(px, py, sx * this.shown.scale, sy * this.shown.scale, 0, 0, 7); c.stroke();
-    c.globalAlpha = 1;
-  }
-
-  robot(c, name, now) {
-    const place = this.place(name, now);
-    if (!place) return;
-    const [x, y] = this.at(place.x, place.y), size = Math.max(8 * this.ratio, BODY * this.shown.scale);
-    const services = Object.values(this.store.services[name] ?? {});
-    const gone = (services.length && services.every((there) => !there)) || this.store.get(name, "view/reach")?.by === null;
-    const estimate = this.store.get(name, "dwm/pose");
-    if (typeof estimate?.deviation_x === "number") {
-      this.ellipse(c, estimate.x, estimate.y, 2 * estimate.deviation_x, 2 * (estimate.deviation_y ?? estimate.deviation_x), this.store.colour(name));
-    }
-    c.save();
-    c.translate(x, y);
-    c.globalAlpha = gone ? 0.3 : 1;
-    if (name === this.selected) {
-      c.strokeStyle = theme.colour("--accent");
-      c.lineWidth = 3 * this.ratio;
-      c.beginPath(); c.arc(0, 0, size * 1.6, 0, 7); c.stroke();
-    }
-    c.save();
-    if (place.heading !== null) c.rotate(-place.heading);
-    // From above a body that leans is longer: that is how much it leans.
-    const length = size * (0.45 + Math.abs(Math.sin(place.tilt ?? 0)));
-    c.fillStyle = this.store.colour(name);
-    c.beginPath(); c.roundRect(-length, -size, 2 * length, 2 * size, 3 * this.ratio); c.fill();
-    if (place.heading !== null) {
-      c.strokeStyle = theme.colour("--ink");
-      c.lineWidth = 2 * this.ratio;
-      c.beginPath(); c.moveTo(0, 0); c.lineTo(size * 1.5, 0); c.stroke();
-    }
-    c.restore();
-    const leds = this.store.get(name, "sim/leds") ?? this.store.get(name, "balancer/leds") ?? {};
-    ["red", "yellow", "green"].forEach((colour, index) => {
-      c.fillStyle = leds[colour] ? { red: "#ff3b30", yellow: "#ffcc00", green: "#34c759" }[colour] : theme.colour("--line");
-      c.beginPath(); c.arc((index - 1) * size * 0.62, -size * 1.45, size * 0.26, 0, 7); c.fill();
-    });
-    c.fillStyle = theme.colour("--ink");
-    if (this.named || name === this.selected) c.fillText(name, size * 1.2, size * 1.4);
-    c.restore();
+    return this.belows;
   }
 
   listen() {
@@ -254,42 +189,58 @@ export class SwarmMap {
       const view = this.view ?? { ...this.shown };
       this.view = { x: x + (view.x - x) / factor, y: y + (view.y - y) / factor, scale: view.scale * factor };
     };
+    const fingers = new Map();
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       zoom(Math.exp(-event.deltaY / 500), ...metres(event));
     }, { passive: false });
     canvas.addEventListener("pointerdown", (event) => {
-      from = { event, view: this.view ?? { ...this.shown }, moved: false };
+      fingers.set(event.pointerId, event);
+      from = { event, view: this.view ?? { ...this.shown }, moved: fingers.size > 1 };
       canvas.setPointerCapture(event.pointerId);
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (!from) return;
-      const dx = (event.clientX - from.event.clientX) * this.ratio, dy = (event.clientY - from.event.clientY) * this.ratio;
-      if (Math.hypot(dx, dy) > 4) from.moved = true;
-      if (from.moved) this.view = { ...from.view, x: from.view.x - dx / from.view.scale, y: from.view.y + dy / from.view.scale };
+      if (!from || !fingers.has(event.pointerId)) return;
+      const other = [...fingers.values()].find((each) => each.pointerId !== event.pointerId);
+      if (other) { // two fingers: what is between them grows as their distance does
+        const before = fingers.get(event.pointerId), apart = (each) => Math.hypot(each.clientX - other.clientX, each.clientY - other.clientY);
+        if (apart(before) > 0) zoom(apart(event) / apart(before), ...metres(other));
+      } else {
+        const dx = (event.clientX - from.event.clientX) * this.ratio, dy = (event.clientY - from.event.clientY) * this.ratio;
+        if (Math.hypot(dx, dy) > 4) from.moved = true;
+        if (from.moved && from.event.pointerId === event.pointerId) this.view = { ...from.view, x: from.view.x - dx / from.view.scale, y: from.view.y + dy / from.view.scale };
+      }
+      fingers.set(event.pointerId, event);
     });
     canvas.addEventListener("pointerup", (event) => {
       if (from && !from.moved) {
-        const [x, y] = metres(event), now = performance.now();
-        const near = this.store.names
-          .map((name) => [name, this.place(name, now)])
-          .filter(([, place]) => place)
-          .map(([name, place]) => [Math.hypot(place.x - x, place.y - y), name])
-          .sort((a, b) => a[0] - b[0])[0];
+        const [x, y] = metres(event);
+        const near = [...this.placed].map(([name, place]) => [Math.hypot(place.x - x, place.y - y), name]).sort((a, b) => a[0] - b[0])[0];
         if (near && near[0] * this.shown.scale < 24 * this.ratio) this.select(near[1]);
       }
+      fingers.delete(event.pointerId);
       from = null;
     });
-    canvas.addEventListener("dblclick", () => (this.view = null));
+    canvas.addEventListener("pointercancel", (event) => {
+      fingers.delete(event.pointerId);
+      from = null;
+    });
+    canvas.addEventListener("dblclick", () => ([this.view, this.box] = [null, null]));
     canvas.addEventListener("keydown", (event) => {
       const view = this.view ?? { ...this.shown }, step = (40 * this.ratio) / view.scale;
       const moves = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] };
       if (moves[event.key]) this.view = { ...view, x: view.x + moves[event.key][0], y: view.y + moves[event.key][1] };
       else if (event.key === "+") zoom(1.25, view.x, view.y);
       else if (event.key === "-") zoom(0.8, view.x, view.y);
-      else if (event.key === "0") this.view = null;
+      else if (event.key === "0") [this.view, this.box] = [null, null];
       else return;
       event.preventDefault();
     });
   }
+}
+
+function same(a, b) {
+  if (a.length !== b.length) return false;
+  for (let index = 0; index < a.length; index += 1) if (a[index] !== b[index]) return false;
+  return true;
 }

@@ -1,11 +1,12 @@
 // The table of robots, the log of events, the keys of one robot.
 
-const cell = (text, kind = "") => {
-  const element = document.createElement("td");
-  element.textContent = text;
-  element.className = kind;
-  return element;
-};
+const COLUMNS = 9; // behind the name
+
+// Clocks are apart by a few milliseconds (one machine) or by the time between two boots.
+// What a robot says may lack anything, and hold what is no number.
+const fixed = (value, digits, unit) => (typeof value === "number" ? `${value.toFixed(digits)}${unit}` : "-");
+const list = (value) => (Array.isArray(value) ? value : []);
+const seconds = (value) => (Math.abs(value) < 1 ? `${(value * 1000).toFixed(1)} ms` : `${value.toFixed(3)} s`);
 
 export class Robots {
   constructor(body, store, select) {
@@ -17,59 +18,78 @@ export class Robots {
 
   draw(selected) {
     for (const name of this.store.names) {
-      let row = this.rows.get(name);
-      if (!row) {
-        row = this.body.insertRow();
-        row.tabIndex = 0;
-        row.dataset.robot = name;
-        row.addEventListener("click", () => this.select(name));
-        row.addEventListener("keydown", (event) => event.key === "Enter" && this.select(name));
-        this.rows.set(name, row);
-      }
-      row.setAttribute("aria-selected", String(name === selected));
-      const cells = this.cells(name), shown = cells.map((each) => each.className + each.textContent).join("|");
-      if (row.dataset.shown !== shown) {
-        row.dataset.shown = shown;
-        row.replaceChildren(...cells);
-      }
+      const row = this.rows.get(name) ?? this.row(name);
+      const chosen = String(name === selected), title = row.cells[0].lastChild;
+      if (row.ariaSelected !== chosen) row.ariaSelected = chosen;
+      const text = this.store.get(name, "view/reach")?.by === "mesh" ? `${name} (mesh)` : name;
+      if (title.data !== text) title.data = text;
+      this.cells(name).forEach(([text, kind = ""], index) => {
+        const cell = row.cells[index + 1];
+        if (cell.textContent !== text) cell.textContent = text;
+        if (cell.className !== kind) cell.className = kind;
+      });
     }
   }
 
-  cells(name) {
-    const get = (topic) => this.store.get(name, topic);
-    const title = cell(name), swatch = document.createElement("span");
+  // The robot's name stays, the other cells are filled as it lives.
+  row(name) {
+    const row = this.body.insertRow(), title = row.insertCell(), swatch = document.createElement("span");
+    row.tabIndex = 0;
+    row.dataset.robot = name;
+    row.addEventListener("click", () => this.select(name));
+    row.addEventListener("keydown", (event) => event.key === "Enter" && this.select(name));
     swatch.className = "swatch";
     swatch.style.background = this.store.colour(name);
-    title.prepend(swatch);
-    const services = this.store.services[name] ?? {};
-    const gone = Object.keys(services).filter((each) => !services[each]).sort();
-    const degraded = Object.keys(services).filter((each) => services[each] && get(`${each}/status`)?.state === "degraded").sort();
-    const body = get("balancer/state"), battery = get("balancer/battery");
-    const links = get("mesh/links")?.links ?? [], up = links.filter((each) => each.state === "up").length;
-    const [app, progress] = this.app(name), clock = get("mesh/clock"), fault = get("balancer/fault");
-    const left = body?.battery_left, reach = get("view/reach");
-    if (reach?.by === "mesh") title.append(" (mesh)");
+    title.append(swatch, name);
+    for (let index = 0; index < COLUMNS; index += 1) row.insertCell();
+    this.rows.set(name, row);
+    return row;
+  }
+
+  // Text and kind of each cell.
+  cells(name) {
+    const get = (topic) => this.store.get(name, topic);
+    const body = get("balancer/state"), battery = get("balancer/battery"), clock = get("mesh/clock");
+    const links = list(get("mesh/links")?.links), up = links.filter((each) => each?.state === "up").length;
+    const [app, progress] = this.app(name), left = body?.battery_left;
+    const volts = body?.battery ?? battery?.voltage, waits = list(progress?.waiting_for);
     return [
-      title,
-      reach && !reach.by ? cell(`out of reach: ${reach.why}`, "bad text") : gone.length ? cell(`gone: ${gone.join(" ")}`, "bad") : degraded.length ? cell(`degraded: ${degraded.join(" ")}`, "warn") : Object.keys(services).length ? cell(`${Object.keys(services).length} ok`, "good") : cell("-"),
-      body ? cell(`${body.mode} ${((body.tilt * 180) / Math.PI).toFixed(1)}°`, body.mode === "fault" ? "bad" : "") : cell("-"),
-      cell(body?.battery ? `${body.battery.toFixed(2)} V${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : battery?.voltage ? `${battery.voltage.toFixed(2)} V` : "-", { low: "warn", empty: "bad" }[body?.battery_level] ?? ""),
-      cell(`${up}/${links.length}`, up < links.length ? "bad" : ""),
-      cell(app ? `${app} ${progress?.phase ?? ""}` : "-", { fault: "bad", waiting: "warn" }[progress?.phase] ?? ""),
-      cell(app ? String(this.k(name, app, progress)) : "-"),
-      cell(progress?.waiting_for?.join(" ") || "-", progress?.waiting_for?.length ? "warn" : ""),
-      cell(typeof clock?.error === "number" ? `±${(clock.error * 1000).toFixed(1)} ms by ${clock.root}` : "-"),
-      cell(progress?.phase === "fault" ? progress.reason : fault?.name ? `${fault.name}: ${fault.reason}` : "-", progress?.phase === "fault" || fault?.name ? "bad text" : "text"),
+      this.services(name),
+      body ? [`${body.mode} ${fixed((body.tilt * 180) / Math.PI, 1, "°")}`, body.mode === "fault" ? "bad" : ""] : ["-"],
+      [typeof volts === "number" ? `${fixed(volts, 2, " V")}${typeof left === "number" ? ` ${Math.round(left / 60)} min` : ""}` : "-", { low: "warn", empty: "bad" }[body?.battery_level] ?? ""],
+      [`${up}/${links.length}`, up < links.length ? "bad" : ""],
+      [app ? `${app} ${progress?.phase ?? ""}` : "-", { fault: "bad", waiting: "warn" }[progress?.phase] ?? ""],
+      [app ? String(this.k(name, app, progress)) : "-"],
+      [waits.join(" ") || "-", waits.length ? "warn" : ""],
+      [typeof clock?.error === "number" ? `${typeof clock.offset === "number" ? `${seconds(clock.offset)} ` : ""}±${(clock.error * 1000).toFixed(1)} ms by ${clock.root}` : "-"],
+      this.fault(name, progress),
     ];
   }
 
+  services(name) {
+    const services = this.store.services[name] ?? {}, names = Object.keys(services).sort(), reach = this.store.get(name, "view/reach");
+    if (reach && !reach.by) return [`out of reach: ${reach.why}`, "bad text"];
+    const gone = names.filter((each) => !services[each]);
+    if (gone.length) return [`gone: ${gone.join(" ")}`, "bad"];
+    const degraded = names.filter((each) => this.store.get(name, `${each}/status`)?.state === "degraded");
+    if (degraded.length) return [`degraded: ${degraded.join(" ")}`, "warn"];
+    return names.length ? [`${names.length} ok`, "good"] : ["-"];
+  }
+
+  // What is wrong, else what was wrong last.
+  fault(name, progress) {
+    if (progress?.phase === "fault") return [progress.reason, "bad text"];
+    const fault = this.store.get(name, "balancer/fault");
+    if (fault?.name) return [`${fault.name}: ${fault.reason}`, "bad text"];
+    const last = this.store.faults.get(name);
+    return [last ? `${last.text} (at ${last.t.toFixed(1)} s)` : "-", "text faint"];
+  }
+
+  // Of several apps the one that runs; a recording has no progress, only states.
   app(name) {
-    for (const [topic, value] of this.store.robots.get(name) ?? []) {
-      // A recording has no progress, only states.
-      const found = /^app\/([^/]+)\/(progress|state)$/.exec(topic);
-      if (found) return [found[1], found[2] === "progress" ? value : this.store.get(name, `app/${found[1]}/progress`)];
-    }
-    return [null, null];
+    const apps = (this.store.apps.get(name) ?? []).map((topic) => topic.slice(4));
+    const app = apps.find((each) => this.store.services[name]?.[`app/${each}`]) ?? apps[0];
+    return app === undefined ? [null, null] : [app, this.store.get(name, `app/${app}/progress`)];
   }
 
   k(name, app, progress) {
@@ -165,9 +185,19 @@ export class Keys {
 // Fields and fields of fields, as [path, value].
 function flat(value, path = []) {
   if (value && typeof value === "object" && path.length < 4) {
-    return Object.entries(value).flatMap(([name, item]) => flat(item, [...path, name]));
+    return Object.entries(value).flatMap(([name, item]) => flat(item, [...path, called(value, item) ?? name]));
   }
   return [[path, value]];
+}
+
+// Parts of a list are called by what tells them apart (links by their peer), which their place does not.
+function called(list, item) {
+  return Array.isArray(list) ? item?.peer ?? item?.anchor ?? item?.robot : undefined;
+}
+
+// What `flat` has called by this path.
+export function dig(value, path) {
+  return path.reduce((each, name) => (Array.isArray(each) ? each.find((item) => called(each, item) === name) ?? each[name] : each?.[name]), value);
 }
 
 function show(value) {

@@ -35,6 +35,22 @@ export class Player {
     this.playing = !this.playing;
   }
 
+  // Show an instant, and say when it is there.
+  seek(t) {
+    this.playing = false;
+    this.wanted = t;
+    return new Promise((resolve) => {
+      this.arrived = resolve;
+      this.ask({ seek: { since: this.since, t } });
+    });
+  }
+
+  // After a step has been taken.
+  taken() {
+    this.arrived?.();
+    this.arrived = null;
+  }
+
   // Returns whether what is shown must be thrown away before a step is taken.
   answered(step) {
     this.waiting = false;

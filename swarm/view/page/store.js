@@ -2,6 +2,7 @@
 
 export const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#8a5ad6", "#7a7a7a"]; // told apart by the colour-blind too (Okabe, Ito 2008)
 const TRAIL = 300; // places
+const STEP_MS = [40, 500]; // the way between two samples takes as long as they are apart, within this
 const BADNESS = ["up", "suspect", "connecting", "down"];
 const SLOWER = 3; // times its shortest round trip of the last minute
 const SLOWER_S = 0.02;
@@ -25,7 +26,9 @@ export class Store {
     this.robots = new Map(); // name -> Map(topic -> value)
     this.services = {};
     this.events = [];
+    this.faults = new Map(); // name -> the newest event that is an error
     this.trails = new Map(); // name -> [[x, y], ...]
+    this.trailed = (this.trailed ?? 0) + 1; // goes up with each place of a trail
     this.hops = {};
     this.flashes = new Map(); // "r0>r1" -> {at, rate}
     this.places = new Map(); // name -> {from, to, at, span}: drawn between two samples
@@ -50,7 +53,10 @@ export class Store {
       if (topics["mesh/topology"]) this.rewire(topics["mesh/topology"]);
       if (topics["sim/truth"] || topics["dwm/pose"]) this.move(name, now);
     }
-    if (step.events) this.events = [...this.events, ...step.events].slice(-500);
+    if (step.events) {
+      this.events = [...this.events, ...step.events].slice(-500);
+      for (const event of step.events) if (event.level === "error") this.faults.set(event.robot, event);
+    }
     if (step.hops) {
       for (const [edge, count] of Object.entries(step.hops)) {
         const before = this.flashes.get(edge) ?? { count, at: -1e9, rate: 0, seen: now };
@@ -95,8 +101,15 @@ export class Store {
     return this.swarm ? this.swarm.robots : [...this.robots.keys()].sort();
   }
 
+  // Where a robot stands among the others.
+  get order() {
+    const names = this.names;
+    if (this.ordered !== names) [this.ordered, this.ranks] = [names, new Map(names.map((name, index) => [name, index]))];
+    return this.ranks;
+  }
+
   colour(name) {
-    return this.colours.get(name) ?? PALETTE[Math.max(0, this.names.indexOf(name)) % PALETTE.length];
+    return this.colours.get(name) ?? PALETTE[(this.order.get(name) ?? 0) % PALETTE.length];
   }
 
   get(name, topic) {
@@ -113,11 +126,14 @@ export class Store {
     const pose = this.pose(name);
     if (!pose) return;
     const before = this.place(name, now);
-    const span = Math.min(500, Math.max(100, now - (this.places.get(name)?.at ?? now)));
+    const span = Math.min(STEP_MS[1], Math.max(STEP_MS[0], now - (this.places.get(name)?.at ?? now)));
     this.places.set(name, { from: before ?? pose, to: pose, at: now, span });
     const trail = this.trails.get(name) ?? [];
     const last = trail[trail.length - 1];
-    if (!last || Math.hypot(last[0] - pose.x, last[1] - pose.y) > 0.01) trail.push([pose.x, pose.y]);
+    if (!last || Math.hypot(last[0] - pose.x, last[1] - pose.y) > 0.01) {
+      trail.push([pose.x, pose.y]);
+      this.trailed += 1;
+    }
     if (trail.length > TRAIL) trail.shift();
     this.trails.set(name, trail);
   }
@@ -132,7 +148,8 @@ export class Store {
       Math.sin((place.to.heading ?? 0) - (place.from.heading ?? 0)),
       Math.cos((place.to.heading ?? 0) - (place.from.heading ?? 0)),
     );
-    return { x: mix("x"), y: mix("y"), heading: (place.from.heading ?? 0) + share * turn, tilt: mix("tilt") };
+    const heading = typeof place.to.heading === "number" ? (place.from.heading ?? 0) + share * turn : null;
+    return { x: mix("x"), y: mix("y"), heading, tilt: mix("tilt") };
   }
 
   // State of a link as both ends see it: the worse of the two.
@@ -143,7 +160,7 @@ export class Store {
   }
 
   judge(a, b) {
-    const seen = [[a, b], [b, a]].map(([from, to]) => this.get(from, "mesh/links")?.links?.find((each) => each.peer === to));
+    const seen = [[a, b], [b, a]].map(([from, to]) => [this.get(from, "mesh/links")?.links].flat().find((each) => each?.peer === to));
     const known = seen.filter(Boolean);
     if (!known.length) return null;
     const state = known.map((each) => each.state).sort((x, y) => BADNESS.indexOf(y) - BADNESS.indexOf(x))[0];

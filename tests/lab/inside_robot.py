@@ -1,0 +1,258 @@
+"""Runs inside the lab's robot, as root with the release's Python: breaks its I2C bus under the balancer, and looks.
+
+Each check is a line of JSON in /share/report: its name, what went wrong (empty where nothing did), what was measured.
+The host asserts (test_lab_robot.py).
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lab.i2c.order import order
+from services.balancer.core import balboa, imu
+from swarm.bus import Bus
+from swarm.codec import decode
+from swarm.messages import BalancerFault, BalancerState, Pose, SetMode
+
+SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
+FOR_GOOD = 10**9
+"""Spoilt messages that do not end."""
+
+
+class CheckFailed(Exception):
+    """What a check expected is not so."""
+
+
+def expect(condition: object, problem: str) -> None:
+    if not condition:
+        raise CheckFailed(problem)
+
+
+def wait(condition: Callable[[], object], what: str, seconds: float = 20.0) -> float:
+    """s until it was so."""
+    began = time.monotonic()
+    while not condition():
+        expect(time.monotonic() - began < seconds, f"not within {seconds:g} s: {what}; {robot.said()}")
+        time.sleep(0.05)
+    return time.monotonic() - began
+
+
+def i2c(**faults: object) -> dict[str, Any]:
+    return order("/run/lab/orders", faults)
+
+
+def show(unit: str, name: str) -> str:
+    done = subprocess.run(["systemctl", "show", unit, f"--property={name}", "--value"], capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+class Robot:
+    """What it says on its bus."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.state: BalancerState | None = None
+        self.fault: BalancerFault | None = None
+        self.pose: Pose | None = None
+        bus.subscribe("swarm/r0/balancer/*", self._heard)
+        bus.subscribe("swarm/r0/dwm/pose", self._heard)
+
+    def _heard(self, key: str, payload: bytes) -> None:
+        match key.rsplit("/", 1)[1]:
+            case "state":
+                self.state = decode(BalancerState, payload, key)
+            case "fault":
+                self.fault = decode(BalancerFault, payload, key)
+            case "pose":
+                self.pose = decode(Pose, payload, key)
+
+    @property
+    def mode(self) -> str:
+        return "" if self.state is None else self.state.mode
+
+    def said(self) -> str:
+        return f"state {self.state}, fault {self.fault}, bus {i2c()}"
+
+    def command(self, mode: str) -> None:
+        self._bus.publish("swarm/r0/balancer/set/mode", SetMode(mode))
+
+    def stand(self) -> float:
+        """Wherever it is; s it took."""
+        again = [0.0]
+
+        def stands() -> bool:
+            # Said again: one that lies so that it must be turned over has three tries.
+            if self.mode in ("idle", "fault") and time.monotonic() > again[0]:
+                self.command("stand")
+                again[0] = time.monotonic() + 2.0
+            return self.mode == "balancing"
+
+        return wait(stands, "it stands", 40.0)
+
+    def errors(self) -> int:
+        assert self.state is not None
+        return self.state.bus_errors
+
+    def fault_is(self, name: str, reason: str) -> bool:
+        found = self.fault
+        return found is not None and found.name == name and reason in found.reason
+
+
+def is_a_robot() -> dict[str, float]:
+    """What the units promise, on a kernel that can: users, real-time priority, limits, devices."""
+    for unit in SERVICES:
+        wait(lambda unit=unit: show(unit, "ActiveState") == "active", f"{unit} is up", 60.0)
+    up = float(Path("/proc/uptime").read_text().split()[0])
+    loop = int(show("swarm-balancer", "MainPID"))
+    expect(os.sched_getscheduler(loop) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO, "the loop has no real-time priority")
+    status = Path(f"/proc/{loop}/status").read_text()
+    expect(int(status.split("VmLck:")[1].split()[0]) > 0, "the loop's memory is not locked")
+    for unit, limit in zip(SERVICES, (64, 96, 96, 64), strict=True):
+        found = int((Path("/sys/fs/cgroup") / show(unit, "ControlGroup").strip("/") / "memory.max").read_text())
+        expect(found == limit << 20, f"{unit} may have {found} bytes")
+    wait(lambda: robot.pose is not None and robot.pose.quality > 0, "there is a pose")
+    assert robot.pose is not None
+    error = ((robot.pose.x - 1.0) ** 2 + (robot.pose.y - 1.0) ** 2) ** 0.5
+    expect(error < 0.3, f"it is not at (1, 1) but at ({robot.pose.x:.2f}, {robot.pose.y:.2f})")
+    return {"up_s": up, "pose_error_m": error}
+
+
+def stands() -> dict[str, float]:
+    seconds = robot.stand()
+    assert robot.state is not None
+    ticks, missed = robot.state.ticks, robot.state.missed
+    worst, began = 0.0, time.monotonic()
+    while time.monotonic() - began < 3.0:
+        expect(robot.mode == "balancing", f"it did not stay up: {robot.said()}")
+        worst = max(worst, abs(i2c()["tilt"]))
+        time.sleep(0.1)
+    expect(worst < 0.2, f"it leans by {worst:.2f} rad")
+    expect(i2c()["timeout_s"] == 0.02, "the adapter's time-out was not set")
+    took = time.monotonic() - began
+    return {
+        "up_s": seconds,
+        "worst_tilt": worst,
+        "ticks_hz": (robot.state.ticks - ticks) / took,
+        "missed_hz": (robot.state.missed - missed) / took,
+    }
+
+
+def borne(seen: bool, **faults: Any) -> dict[str, float]:
+    """A fault that comes and goes: counted where it can be seen, and the robot stays up."""
+    robot.stand()
+    before = robot.errors()
+    i2c(**faults)
+
+    def over() -> bool:
+        left = i2c()
+        return not (left["sda_held"] or left["faults"]["hold_sda"] or any(sum(left["faults"][name].values()) for name in
+            ("nack", "short", "timeout", "corrupt")))  # fmt: skip
+
+    wait(over, "it is over")
+    if seen:
+        wait(lambda: robot.errors() > before, "it is counted", 5.0)
+    began = time.monotonic()
+    while time.monotonic() - began < 1.0:
+        expect(robot.mode == "balancing", f"it fell: {robot.said()}")
+        time.sleep(0.05)
+    return {"bus_errors": robot.errors() - before}
+
+
+def named(reason: str, over: dict[str, Any], **faults: Any) -> dict[str, float]:
+    """A fault that stays: the motors are off, it has its name, and nothing moves when it has gone, until a command."""
+    robot.stand()
+    began = time.monotonic()
+    i2c(**faults)
+    wait(lambda: i2c()["motors"] == [0.0, 0.0] and robot.mode == "fault", "the motors are off", 10.0)
+    off = time.monotonic() - began
+    wait(lambda: robot.fault_is("bus", reason), f"the fault is named: {reason}", 5.0)
+    i2c(**over)
+    time.sleep(1.5)
+    expect(robot.mode == "fault" and i2c()["motors"] == [0.0, 0.0], f"it moves by itself: {robot.said()}")
+    return {"off_s": off, "up_again_s": robot.stand()}
+
+
+def another_device() -> dict[str, float]:
+    """What answers is no LSM6DS33, as a cable that garbles every byte would have it."""
+    robot.stand()
+    i2c(stuck=True)
+    wait(lambda: robot.mode == "fault", "the bus is found dead", 10.0)
+    i2c(stuck=False, corrupt={imu.ADDRESS: FOR_GOOD})
+    robot.command("rest")
+    wait(lambda: robot.fault_is("device", "WHO_AM_I is 0x96, expected 0x69"), "the wrong device is named", 10.0)
+    i2c(corrupt={})
+    return {"up_again_s": robot.stand()}
+
+
+def killed() -> dict[str, float]:
+    """The loop, in the middle of standing: the ATmega stops the motors, systemd brings the loop back, it waits."""
+    robot.stand()
+    old = show("swarm-balancer", "MainPID")
+    subprocess.run(["systemctl", "kill", "--kill-whom=main", "--signal=KILL", "swarm-balancer"], check=True)
+    off = wait(lambda: i2c()["motors"] == [0.0, 0.0], "the motors are off", 5.0)
+    back = wait(lambda: show("swarm-balancer", "MainPID") not in ("0", old), "there is another loop", 20.0)
+    robot.state = None
+    wait(lambda: robot.mode == "idle", "it is ready again", 30.0)
+    return {"off_s": off, "back_s": back, "up_again_s": robot.stand()}
+
+
+def stopped() -> dict[str, float]:
+    """By SIGTERM, in good order: motors off first of all."""
+    robot.stand()
+    subprocess.run(["systemctl", "stop", "swarm-balancer"], check=True)
+    expect(i2c()["motors"] == [0.0, 0.0], "the motors are on")
+    expect(show("swarm-balancer", "Result") == "success", "it did not end well")
+    return {}
+
+
+IMU, ATMEGA = imu.ADDRESS, balboa.ADDRESS
+CHECKS: dict[str, Callable[[], dict[str, float]]] = {
+    "is a robot": is_a_robot,
+    "stands": stands,
+    "IMU does not acknowledge once": lambda: borne(True, nack={IMU: 1}),
+    "ATmega does not acknowledge once": lambda: borne(True, nack={ATMEGA: 1}),
+    "a transfer ends too early": lambda: borne(True, short={IMU: 1, ATMEGA: 1}),
+    "a transfer takes too long": lambda: borne(True, timeout={0: 1}),
+    "SDA is held": lambda: borne(True, hold_sda=True),
+    "a sample is corrupt": lambda: borne(False, corrupt={IMU: 1}),
+    "the encoders are corrupt": lambda: borne(False, corrupt={ATMEGA: 1}),
+    "IMU is gone": lambda: named("I2C, IMU: Remote I/O error (error 121)", {"nack": {}}, nack={IMU: FOR_GOOD}),
+    "the bus is dead": lambda: named("I2C, ATmega: Connection timed out (error 110)", {"stuck": False}, stuck=True),
+    "another device": another_device,
+    "killed": killed,
+    "stopped": stopped,
+}
+
+
+def main() -> None:
+    """All checks, or those that are named."""
+    for name, check in CHECKS.items():
+        problem, measured = "", {}
+        began = time.monotonic()
+        try:
+            measured = check()
+        except CheckFailed as error:
+            problem = str(error)
+        except (OSError, LookupError, ValueError, TypeError, AssertionError):  # a check of ours is wrong
+            problem = traceback.format_exc()
+        if problem:
+            i2c(nack={}, short={}, timeout={}, corrupt={}, hold_sda=False, stuck=False)
+            words = ["journalctl", "--no-pager", "--lines=40", "--unit=swarm-*", "--output=short-monotonic"]
+            problem += "\n" + subprocess.run(words, capture_output=True, text=True).stdout
+        measured["took_s"] = time.monotonic() - began
+        with Path("/share/report").open("a") as file:
+            file.write(json.dumps({"check": name, "problem": problem, **measured}) + "\n")
+
+
+if __name__ == "__main__":
+    with Bus.of(Path("/run/swarm")) as connection:
+        if not connection.wait_connected(30.0):
+            sys.exit("there is no bus")
+        robot = Robot(connection)
+        main()
