@@ -117,7 +117,7 @@ class Processes:
         """Start a service and return when it has told systemd (us) that it is ready, or something else."""
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._sockets.append(sock)
-        address = str(self.runtime / f"notify{len(self._sockets)}")
+        address = str(self.runtime / f"notify{sock.fileno()}")
         sock.bind(address)
         sock.settimeout(0.1)
         process = self.start(*arguments, NOTIFY_SOCKET=address, **environment)

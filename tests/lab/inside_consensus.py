@@ -4,6 +4,7 @@ import json
 import subprocess
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -61,10 +62,9 @@ class Swarm:
         self.apps[name] = self.start("services.apps", name, *words)
 
     def run(self, iterations: int) -> None:
-        for name in NAMES:
-            self.start_mesh(name)
-        for name in NAMES:
-            self.start_app(name, iterations)
+        with ThreadPoolExecutor(3) as pool:
+            list(pool.map(self.start_mesh, NAMES))
+            list(pool.map(lambda name: self.start_app(name, iterations), NAMES))
 
     def finish(self, iterations: int) -> None:
         wait_until(lambda: min(self.reached.values()) >= iterations, 40, f"all reach {iterations}: {self.reached}")

@@ -95,7 +95,7 @@ def ended(pipe: Pipe, seconds: float = PATIENCE) -> str:
 
 def test_bytes_go_both_ways_and_the_caller_is_known(radio: Radio, pair: Pair) -> None:
     caller, called = pair
-    assert (called.caller.address, called.caller.robot) == (radio.addresses[0], "r0")
+    assert (called.caller.source, called.caller.robot) == (radio.addresses[0], "r0")
     assert write(caller, b"there")
     assert read(called) == b"there"
     assert write(called, b"back")
@@ -130,8 +130,11 @@ def test_who_writes_after_the_end_learns_it_and_the_reader_too(pair: Pair) -> No
     called.shutdown()
     called.close()
     deadline = time.monotonic() + PATIENCE
+    caller.offer(b"x")
     while not caller.fault and time.monotonic() < deadline:
-        assert write(caller, b"x")
+        # False: the kernel's buffer is full, since the end takes its time to get here and we write faster.
+        if caller.flush():
+            caller.offer(b"x")
     assert caller.fault
     assert ended(caller)
 
@@ -243,10 +246,15 @@ def test_an_adapter_that_goes_and_comes_back(radio: Radio, listener: rfcomm.List
     if how == "unplugged":
         radio.order("unplug", address=address)
         radio.order("plug", address=address)
+        assert ended(caller) == "connection timed out"
+        assert ended(called)
     else:
         hci(adapters()[address], "down")
-    assert ended(caller)
-    assert ended(called)
+        assert ended(called) == "software caused connection abort"
+        # The lab's controller finds out that its host has switched it off when it has something for it, and says no
+        # more then: the mesh's sign of life, for one.
+        write(caller, b"are you there")
+        assert ended(caller) == "connection timed out"
     bring_up(radio)
     again = dial(radio)
     other = accept(listener)
