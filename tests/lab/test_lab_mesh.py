@@ -1,4 +1,4 @@
-"""The mesh over real RFCOMM, six robots in one machine: the simulation's trajectories, and the mesh's own tests."""
+"""The mesh over real RFCOMM, six robots in one machine: tests/lab/inside_consensus.py."""
 
 import subprocess
 import sys
@@ -39,11 +39,3 @@ def test_six_robots_compute_what_the_simulation_computes(robots: Machine) -> Non
     for shape in SHAPES:
         simulate(shape, robots.share)
     run_tests(robots, "tests/lab/inside_consensus.py", 800)
-
-
-def test_the_tests_of_the_mesh_pass_over_rfcomm(robots: Machine) -> None:
-    """Flood, unicast, bulk, membership, relay and the stop key: the tests that run over `sim:` elsewhere."""
-    alone = "killed_mesh or stopped_mesh or starts_before or largest or neighbours_and_nobody"
-    wanted = f"(test_mesh_process.py and ({alone}) and not tcp) or test_mesh_overlay_process.py"
-    files = "tests/mesh/test_mesh_process.py tests/mesh/test_mesh_overlay_process.py"
-    run_tests(robots, f"{files} -k '{wanted}'", 800)

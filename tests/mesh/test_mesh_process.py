@@ -120,10 +120,6 @@ class Swarm:
         text = f'network = "test"\n{extra}' + ('topology = "auto"\n' if self.auto else topology)
         for name in self.robots:
             link = f"sim:{self.runtime}/{name}/mesh.sock" if kind == "sim" else f"tcp:127.0.0.1:{self.ports[name]}"
-            if kind == "rfcomm":  # inside a machine of the lab
-                address = os.environ["LAB_RFCOMM"].split()[int(name[1:])]
-                text += f'[[robots]]\nname = "{name}"\nbluetooth = "{address}"\n'
-                continue
             text += f'[[robots]]\nname = "{name}"\nlink = "{link}"\n'
         text += f'[mesh]\nkey = "{self.key}"\n{times}' if self.key else f"[mesh]\ninsecure = true\n{times}"
         return text + (f'listen = "127.0.0.1:{self.ports[me]}"\n' if kind == "tcp" else "")
@@ -168,7 +164,7 @@ def build(processes: Processes) -> Iterator[Build]:
     built: list[Swarm] = []
 
     def make(
-        kind: str = os.environ.get("LAB_LINKS", "sim"),
+        kind: str = "sim",
         edges: tuple[tuple[str, str], ...] = (("r0", "r1"),),
         extra: str = "",
         model: str = "",
