@@ -21,7 +21,7 @@ addopts = --strict-markers
 
 def furnish(machine: Machine) -> None:
     """Put the tests and the lab's tools into the machine's /share; the project itself is the installed release."""
-    for name in ("lab", "tests/conftest.py", "tests/mesh", "tests/lab"):
+    for name in ("lab", "tests/conftest.py", "tests/lab"):
         source, target = ROOT / name, machine.share / name
         if source.is_dir():
             shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
@@ -33,7 +33,7 @@ def furnish(machine: Machine) -> None:
 
 def command(words: str) -> str:
     """The shell command that runs the release's Python inside with these words."""
-    environment = f"PYTHONPATH=/share:/share/tests/lab LAB_PATIENCE={PATIENCE} LAB_LINKS=rfcomm"
+    environment = f"PYTHONPATH=/share:/share/tests/lab LAB_PATIENCE={PATIENCE}"
     return f"cd /share && {environment} PYTHONDONTWRITEBYTECODE=1 /opt/swarm/current/bin/python {words}"
 
 

@@ -1,6 +1,5 @@
 """Inside a machine, as a plugin of pytest (`-p inside_radio`): six adapters of its own kernel, and their air."""
 
-import os
 import subprocess
 import tempfile
 import time
@@ -48,7 +47,6 @@ def radio() -> Iterator[Radio]:
     with tempfile.TemporaryDirectory() as folder, Radio(Path(folder), ROBOTS, machines=False) as made:
         made.order("medium", supervision=SUPERVISION)
         bring_up(made)
-        os.environ["LAB_RFCOMM"] = " ".join(made.addresses)
         yield made
         counts = made.order("look")["counts"]
     assert not [name for name in counts if name.startswith("unknown")], counts
