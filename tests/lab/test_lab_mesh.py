@@ -22,7 +22,7 @@ def simulate(shape: str, share: Path) -> None:
     (share / f"{shape}.toml").write_text(config(shape, 'key = "/share/swarm.key"'))
     own = share / "own.toml"
     own.write_text(config(shape, "insecure = true"))
-    words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(5 * ITERATIONS), "--json"]
+    words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
     record = ["--record", str(share / "simulated" / shape)]
     subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
 
