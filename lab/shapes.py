@@ -8,7 +8,6 @@ ITERATIONS = 60
 LINE = [(i, i + 1) for i in range(ROBOTS - 1)]
 SHAPES = {
     "line": LINE,
-    "full": [(i, j) for i in range(ROBOTS) for j in range(i + 1, ROBOTS)],
 }
 
 

@@ -55,8 +55,8 @@ class Radio:
     def close(self) -> None:
         """All adapters are unplugged."""
         self._sock.close()
-        with contextlib.suppress(OSError):
-            self._process.communicate(timeout=10)
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+            self._process.communicate(timeout=60)
         self._process.kill()
         self._own.unlink(missing_ok=True)
         self._path.unlink(missing_ok=True)
