@@ -7,6 +7,7 @@ until its standard input ends. Debian's Python is enough for it.
 
 import argparse
 import dataclasses
+import errno
 import json
 import os
 import random
@@ -44,9 +45,15 @@ class Vhci:
             return []
         return [packet] if packet and packet[0] != VENDOR else []
 
-    def write(self, packet: bytes) -> None:
-        """A packet for the host."""
-        os.write(self._device, packet)
+    def write(self, packet: bytes) -> bool:
+        """A packet for the host; False where it has switched this adapter off, of which it says nothing itself."""
+        try:
+            os.write(self._device, packet)
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+            return False
+        return True
 
     def close(self) -> None:
         """Unplug it."""
@@ -76,12 +83,13 @@ class Line:
         packets, self._rest = hci.split(self._rest + data)
         return packets
 
-    def write(self, packet: bytes) -> None:
+    def write(self, packet: bytes) -> bool:
         """A packet for the host; the end of its machine is found by reading."""
         try:
             self._sock.sendall(packet)
         except OSError:
             self._rest = b""
+        return True
 
     def close(self) -> None:
         """Unplug it."""
@@ -139,8 +147,8 @@ class Process:
                 self._obey(now)
             self._air.handle_timer(time.monotonic())
             for address, packet in self._air.to_send():
-                if address in self._adapters:
-                    self._adapters[address].write(packet)
+                if address in self._adapters and not self._adapters[address].write(packet):
+                    self._air.switch_off(address, time.monotonic())
 
     def _unplug(self, address: str, now: float) -> None:
         if address in self._adapters:

@@ -216,6 +216,20 @@ def test_a_reset_forgets_links(world: World) -> None:
     assert world.air.links() == []
 
 
+def test_a_controller_that_its_host_switched_off_is_heard_no_more(world: World) -> None:
+    world.link(A, B)
+    world.air.switch_off(A, world.now)
+    world.run(20.0)
+    assert world.codes(A) == []
+    assert [(code, body[-1]) for code, body in world.events(B)] == [
+        (Ev.DISCONNECTION_COMPLETE, Status.CONNECTION_TIMEOUT)
+    ]
+    assert world.air.links() == []
+    world.tell(B, Op.CREATE_CONNECTION, hci.to_wire(A) + bytes(7))
+    world.run(20.0)
+    assert world.events(B)[-1][1][0] == Status.PAGE_TIMEOUT  # it does not listen
+
+
 def test_an_inquiry_finds_those_that_can_be_found(world: World) -> None:
     world.tell(C, Op.WRITE_SCAN, b"\2")
     world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x02\0")

@@ -67,6 +67,10 @@ class Air:
         controller = self._controllers.pop(address)
         self.forget(controller, now)
 
+    def switch_off(self, address: str, now: float) -> None:
+        """A controller's host has switched it off; its settings are gone, and the others find out as by `remove`."""
+        self._controllers[address].switch_off(now)
+
     def receive(self, address: str, packet: bytes, now: float) -> None:
         """A packet of the host of that controller; raises hci.HciError."""
         controller = self._controllers[address]

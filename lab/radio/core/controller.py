@@ -224,11 +224,15 @@ class Controller:
                 self._page_timeout = int.from_bytes(parameters[:2], "little") * SLOT
         self._complete(op)
 
-    def _reset(self, op: int, parameters: bytes, now: float) -> None:
+    def switch_off(self, now: float) -> None:
+        """Links, pages and settings are gone."""
         self._air.forget(self, now)
         self.paging.clear()
         self.asked.clear()
         self._set_defaults()
+
+    def _reset(self, op: int, parameters: bytes, now: float) -> None:
+        self.switch_off(now)
         self._complete(op)
 
     # -- who is there ----------------------------------------------------------------------------------------

@@ -1,0 +1,302 @@
+"""Inside a machine: what the mesh's RFCOMM links do at each fault of a real kernel's sockets."""
+
+import errno
+import os
+import select
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from inside_radio import SUPERVISION, adapters, bring_up, hci
+
+from lab.radio.remote import Radio
+from services.mesh.links import rfcomm
+from services.mesh.links.pipe import Pipe
+from swarm import clock
+from swarm.errors import LocalError
+
+CHANNEL = 3
+PATIENCE = 60.0
+"""s; bounds a failure in an emulated machine that shares its processors."""
+
+PASSING = (errno.EBUSY, errno.ECONNREFUSED, errno.EHOSTDOWN, errno.EALREADY)
+"""Errors of a dial that end when an earlier connection or its adapter's absence has ended."""
+
+Pair = tuple[Pipe, Pipe]
+
+
+def mine(radio: Radio, number: int, channel: int = CHANNEL) -> rfcomm.Radio:
+    return rfcomm.Radio(radio.addresses[number], channel)
+
+
+@pytest.fixture
+def listener(radio: Radio) -> Iterator[rfcomm.Listener]:
+    made = rfcomm.Listener(mine(radio, 1), {radio.addresses[0].lower(): "r0"})
+    yield made
+    made.close()
+
+
+def accept(listener: rfcomm.Listener) -> Pipe:
+    assert select.select([listener], [], [], PATIENCE)[0], "nobody has called"
+    return listener.accept()
+
+
+def dial(radio: Radio, caller: int = 0, called: int = 1) -> Pipe:
+    """As the mesh does it: again, while an earlier connection has not ended yet."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        try:
+            return rfcomm.dial(mine(radio, caller), radio.addresses[called])
+        except OSError as error:
+            if time.monotonic() > deadline or error.errno not in PASSING:
+                raise
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def pair(radio: Radio, listener: rfcomm.Listener) -> Iterator[Pair]:
+    """A connection: the caller's and the called one's pipe."""
+    caller = dial(radio)
+    called = accept(listener)
+    yield caller, called
+    for pipe in (caller, called):
+        pipe.shutdown()
+        pipe.close()
+
+
+def read(pipe: Pipe, seconds: float = PATIENCE) -> bytes:
+    """What the mesh's thread gets next: it selects, reads and takes, and looks again when `next_change` says so."""
+    deadline = time.monotonic() + seconds
+    while True:
+        now = clock.now()
+        if (data := pipe.take(now)) is not None:
+            return data
+        left = min(deadline - time.monotonic(), 0.5)
+        assert time.monotonic() < deadline, "nothing arrives, and no end either"
+        if pipe.wants_read(now) and select.select([pipe], [], [], max(0.0, left))[0]:
+            pipe.read(now)
+
+
+def write(pipe: Pipe, data: bytes) -> bool:
+    pipe.offer(data)
+    return pipe.flush()
+
+
+def ended(pipe: Pipe, seconds: float = PATIENCE) -> str:
+    """Why it ended; and it is not read again, since a second read never returns."""
+    assert read(pipe, seconds) == b""
+    assert not pipe.wants_read(clock.now())
+    assert pipe.take(clock.now()) is None
+    return pipe.fault
+
+
+def test_bytes_go_both_ways_and_the_caller_is_known(radio: Radio, pair: Pair) -> None:
+    caller, called = pair
+    assert (called.caller.source, called.caller.robot) == (radio.addresses[0], "r0")
+    assert write(caller, b"there")
+    assert read(called) == b"there"
+    assert write(called, b"back")
+    assert read(caller) == b"back"
+
+
+def test_the_other_end_closed_what_it_said_before_still_arrives(pair: Pair) -> None:
+    caller, called = pair
+    assert write(called, b"last words")
+    called.shutdown()
+    called.close()
+    assert read(caller) == b"last words"
+    assert ended(caller) in ("", "connection reset by peer")
+
+
+def test_the_other_process_killed(radio: Radio, listener: rfcomm.Listener) -> None:
+    child = os.fork()
+    if child == 0:
+        accept(listener)
+        time.sleep(PATIENCE)
+        os._exit(0)
+    caller = dial(radio)
+    time.sleep(0.2)
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    assert ended(caller) in ("", "connection reset by peer")
+    caller.close()
+
+
+def test_who_writes_after_the_end_learns_it_and_the_reader_too(pair: Pair) -> None:
+    caller, called = pair
+    called.shutdown()
+    called.close()
+    deadline = time.monotonic() + PATIENCE
+    caller.offer(b"x")
+    while not caller.fault and time.monotonic() < deadline:
+        # False: the kernel's buffer is full, since the end takes its time to get here and we write faster.
+        if caller.flush():
+            caller.offer(b"x")
+    assert caller.fault
+    assert ended(caller)
+
+
+def test_a_lost_link_ends_both_pipes(radio: Radio, pair: Pair) -> None:
+    radio.order("drop", one=radio.addresses[0], other=radio.addresses[1])
+    for pipe in pair:
+        assert ended(pipe) == "connection timed out"
+
+
+def test_silence_first_takes_writes_then_blocks_and_ends_by_the_supervision_time(radio: Radio, pair: Pair) -> None:
+    caller, _ = pair
+    radio.order("cut", one=radio.addresses[0], other=radio.addresses[1])
+    began = time.monotonic()
+    taken = 0
+    while write(caller, bytes(900)):
+        taken += 1
+        assert taken < 200, "the kernel takes everything"
+    assert taken >= 20  # about 51 of them on an unloaded machine
+    for pipe in pair:
+        assert ended(pipe) == "connection timed out"
+    assert time.monotonic() - began >= SUPERVISION - 0.5
+
+
+def test_a_short_silence_costs_nothing(radio: Radio, pair: Pair) -> None:
+    caller, called = pair
+    radio.order("medium", supervision=1000.0)
+    radio.order("cut", one=radio.addresses[0], other=radio.addresses[1])
+    assert write(caller, b"through a cut")
+    assert not select.select([called], [], [], 1.0)[0]
+    radio.order("mend", one=radio.addresses[0], other=radio.addresses[1])
+    assert read(called) == b"through a cut"
+
+
+@pytest.mark.parametrize("how", ["absent", "out of range"])
+def test_a_robot_that_is_not_there(radio: Radio, how: str) -> None:
+    called = "00:11:22:33:44:55"
+    if how == "out of range":
+        called = radio.addresses[4]
+        radio.order("place", address=radio.addresses[3], x=0.0, y=0.0)
+        radio.order("place", address=called, x=50.0, y=0.0)
+        radio.order("medium", range=10.0)
+    began = time.monotonic()
+    with pytest.raises(OSError, match="not in range, switched off") as caught:
+        rfcomm.dial(mine(radio, 3), called)
+    assert caught.value.errno == errno.EHOSTDOWN
+    assert 4.0 < time.monotonic() - began < rfcomm.DIAL_TIMEOUT
+    radio.order("medium", range=1000.0)
+
+
+def test_nobody_listens(radio: Radio) -> None:
+    with pytest.raises(OSError, match="no mesh listens on that channel") as caught:
+        rfcomm.dial(mine(radio, 0, 9), radio.addresses[2])
+    assert caught.value.errno == errno.ECONNREFUSED
+
+
+def test_the_same_pair_and_channel_again(radio: Radio, pair: Pair) -> None:
+    with pytest.raises(OSError, match="an earlier connection") as caught:
+        rfcomm.dial(mine(radio, 0), radio.addresses[1])
+    assert caught.value.errno == errno.EBUSY
+
+
+def test_a_channel_in_use(radio: Radio, listener: rfcomm.Listener) -> None:
+    with pytest.raises(LocalError, match="something else listens on that channel"):
+        rfcomm.Listener(mine(radio, 1), {})
+
+
+def test_no_such_adapter(radio: Radio) -> None:
+    wrong = rfcomm.Radio("00:11:22:33:44:66", CHANNEL)
+    with pytest.raises(OSError, match="the own Bluetooth adapter is not there") as caught:
+        rfcomm.dial(wrong, radio.addresses[0])
+    assert caught.value.errno == errno.EHOSTUNREACH
+
+
+def test_both_call_at_once_which_is_why_one_fixed_side_calls(radio: Radio) -> None:
+    """Without a link below them both pages are unheard; whatever they come to, neither hangs, and then one works."""
+    listeners = [rfcomm.Listener(mine(radio, number), {}) for number in (4, 5)]
+    results: list[str] = []
+
+    def call(me: int, other: int) -> None:
+        try:
+            pipe = rfcomm.dial(mine(radio, me), radio.addresses[other])
+        except OSError as error:
+            results.append(errno.errorcode[error.errno or 0])
+        else:
+            results.append("connected")
+            pipe.shutdown()
+            pipe.close()
+
+    threads = [threading.Thread(target=call, args=pair) for pair in ((4, 5), (5, 4))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE)
+    assert len(results) == 2
+    assert set(results) <= {"connected", "EHOSTDOWN", "EBUSY", "EALREADY"}
+    time.sleep(0.2)
+    pipe = dial(radio, 4, 5)
+    accept(listeners[1]).close()
+    pipe.close()
+    for each in listeners:
+        each.close()
+
+
+@pytest.mark.parametrize("how", ["down and up", "unplugged"])
+def test_an_adapter_that_goes_and_comes_back(radio: Radio, listener: rfcomm.Listener, pair: Pair, how: str) -> None:
+    caller, called = pair
+    address = radio.addresses[1]
+    if how == "unplugged":
+        radio.order("unplug", address=address)
+        radio.order("plug", address=address)
+        assert ended(caller) == "connection timed out"
+        assert ended(called)
+    else:
+        hci(adapters()[address], "down")
+        assert ended(called) == "software caused connection abort"
+        # The lab's controller finds out that its host has switched it off when it has something for it, and says no
+        # more then: the mesh's sign of life, for one.
+        write(caller, b"are you there")
+        assert ended(caller) == "connection timed out"
+    bring_up(radio)
+    again = dial(radio)
+    other = accept(listener)
+    assert write(again, b"as before")
+    assert read(other) == b"as before"
+    for pipe in (again, other):
+        pipe.shutdown()
+        pipe.close()
+
+
+def resident() -> int:
+    """kB of this process."""
+    return int(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
+
+
+def test_a_thousand_connections_leave_nothing_behind(radio: Radio, listener: rfcomm.Listener) -> None:
+    def once() -> None:
+        caller = dial(radio)
+        called = accept(listener)
+        assert write(caller, b"x")
+        assert read(called) == b"x"
+        called.shutdown()
+        called.close()
+        ended(caller)
+        caller.close()
+
+    def state() -> tuple[int, int]:
+        return len(list(Path("/proc/self/fd").iterdir())), resident()
+
+    for _ in range(50):
+        once()
+    descriptors, memory = state()
+    slab = kernel()
+    for _ in range(1000):
+        once()
+    after, now = state()
+    assert after == descriptors
+    assert now - memory < 2000
+    assert kernel() - slab < 10_000
+
+
+def kernel() -> int:
+    """kB of the kernel's own objects that it cannot give back."""
+    subprocess.run(["sync"], check=True)
+    return int(Path("/proc/meminfo").read_text().split("SUnreclaim:")[1].split()[0])

@@ -1,0 +1,17 @@
+"""Our RFCOMM links and every fault of a real kernel's sockets: tests/lab/inside_faults.py, in one machine."""
+
+from collections.abc import Callable
+
+import pytest
+
+from lab.inside import run_tests
+from lab.vm.machine import PLAIN, Machine
+
+pytest_plugins = ("lab_fixtures",)
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(600)]
+
+
+def test_links_over_real_sockets(machine: Callable[..., Machine]) -> None:
+    robot = machine("r0", init=PLAIN, cores=2)
+    robot.start()
+    run_tests(robot, "tests/lab/inside_faults.py -k 'not thousand'", 500)
