@@ -3,11 +3,9 @@
 import errno
 import os
 import select
-import subprocess
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from inside_radio import SUPERVISION, adapters, bring_up, hci
@@ -263,40 +261,3 @@ def test_an_adapter_that_goes_and_comes_back(radio: Radio, listener: rfcomm.List
     for pipe in (again, other):
         pipe.shutdown()
         pipe.close()
-
-
-def resident() -> int:
-    """kB of this process."""
-    return int(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
-
-
-def test_a_thousand_connections_leave_nothing_behind(radio: Radio, listener: rfcomm.Listener) -> None:
-    def once() -> None:
-        caller = dial(radio)
-        called = accept(listener)
-        assert write(caller, b"x")
-        assert read(called) == b"x"
-        called.shutdown()
-        called.close()
-        ended(caller)
-        caller.close()
-
-    def state() -> tuple[int, int]:
-        return len(list(Path("/proc/self/fd").iterdir())), resident()
-
-    for _ in range(50):
-        once()
-    descriptors, memory = state()
-    slab = kernel()
-    for _ in range(1000):
-        once()
-    after, now = state()
-    assert after == descriptors
-    assert now - memory < 2000
-    assert kernel() - slab < 10_000
-
-
-def kernel() -> int:
-    """kB of the kernel's own objects that it cannot give back."""
-    subprocess.run(["sync"], check=True)
-    return int(Path("/proc/meminfo").read_text().split("SUnreclaim:")[1].split()[0])
