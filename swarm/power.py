@@ -4,13 +4,12 @@ What a reboot costs a real robot is gone here, too: the runtime directory, as /r
 (`DISK` in that directory, and the recordings) is kept.
 """
 
-import socket
 from dataclasses import dataclass
 from pathlib import Path
 
+from swarm import datagrams
 from swarm.codec import decode, encode
 from swarm.errors import LocalError
-from swarm.paths import socket_path
 
 SOCKET = "power.sock"
 """In the run directory; the simulation listens there."""
@@ -34,12 +33,7 @@ def reboot(run_dir: Path, robot: str, seconds: float) -> None:
     """Switch a robot off, and on again after `seconds`. Raises `LocalError` where no simulation listens."""
     if not 0.0 <= seconds <= MAX_OFF_S:
         raise LocalError(f"a robot is off for 0 to {MAX_OFF_S:g} s, not {seconds:g}")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-        sock.settimeout(1.0)
-        try:
-            sock.sendto(encode(Reboot(robot, seconds)), str(socket_path(run_dir, SOCKET)))
-        except OSError as error:
-            raise LocalError(f"the simulation in {run_dir} does not listen ({error.strerror})") from None
+    datagrams.send(run_dir, SOCKET, encode(Reboot(robot, seconds)), f"the simulation in {run_dir} does not listen")
 
 
 def unpack(datagram: bytes) -> Reboot:

@@ -101,9 +101,9 @@ class I2CDevice:
             case Command.TENBIT | Command.PEC if not call.argument:
                 pass
             case Command.SLAVE | Command.SLAVE_FORCE | Command.TENBIT | Command.PEC:
-                raise _failure(errno.EINVAL)
+                raise failure(errno.EINVAL)
             case _:
-                raise _failure(errno.ENOTTY)
+                raise failure(errno.ENOTTY)
         return Done()
 
     def close(self, handle: int) -> None:
@@ -116,14 +116,14 @@ class I2CDevice:
             return Retry(pieces, [])
         where, count = _RDWR_DATA.unpack_from(call.data)
         if not 0 < count <= MOST_MESSAGES:
-            raise _failure(errno.EINVAL)
+            raise failure(errno.EINVAL)
         pieces.append(Piece(where, count * _MESSAGE.size))
         at = _RDWR_DATA.size + count * _MESSAGE.size
         if len(call.data) < at:
             return Retry(pieces, [])
         heads = [_MESSAGE.unpack_from(call.data, offset) for offset in range(_RDWR_DATA.size, at, _MESSAGE.size)]
         if any(length > LONGEST or flags & ~READ for _, flags, length, _ in heads):
-            raise _failure(errno.EINVAL)
+            raise failure(errno.EINVAL)
         incoming = [Piece(pointer, length) for _, flags, length, pointer in heads if flags & READ and length]
         outgoing = [Piece(pointer, length) for _, flags, length, pointer in heads if not flags & READ and length]
         if len(call.data) < at + sum(piece.size for piece in outgoing) or call.room < sum(p.size for p in incoming):
@@ -144,7 +144,7 @@ class I2CDevice:
         reads, command, size, where = _SMBUS_DATA.unpack_from(call.data)
         address = self._addresses.get(call.handle)
         if address is None or reads > 1:
-            raise _failure(errno.EINVAL)
+            raise failure(errno.EINVAL)
         takes, fills = _smbus_union(reads, size)
         if len(call.data) < head.size + takes or call.room < fills:
             return Retry([head, *([Piece(where, takes)] if takes else [])], [Piece(where, fills)] if fills else [])
@@ -169,7 +169,7 @@ def _smbus_union(reads: int, size: int) -> tuple[int, int]:
         case Size.I2C_BLOCK_DATA:  # a read, too, gives its length in the union
             return _BLOCK, _BLOCK if reads else 0
         case _:
-            raise _failure(errno.EOPNOTSUPP)
+            raise failure(errno.EOPNOTSUPP)
 
 
 def _emulated(address: int, reads: int, command: int, size: int, union: bytes) -> tuple[list[Message], bytes]:
@@ -188,7 +188,7 @@ def _emulated(address: int, reads: int, command: int, size: int, union: bytes) -
             return [Message(address, index + union), Message(address, read=2)], b""
     count = union[0]
     if not 0 < count <= SMBUS_BLOCK:
-        raise _failure(errno.EINVAL)
+        raise failure(errno.EINVAL)
     if size == Size.BLOCK_DATA:
         return [Message(address, index + union[: 1 + count])], b""
     if reads:
@@ -196,5 +196,6 @@ def _emulated(address: int, reads: int, command: int, size: int, union: bytes) -
     return [Message(address, index + union[1 : 1 + count])], b""
 
 
-def _failure(number: int) -> OSError:
+def failure(number: int) -> OSError:
+    """What the kernel says by that number."""
     return OSError(number, os.strerror(number))

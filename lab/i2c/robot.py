@@ -2,12 +2,11 @@
 when, and what comes back."""
 
 import errno
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from lab.i2c.ioctls import Message
+from lab.i2c.ioctls import Message, failure
 from services.sim.core.devices import NOBODY
 from services.sim.i2c import SimulatedBus
 from swarm.errors import LocalError
@@ -93,19 +92,19 @@ class RobotAdapter:
         if faults.hold_sda:
             faults.hold_sda, self._bus.robot.sda_held = False, True
         if faults.stuck or _spoils(faults.timeout, address):
-            raise _failure(errno.ETIMEDOUT)
+            raise failure(errno.ETIMEDOUT)
         if _spoils(faults.nack, address):
-            raise _failure(errno.EREMOTEIO)
+            raise failure(errno.EREMOTEIO)
         if _spoils(faults.short, address):
-            raise _failure(errno.EIO)
+            raise failure(errno.EIO)
         if address == NOBODY:
             self._bus.recover()  # its clock pulses free SDA
-            raise _failure(errno.EREMOTEIO)
+            raise failure(errno.EREMOTEIO)
         if not message.read:
             if message.write:
                 self._bus.write(address, message.write)
             elif address not in self._bus.robot.devices:  # a bare address, as i2cdetect sends it
-                raise _failure(errno.EREMOTEIO)
+                raise failure(errno.EREMOTEIO)
             return b""
         data = self._bus.read(address, message.read)
         return bytes(byte ^ faults.mask for byte in data) if _spoils(faults.corrupt, address) else data
@@ -117,7 +116,3 @@ def _spoils(counts: dict[int, int], address: int) -> bool:
             counts[key] -= 1
             return True
     return False
-
-
-def _failure(number: int) -> OSError:
-    return OSError(number, os.strerror(number))

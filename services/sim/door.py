@@ -5,16 +5,14 @@ to the door, RUN/<robot>/body.sock. A body that starts asks the world, which may
 earlier process where it had been.
 """
 
-import contextlib
 import logging
-import os
-import socket
 from pathlib import Path
 
 import msgpack
 
 from services.sim.core.devices import SimulatedRobot
 from services.sim.core.hands import Hands
+from swarm import datagrams
 from swarm.core.hands import DOOR, unpack
 from swarm.errors import LocalError, RemoteError
 from swarm.paths import socket_path
@@ -38,14 +36,8 @@ class Door:
         self._hands = Hands(robot)
         self._world = str(socket_path(runtime.parent, WORLD_SOCKET))
         self._next = 0.0
-        path = socket_path(runtime, DOOR)
-        with contextlib.suppress(FileNotFoundError):
-            path.unlink()  # of the process before
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind(str(path))
-        except OSError as error:
-            raise LocalError(f"{path}: {os.strerror(error.errno or 0)}") from None
+        socket_path(runtime, DOOR).unlink(missing_ok=True)  # of the process before
+        self._socket = datagrams.listen(runtime, DOOR)
         self._ask(now)
         self._socket.setblocking(False)
 

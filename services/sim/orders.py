@@ -1,8 +1,6 @@
 """The simulation's ear for orders (`swarm.orders`): it starts and stops apps, and answers."""
 
 import contextlib
-import os
-import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -10,10 +8,9 @@ import msgpack
 
 from services.apps.loader import BUILT_IN
 from services.sim.processes import Processes
-from swarm import orders
+from swarm import datagrams, orders
 from swarm.errors import LocalError, SwarmError
 from swarm.orders import Order
-from swarm.paths import socket_path
 
 _AT_ONCE = 8
 
@@ -26,13 +23,7 @@ class Orders:
     ) -> None:
         """`start(robot, app)` starts an app that has not run yet; it raises `LocalError`."""
         self._processes, self._names, self._start = processes, names, start
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        path = socket_path(run_dir, orders.DOOR)
-        try:
-            self._socket.bind(str(path))
-        except OSError as error:
-            raise LocalError(f"{path}: {os.strerror(error.errno or 0)}") from None
-        self._socket.setblocking(False)
+        self._socket = datagrams.listen(run_dir, orders.DOOR)
 
     def look(self) -> list[str]:
         """Carry out what has come; what was done, in words."""

@@ -2,13 +2,12 @@
 
 import logging
 import shutil
-import socket
 from collections.abc import Collection
 from pathlib import Path
 
 from services.sim.processes import Processes
+from swarm import datagrams
 from swarm.errors import PayloadError
-from swarm.paths import socket_path
 from swarm.power import DISK, SOCKET, unpack
 
 MAX_DATAGRAM = 256
@@ -25,12 +24,10 @@ class Power:
     """The switches of all robots of a run."""
 
     def __init__(self, run_dir: Path, names: Collection[str], processes: Processes) -> None:
-        """Raises OSError where it cannot listen."""
+        """Raises `LocalError` where it cannot listen."""
         self._run_dir, self._names, self._processes = run_dir, names, processes
         self._off: dict[str, float] = {}
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(socket_path(run_dir, SOCKET)))
-        self._socket.setblocking(False)
+        self._socket = datagrams.listen(run_dir, SOCKET)
 
     def look(self, now: float) -> None:
         """Do what was asked, and boot what has been off for long enough."""

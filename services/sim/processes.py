@@ -70,13 +70,6 @@ class Child:
             )
         pid_file(self.directory.parent, self.robot, self.service).write_text(f"{self.process.pid}\n")
 
-    def boot(self) -> None:
-        """Start the process as that of a robot that has just been switched on."""
-        self.held, self.given_up = False, ""
-        self._ends.clear()
-        if self.process is None:  # else somebody has ordered it meanwhile
-            self.start()
-
     def ended(self, code: int, now: float) -> None:
         """Decide what follows from the end of the process."""
         self.process = None
@@ -99,7 +92,7 @@ class Child:
             self.process.send_signal(signal.SIGCONT)  # a stopped process would never see the other signal
 
     def release(self) -> None:
-        """Start it if it does not run; one that is ending on order is started when it has ended."""
+        """Start it if it does not run, whatever went before; one that still ends on order is started when it has."""
         self.held, self.given_up, self._ends = False, "", []
         if self.process is None and self.restart_at is None:
             self.start()
@@ -152,7 +145,7 @@ class Processes:
     def start(self, robot: str) -> None:
         """Boot a robot that `kill` has ended: whatever went before is forgotten."""
         for child in self.of(robot):
-            child.boot()
+            child.release()
 
     def supervise(self, now: float) -> list[Child]:
         """Restart what ended, after its delay; returns those given up since the last call."""

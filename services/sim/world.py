@@ -17,7 +17,7 @@ from typing import TypeVar
 from services.sim.core.module_line import SOURCE as SOURCE_ATMEGA
 from services.sim.core.witness import Witness
 from services.sim.module import ModuleBoard
-from swarm import clock
+from swarm import clock, datagrams
 from swarm.codec import MAX_PAYLOAD, decode
 from swarm.config import Config
 from swarm.core.hands import DOOR, Place, pack
@@ -78,9 +78,7 @@ class World:
         self._run_dir = run_dir
         self._starts = config.simulation.places
         self._last: dict[str, BodyReport] = {}
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(socket_path(run_dir, SOCKET)))
-        self._socket.setblocking(False)
+        self._socket = datagrams.listen(run_dir, SOCKET)
         self._modules = ModuleBoard(run_dir, config, seed)
         self._ranging = config.dwm.source.startswith("serial:") or config.dwm.source == SOURCE_ATMEGA
         if self._ranging:

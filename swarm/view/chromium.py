@@ -132,8 +132,7 @@ async def opened(address: str, size: tuple[int, int]) -> AsyncIterator[Page]:
 
 def _spawn(command: list[str]) -> tuple[int, int, int]:
     """Start a browser in a process group of its own: its pid, where it speaks and where it listens."""
-    pipes = (*os.pipe(), *os.pipe())
-    its_in, our_out, our_in, its_out = (pipes[0], pipes[1], pipes[2], pipes[3])
+    (its_in, our_out), (our_in, its_out) = os.pipe(), os.pipe()
     high = [fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 10) for descriptor in (its_in, its_out)]  # none is 3 or 4
     os.close(its_in)
     os.close(its_out)
