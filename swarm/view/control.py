@@ -110,12 +110,17 @@ class Control:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
         if not is_name(app) or not isinstance(value, bool | int | float | str):
             raise LocalError("set: expected the name of an app and a number, a text, true or false")
-        robots = self._robots(asked)
+        robots = [robot for robot in self._robots(asked) if self._feed.buses[robot].connected]
+        if not robots:
+            raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
         values: dict[str, Value] = {name: value}
         for robot in robots:
             request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
             self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
-        return f"{app}: {name}={value} asked of {' '.join(robots)}"
+        config = self._feed.config
+        others = [robot for robot in config.names if robot not in robots] if config and not asked.get("robot") else []
+        alone = f", not of {' '.join(others)}: they are not reached" if others else ""
+        return f"{app}: {name}={value} asked of {' '.join(robots)}{alone}"
 
     def _order(self, act: str, asked: Mapping[str, Any]) -> str:
         return orders.give(self._run_dir(), act, str(asked["app"]), self._robots(asked))

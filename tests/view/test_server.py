@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgpack
@@ -28,6 +29,8 @@ TOKEN = "a-token"
 
 class Bus:
     """What is published ends here."""
+
+    connected = True
 
     def __init__(self) -> None:
         self.published: list[tuple[str, object]] = []
@@ -202,6 +205,17 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
     key, message = feed.buses["r1"].published[0]
     assert key == "swarm/r1/app/x/set/parameters"
     assert message.parameters == {"gain": 0.5}
+
+
+def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: Simulation) -> None:
+    control, asked = Control(feed, allowed=True), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
+    feed.config = SimpleNamespace(names=("r0", "r1", "r2"))
+    assert control.do(asked) == "x: gain=0.5 asked of r0 r1, not of r2: they are not reached"
+    feed.buses["r0"].connected = False
+    assert control.do(asked).endswith("asked of r1, not of r0 r2: they are not reached")
+    assert not feed.buses["r0"].published[1:]
+    with pytest.raises(LocalError, match="r0 is not reached"):
+        control.do(asked | {"robot": "r0"})
 
 
 def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:
