@@ -134,4 +134,4 @@ def _off(place: Place, a: Place, b: Place) -> float:
 
 def _rtt(ends: Iterable[list[dict[str, Any]]]) -> float | None:
     found: list[float] = [link["rtt"] for seen in ends for link in seen if link.get("rtt") is not None]
-    return sum(found) / len(found) if found else None
+    return math.fsum(found) / len(found) if found else None
