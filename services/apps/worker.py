@@ -261,7 +261,8 @@ class Worker:
         now = clock.now()
         with self._lock:
             if self.stuck:
-                self._failed(f"the step of iteration {self._strand.k} has not ended within {STUCK:g} s")
+                where = f"iteration {self._strand.k}"
+                self._failed(self._runner.hangs(where, self._thread.ident, STUCK))
             deadline = self._strand.next_deadline(now)
             if deadline is not None and now >= deadline:
                 self._strand.handle_timer(now)
