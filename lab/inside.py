@@ -40,7 +40,7 @@ def command(words: str) -> str:
 def run_tests(machine: Machine, words: str, seconds: float) -> str:
     """Run pytest inside with these words, with six adapters of its kernel: what it said. AssertionError if it fails."""
     furnish(machine)
-    options = "-p no:cacheprovider -p inside_radio -v --durations=10 --tb=short --timeout=300"
+    options = "-p no:cacheprovider -p inside_radio -v -s --durations=20 --tb=short --timeout=300"
     # Into a file of the host, too, for whoever wants to see how far it is.
     log = "/share/pytest.log"
     words = f"{command(f'-m pytest {options} {words}')} >{log} 2>&1; code=$?; cat {log}; exit $code"

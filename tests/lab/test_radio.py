@@ -172,6 +172,16 @@ def test_a_page_that_nobody_hears_times_out(world: World) -> None:
         assert [body[0] for _, body in world.events(A)] == [Status.PAGE_TIMEOUT]
 
 
+def test_a_page_is_repeated_until_it_is_heard(world: World) -> None:
+    world.air.silence(B, world.now)
+    world.tell(A, Op.CREATE_CONNECTION, hci.to_wire(B) + bytes(7))
+    world.run(3.0)
+    assert world.codes(A) == [Ev.COMMAND_STATUS]
+    world.air.unsilence(B, world.now)
+    world.run(0.2)
+    assert world.codes(B) == [Ev.CONNECTION_REQUEST]
+
+
 def test_two_that_page_each_other_hear_nothing(world: World) -> None:
     for one, other in ((A, B), (B, A)):
         world.tell(one, Op.CREATE_CONNECTION, hci.to_wire(other) + bytes(7))
