@@ -1,8 +1,9 @@
-"""Inside a machine: the mesh and app processes of six robots, an adapter each."""
+"""Inside a machine: the mesh and app processes of its robots, an adapter each."""
 
 import json
 import os
 import signal
+from collections.abc import Sequence
 from pathlib import Path
 
 from conftest import PATIENCE, Processes
@@ -18,20 +19,21 @@ MESH, APPS = "services.mesh", "services.apps"
 
 
 class Swarm:
-    """Services of six robots, with buses of this process; a killed one is started again, as systemd does."""
+    """Services of the robots here, with buses of this process; a killed one is started again, as systemd does."""
 
-    def __init__(self, processes: Processes, config: str) -> None:
-        """`config`: the name of its swarm.toml in the shared folder, without the suffix."""
+    def __init__(self, processes: Processes, config: str, names: Sequence[str] = NAMES) -> None:
+        """`config`: the name of its swarm.toml in the shared folder, without the suffix; `names`: those here."""
         self.processes = processes
         self.config = config
+        self.names = names
         self.records = processes.runtime / "records"
         self.records.mkdir()
         self.routers: list[Router] = []
         self.buses: dict[str, Bus] = {}
-        self.reached: dict[str, int] = dict.fromkeys(NAMES, -1)
+        self.reached: dict[str, int] = dict.fromkeys(names, -1)
         """The latest iteration of each robot."""
         self.nursery = processes.start(str(Path(__file__).with_name("inside_nursery.py")))
-        for name in NAMES:
+        for name in self.names:
             directory = processes.runtime / name
             directory.mkdir()
             self.routers.append(Router(bus_endpoint(directory)))
@@ -58,12 +60,12 @@ class Swarm:
         return int(stdout.readline())
 
     def start_meshes(self) -> None:
-        for name in NAMES:
+        for name in self.names:
             self.start(MESH, name)
 
     def run(self, iterations: int) -> None:
         self.start_meshes()
-        for name in NAMES:
+        for name in self.names:
             self.start(APPS, name, "consensus", "--iterations", str(iterations), "--run", "1ab")
 
     def kill(self, module: str, name: str) -> int:

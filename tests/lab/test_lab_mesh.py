@@ -63,3 +63,7 @@ def test_all_that_the_mesh_does_it_does_over_rfcomm(robots: Machine) -> None:
     for name, key in (("line", "swarm"), ("stranger", "stranger")):
         (robots.share / f"{name}.toml").write_text(config("line", f'key = "/share/{key}.key"'))
     run_tests(robots, "tests/lab/inside_overlays.py", 500)
+
+
+def test_pybluez_looks_through_the_adapter_of_our_choice(robots: Machine) -> None:
+    run_tests(robots, "tests/lab/inside_pybluez.py", 200)

@@ -384,6 +384,7 @@ class Controller:
         for address, packet in pairing.events():
             if address not in link.gone:
                 self._air.send(address, packet)
+        link.authenticated |= pairing.status == Status.SUCCESS
         if pairing.status is not None and pairing.initiator not in link.gone:
             body = struct.pack("<BH", pairing.status, link.ends[pairing.initiator])
             self._air.send(pairing.initiator, hci.event(Ev.AUTHENTICATION_COMPLETE, body))
@@ -394,7 +395,14 @@ class Controller:
             self._status(op, Status.UNKNOWN_CONNECTION)
             return
         self._status(op)
+        on = parameters[2]
+        if on and not link.authenticated:
+            self._event(Ev.ENCRYPTION_CHANGE, bytes((Status.KEY_MISSING,)) + parameters[:2] + b"\0")
+            return
+        link.encrypted = bool(on)
+        self._air.counts["encrypted"] += on
         for address, handle in link.ends.items():
             if address not in link.gone:
-                body = struct.pack("<BHB", Status.SUCCESS, handle, parameters[2])
-                self._air.send(address, hci.event(Ev.ENCRYPTION_CHANGE, body))
+                self._air.send(
+                    address, hci.event(Ev.ENCRYPTION_CHANGE, struct.pack("<BHB", Status.SUCCESS, handle, on))
+                )
