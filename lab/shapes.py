@@ -4,7 +4,7 @@ from lab.radio.remote import address
 
 ROBOTS = 6
 ITERATIONS = 60
-LONG = 240
+LONG = 140
 """Iterations of a run with faults in it."""
 
 LINE = [(i, i + 1) for i in range(ROBOTS - 1)]

@@ -1,12 +1,14 @@
 """Inside a machine: one end of an encrypted link. `inside_peer.py listen|dial OWN OTHER` prints what came.
 
-The caller says something, the called one answers; both tell the security level of their socket and the size of the
-encryption key, as the kernel has them. With `listen` there is a service record of the mesh, too.
+The caller says something, the called one answers; both tell the security level of their socket, as the kernel has it.
+With `listen` there is a service record of the mesh, too. Its process id is in /tmp/peer.
 """
 
+import os
 import select
 import struct
 import sys
+from pathlib import Path
 
 from services.mesh.links import pybluez, rfcomm
 from swarm import clock
@@ -19,6 +21,7 @@ def main() -> None:
     role, own, other = sys.argv[1:]
     radio = rfcomm.Radio(own, CHANNEL, encrypt=True)
     record = None
+    Path("/tmp/peer").write_text(str(os.getpid()))
     if role == "listen":
         listener = rfcomm.Listener(radio, {other: "r0"})
         record = pybluez.Record(listener.fileno())
@@ -38,8 +41,8 @@ def main() -> None:
         assert select.select([pipe], [], [], SECONDS)[0], "nothing comes"
         pipe.read(clock.now())
         data = pipe.take(clock.now())
-    level, size = struct.unpack("BB", pipe._sock.getsockopt(rfcomm.SOL_BLUETOOTH, rfcomm.BT_SECURITY, 2))
-    sys.stdout.write(f"{data!r} level {level} key {size} robot {pipe.caller.robot}\n")
+    level, _ = struct.unpack("BB", pipe._sock.getsockopt(rfcomm.SOL_BLUETOOTH, rfcomm.BT_SECURITY, 2))
+    sys.stdout.write(f"{data!r} level {level} robot {pipe.caller.robot}\n")
     sys.stdout.flush()
     if role == "listen":
         pipe.offer(b"and back")

@@ -3,8 +3,10 @@
 import json
 import os
 import signal
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from conftest import PATIENCE, Processes
 
@@ -77,6 +79,25 @@ class Swarm:
     def process(self, module: str, name: str) -> int:
         """The id of the process that is it now."""
         return int((self.processes.runtime / name / f"{module}.pid").read_text())
+
+    def ask(self, name: str, topic: str) -> Any:
+        """What that robot's mesh answers."""
+        answers: list[Any] = []
+
+        def asked() -> bool:
+            key = f"swarm/{name}/mesh/{topic}"
+            self.buses[name].ask(key, lambda key, payload: answers.append(read(key, payload)), timeout_s=2.0)
+            return bool(answers)
+
+        self.wait(asked, lambda: f"{name}'s mesh does not answer")
+        return answers[0]
+
+    def wait(self, condition: Callable[[], bool], what: Callable[[], str]) -> None:
+        """Until that is so; `what` says how it is when it took too long."""
+        deadline = time.monotonic() + 20 * PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, f"{what()}\n{self.logs()}"
+            time.sleep(0.05)
 
     def end(self) -> None:
         """All services end by SIGTERM, and well."""

@@ -39,7 +39,7 @@ def test_robots_in_machines_of_their_own_compute_what_the_simulation_computes(
         ]
 
         def compute(robot: Machine) -> int:
-            robot.start()
+            robot.wait_booted()
             furnish(robot)
             for name in ("swarm.key", "swarm.toml"):
                 shutil.copy(tmp_path / name, robot.share)
@@ -49,6 +49,8 @@ def test_robots_in_machines_of_their_own_compute_what_the_simulation_computes(
             return number
 
         try:
+            for robot in robots:
+                robot.switch_on()
             with ThreadPoolExecutor(count) as pool:
                 numbers = list(pool.map(compute, robots))
             heard = radio.order("look")["links"]
