@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
-from services.apps.core.strand import Terms
+from services.apps.core.terms import Terms
 from services.apps.hold import Hold
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder

@@ -10,11 +10,12 @@ from typing import TextIO
 
 from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
-from services.sim.options import PRESS_S, Cut, Options, Press
+from services.sim.options import PRESS_S, Options
 from services.sim.orders import Orders
 from services.sim.power import Power
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
+from services.sim.quantities import Cut, Press
 from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.world import World

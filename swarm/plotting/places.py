@@ -215,4 +215,4 @@ def _frame(axes: Any, places: list[Place]) -> None:
 
 def _mean(values: Iterable[float]) -> float | None:
     found = list(values)
-    return sum(found) / len(found) if found else None
+    return math.fsum(found) / len(found) if found else None
