@@ -30,7 +30,7 @@ printf '[Service]\\nExecStart=\\nExecStart=/usr/libexec/bluetooth/bluetoothd -C\
     >/run/systemd/system/bluetooth.service.d/lab.conf
 systemctl daemon-reload
 systemctl restart bluetooth
-for i in $(seq 200); do bluetoothctl show | grep -q 'Powered: yes' && exit 0; sleep 0.3; done; exit 1
+for i in $(seq 200); do timeout 10 bluetoothctl show | grep -q 'Powered: yes' && exit 0; sleep 0.3; done; exit 1
 """
 """Service records need bluetoothd's old door."""
 
