@@ -13,7 +13,6 @@ SHAPES = {
     "line": LINE,
     "loop": LOOP,
     "random": [(0, 2), (0, 3), (1, 3), (1, 4), (2, 5), (3, 4), (4, 5)],
-    "full": [(i, j) for i in range(ROBOTS) for j in range(i + 1, ROBOTS)],
 }
 
 
@@ -24,11 +23,6 @@ TIMES = "heartbeat = 1.0\nsuspect = 10.0\ndead = 30.0\n"
 def config(shape: str, key: str, extra: str = "") -> str:
     """The swarm.toml of that shape; `key` is a line of [mesh], `extra` whole tables."""
     return _config(ROBOTS, SHAPES[shape], key) + extra
-
-
-def line(robots: int, key: str) -> str:
-    """The swarm.toml of so many in line."""
-    return _config(robots, LINE[: robots - 1], key)
 
 
 def _config(count: int, pairs: list[tuple[int, int]], key: str) -> str:
