@@ -16,7 +16,7 @@ from functools import partial
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
-from services.apps.event_runner import EventRunner, version
+from services.apps.event_runner import EventRunner, place_of, version
 from services.apps.hold import Hold
 from services.apps.host import Host, Part
 from services.apps.recorder import Recorder
@@ -94,7 +94,9 @@ class EventHost:
         self._hung = False
         self._edges = links.config.edges
         kept = (service.runtime / f"app.{name}.parameters", run)
-        self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse, kept=kept)
+        record = None if recorder is None else recorder.parameters
+        bus, robot = service.bus, service.robot
+        self._changes = Changes(bus, robot, name, app, self._change, self._refuse, kept=kept, record=record)
         runner.change(self._changes.kept())
         app.robot.timers = self._after
         self._views = {name: getattr(app, name) for name in channels_of(type(app))}
@@ -352,7 +354,7 @@ class EventHost:
 
     def _hanging(self) -> str:
         call = self._core.running
-        return "" if call is None else f"{self._runner.where(call, self._core.k)}: has not returned for {HANG:g} s"
+        return "" if call is None else self._runner.hangs(place_of(call, self._core.k), self._threads[0].ident, HANG)
 
     def _progress(self) -> AppProgress:
         now = clock.now()

@@ -145,6 +145,21 @@ def test_an_app_that_raises_is_named_with_robot_and_iteration(iteration, tmp_pat
     assert "no first iteration" not in str(failure.value)
 
 
+@pytest.mark.slow
+def test_a_robot_with_another_version_of_the_app_is_named(tmp_path):
+    """It is changed in mid-run, and one robot's process starts again: the others take nothing of it."""
+    app = tmp_path / "mean.py"
+    app.write_text((Path(__file__).parents[2] / "examples" / "consensus.py").read_text())
+    with Simulation(str(app), "--seconds", "12", "--set", "value=1", "--latency", "10ms") as simulation:
+        simulation.wait_for("r1", 20, "mean")
+        app.write_text(app.read_text() + "\n")
+        simulation.kill("r1", "app")
+        said = r"r0 app waits for r1 at iteration \d+: r1 runs another version of this app"
+        with pytest.raises(SimulationError, match=said):
+            simulation.finish()
+        assert simulation.trajectory("r0", "mean").last > 20
+
+
 def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):
     _, expected = undisturbed
     with Simulation("consensus", "--iterations", "120", "--latency", "10ms", "--cut", "r0-r1@0.3s,1s") as simulation:
@@ -154,6 +169,15 @@ def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):
             found = simulation.trajectory(name)
             assert found.rows == path.rows
             assert max(at - found.times[k - 1] for k, at in found.times.items() if k) > 0.8
+
+
+def test_a_robot_that_is_cut_off_for_ever_does_not_keep_the_others_from_their_end():
+    drop = ("--absent", "drop", "--drop-after", "1.5", "--cut", "r1-r2@0.2s,999s")
+    report = simulate("consensus", "--iterations", "60", "--latency", "10ms", *drop)
+    assert report["missing"] == ["r2"]
+    assert report["iterations"] == 60
+    assert report["problems"] == []
+    assert report["result"]["r0"] == pytest.approx(report["result"]["r1"])
 
 
 @pytest.mark.slow
