@@ -146,12 +146,10 @@ export class Store {
     const place = this.places.get(name);
     if (!place) return null;
     const share = Math.min(1, (now - place.at) / place.span);
-    const mix = (key) => (place.from[key] ?? 0) + share * ((place.to[key] ?? 0) - (place.from[key] ?? 0));
-    const turn = Math.atan2(
-      Math.sin((place.to.heading ?? 0) - (place.from.heading ?? 0)),
-      Math.cos((place.to.heading ?? 0) - (place.from.heading ?? 0)),
-    );
-    const heading = typeof place.to.heading === "number" ? (place.from.heading ?? 0) + share * turn : null;
+    const ends = (key) => [place.from[key], place.to[key]].map((each) => (Number.isFinite(each) ? each : 0));
+    const mix = (key, [from, to] = ends(key)) => from + share * (to - from);
+    const [before, after] = ends("heading"), turn = Math.atan2(Math.sin(after - before), Math.cos(after - before));
+    const heading = Number.isFinite(place.to.heading) ? before + share * turn : null;
     return { x: mix("x"), y: mix("y"), heading, tilt: mix("tilt") };
   }
 
