@@ -38,20 +38,19 @@ class Swarm:
     def add(self, name: str, *, ssh: bool = True, bus: bool = True, **options: Any) -> None:
         (self.runtime / name).mkdir()
         hook = f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}"  # noqa: PTH109
-        home = self.far.add(name, hook=hook, up=ssh, **options)
+        self.far.add(name, hook=hook, up=ssh, **options)
         self.far.script(name, "sudo", FAR.format(python=sys.executable, runtime=self.runtime / name))
         if bus:
             self.start_bus(name)
-        self.home = home
 
     def start_bus(self, name: str) -> None:
         self.routers[name] = Router(bus_endpoint(self.runtime / name))
         if name not in self.buses:
             self.buses[name] = Bus.of(self.runtime / name)
 
-    def lookout(self) -> int:
-        """The process that tells what the last robot's bus says."""
-        return int((self.home / "started").read_text().split()[-1])
+    def lookout(self, name: str) -> int:
+        """The process that tells what a robot's bus says."""
+        return int((self.far.folder / name / "started").read_text().split()[-1])
 
     def stop_bus(self, name: str) -> None:
         self.routers.pop(name).close()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from browsing import PATIENCE_MS, chromium, shown, until
-from conftest import Processes
+from conftest import Processes, wait_until
 from far_swarm import Swarm
 
 from swarm.messages import Pose
@@ -38,7 +38,7 @@ class Mine(SyncApp):
 @pytest.fixture
 def swarm(processes: Processes, tmp_path: Path) -> Iterator[Swarm]:
     swarm = Swarm(processes, tmp_path)
-    for name in ("r2", "r1", "r0"):  # r0 last: its home is the one that is looked into
+    for name in ("r0", "r1", "r2"):
         swarm.add(name, ssh=name == "r0")
     swarm.start_meshes()
     app = tmp_path / "mine.py"
@@ -62,11 +62,17 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
             line = row(page, robot[:2])
             for said in (robot, links, "2 ok", "mine running"):
                 expect(line).to_contain_text(said, timeout=PATIENCE_MS)
+        until(page, "swarmView.store.get('r2', 'app/mine/state')?.k > 0")
         k = page.evaluate("swarmView.store.get('r2', 'app/mine/state').k")
         until(page, f"swarmView.store.get('r2', 'app/mine/state').k > {k + 10}")
-        for robot in swarm.buses:
-            swarm.buses[robot].publish(f"swarm/{robot}/dwm/pose", Pose(1.0, 7, 1.25, 2.5, 0.5, 80, "ekf", 0.1, 0.1))
-        until(page, "swarmView.store.places.size === 3")
+
+        def placed() -> bool:
+            for number, (robot, bus) in enumerate(swarm.buses.items()):
+                pose = Pose(1.0, 7, float(number), 2.5, 0.5, 80, "ekf", 0.05, 0.06, 0.1, 0.02)
+                bus.publish(f"swarm/{robot}/dwm/pose", pose)
+            return page.evaluate("swarmView.store.places.size === 3")
+
+        wait_until(placed, what="all robots have their places")
 
         # Its parameters are set, and nothing else is laid on a real robot.
         row(page, "r0").click()
@@ -75,7 +81,7 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
         gain.press("Enter")
         said = page.locator("#said")
         expect(said).to_have_text(
-            "mine: gain=0.75 asked of r0, not of r2 r1: they are not reached", timeout=PATIENCE_MS
+            "mine: gain=0.75 asked of r0, not of r1 r2: they are not reached", timeout=PATIENCE_MS
         )
         until(page, "swarmView.store.get('r0', 'app/mine/parameters').parameters.gain.value === 0.75")
         gain.fill("77")
@@ -98,7 +104,7 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
 
         # And then nobody is reached: the ssh server refuses.
         swarm.far.close()
-        os.kill(swarm.lookout(), signal.SIGKILL)
+        os.kill(swarm.lookout("r0"), signal.SIGKILL)
         expect(row(page, "r0")).to_contain_text("out of reach: it runs no ssh server", timeout=PATIENCE_MS)
         expect(page.locator("#connection")).to_have_text("no robot in reach", timeout=PATIENCE_MS)
         page.locator("#stop").click()

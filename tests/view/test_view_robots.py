@@ -108,7 +108,7 @@ def test_what_breaks_is_said_and_mended_and_nothing_stays_behind(swarm: Swarm) -
     swarm.start_bus("r0")
     wait_until(seen_again, what="it is seen again")
 
-    os.kill(swarm.lookout(), signal.SIGKILL)
+    os.kill(swarm.lookout("r0"), signal.SIGKILL)
     wait_until(lambda: reach(view, "r0") is None, what="it is out of reach")
     assert any(text.startswith("r0 out of reach") for text in events(view))
     wait_until(seen_again, what="it is seen again")
@@ -120,7 +120,7 @@ def test_what_breaks_is_said_and_mended_and_nothing_stays_behind(swarm: Swarm) -
     # As the server does: nobody has confirmed it, and the subscription is younger than the first one.
     wait_until(lambda: heard or control.repeat(), what="the stop is on the robot's bus")
     assert isinstance(heard[0], Stop)
-    pid = swarm.lookout()
+    pid = swarm.lookout("r0")
     view.close()
     wait_until(lambda: not Path(f"/proc/{pid}/cwd").exists(), what="its lookout has ended")
 
