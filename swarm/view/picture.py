@@ -146,7 +146,7 @@ class Picture:
                 before = self._told.get((robot, subject))
                 self._told[robot, subject] = text
                 if before is not None or level != "info":
-                    self._tell(now, robot, level, text)
+                    self.note(now, robot, level, text)
 
     def alive(self, robot: str, service: str, there: bool, now: float) -> None:
         """A service's process has come or gone."""
@@ -157,7 +157,7 @@ class Picture:
         services[service] = there
         self.version += 1
         if before is not None:
-            self._tell(now, robot, "info" if there else "error", f"{service} is {'back' if there else 'gone'}")
+            self.note(now, robot, "info" if there else "error", f"{service} is {'back' if there else 'gone'}")
 
     def services(self) -> dict[str, dict[str, bool]]:
         """Which services have been there, by robot, and whether they are now."""
@@ -201,7 +201,8 @@ class Picture:
         """The way that a robot has come, m."""
         return list(places(self.history(robot, topic), now - seconds))
 
-    def _tell(self, now: float, robot: str, level: str, text: str) -> None:
+    def note(self, now: float, robot: str, level: str, text: str) -> None:
+        """Add a line to what has happened."""
         self._numbered += 1
         self.version += 1
         self.events.append(Event(self._numbered, now, robot, level, text))

@@ -20,7 +20,7 @@ from swarm.errors import LocalError
 from swarm.messages import Status
 from swarm.simulations import claim
 from swarm.view import server
-from swarm.view.control import Control
+from swarm.view.control import ANSWER_S, Control
 from swarm.view.feed import Simulation
 from swarm.view.server import application
 
@@ -216,6 +216,26 @@ def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_paramete
     assert not feed.buses["r0"].published[1:]
     with pytest.raises(LocalError, match="r0 is not reached"):
         control.do(asked | {"robot": "r0"})
+
+
+def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
+    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("swarm.view.control.clock.now", lambda: now[0])
+    control = Control(feed, allowed=True)
+    control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
+    control.repeat()
+    first, again = feed.buses["r0"].published
+    assert first == again
+    feed.picture.put("r0", "app/x/parameters_set", {"ticket": first[1].ticket, "problem": ""}, 0.0)
+    control.repeat()
+    assert [len(bus.published) for bus in feed.buses.values()] == [2, 3]
+    now[0] += ANSWER_S + 0.1
+    control.repeat()
+    control.repeat()
+    assert [len(bus.published) for bus in feed.buses.values()] == [2, 3]
+    assert [(event.robot, event.text) for event in feed.picture.events] == [("r1", "app/x has not answered: gain=0.5")]
 
 
 def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:
