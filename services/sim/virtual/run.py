@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import math
 import os
 import random
 import time as real_time
@@ -194,7 +195,7 @@ class Run:
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
-        self._started = now = self.world.time.now
+        self._started = self.world.modules.moves_from = now = self.world.time.now
         for press in self._options.presses:
             self.world.act(press.robot, now + press.at, hands.Press(press.button, PRESS_S))
         for cut in self._options.cuts:
@@ -259,6 +260,7 @@ class Run:
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
             witness=self._witness,
+            moves_from=math.inf if started is None else started,
             scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
         )
 
