@@ -75,13 +75,14 @@ def _app(scenario: Scenario, seen: Seen) -> str:
     text = f"k={max(progress.k, state.k if state is not None else 0)}"
     if progress.waiting_for:
         text += f" waits for {', '.join(progress.waiting_for)}"
+        text += f" ({progress.reason})" if progress.reason else ""
     elif progress.phase != "running":
         text += f" {progress.phase} {progress.reason}".rstrip()
     if state is None:
         return text
     if scenario.app == "localization":
         x, y = state.result.get("x"), state.result.get("y")
-        if isinstance(x, float) and isinstance(y, float):
+        if isinstance(x, float) and isinstance(y, float) and not scenario.config.simulation.moving:
             text += f" error {100 * math.dist((x, y), scenario.config.simulation.target):.1f} cm"
         return text
     numbers = [f"{name}={value:.4g}" for name, value in state.result.items() if isinstance(value, float | int)]

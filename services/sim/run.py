@@ -1,6 +1,7 @@
 """One run of a simulated swarm, from the start of its processes to what it found."""
 
 import contextlib
+import math
 import os
 import signal
 import time
@@ -54,6 +55,7 @@ class Run:
         self._commanded = footprint.commanded()
         self._progress = Progress(stream, scenario)
         self._problems: list[str] = []
+        self._moves_from = math.inf
         self._stop = False
         names = scenario.config.names
         _make_records(self._records)
@@ -115,6 +117,8 @@ class Run:
             if started is None:
                 if self._has_started(seen, missing):
                     started = now
+                    self._moves_from = now
+                    self._world.move_target(now)
                 elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
                     self._problems += faults
                     break
@@ -222,6 +226,8 @@ class Run:
         now = clock.now()
         self._refresh(now)
         seen = self._monitor.look()
+        if self._options.seconds is not None:
+            self._problems += _held_up(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded))
         self._processes.stop()  # only then are the recordings complete
@@ -247,6 +253,7 @@ class Run:
             scene=found,
             witness=self._world.look(lambda witness: witness),
             began=self._commanded,
+            moves_from=self._moves_from,
         )
 
 
@@ -266,6 +273,16 @@ def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:
 
 def _faults(seen: Mapping[str, Seen]) -> list[str]:
     return [f"{name} app {robot.progress.reason}" for name, robot in seen.items() if robot.progress and _failed(robot)]
+
+
+def _held_up(seen: Mapping[str, Seen]) -> list[str]:
+    """What members of the run wait for, where that is more than a robot that is away."""
+    waiting = [(name, seen[name].progress) for name in _members(seen)]
+    return [
+        f"{name} app waits for {', '.join(told.waiting_for)} at iteration {told.k}: {told.reason}"
+        for name, told in waiting
+        if told is not None and told.phase == "waiting" and told.waiting_for and told.reason
+    ]
 
 
 def _failed(seen: Seen) -> bool:
