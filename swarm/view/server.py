@@ -194,7 +194,7 @@ def _target(config: Config) -> dict[str, Any] | None:
     if config.dwm.target is None or not simulated:
         return None
     x, y = config.simulation.target
-    return {"name": "target", "x": x, "y": y}
+    return {"name": "target's start" if config.simulation.moving else "target", "x": x, "y": y}
 
 
 def _answer(feed: Live, control: Control | None, text: str) -> dict[str, Any]:
