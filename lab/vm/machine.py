@@ -27,6 +27,7 @@ SYSTEMD, PLAIN = "/sbin/init", "/usr/lib/lab/init"
 KERNEL = (
     *("console=ttyS0", "quiet", "loglevel=4", "panic=-1", "oops=panic", "mitigations=off", "tsc=reliable"),
     *("random.trust_cpu=on", "nowatchdog", "no_timer_check", "audit=0", "systemd.show_status=0", "net.ifnames=0"),
+    "rodata=off",  # a second of page tables
 )
 
 BOOT_SECONDS = 300.0

@@ -89,6 +89,7 @@ def report(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Report
 
 @pytest.mark.parametrize("check", checks())
 def test_on_a_live_bus(report: Report, check: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check in report, f"not tried: {[*report][-1]} has failed"
     found = report[check]
     measured = {name: value for name, value in found.items() if name not in ("check", "problem")}
     with capsys.disabled():
