@@ -4,6 +4,7 @@ One value lost, doubled or out of turn changes every later one of the whole swar
 would: on the full graph it is constant after one step.)
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,7 +25,7 @@ class Lattice(SyncApp):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """One iteration of the map."""
-        near = sum(self._map(n.value) for n in neighbours) / len(neighbours)
+        near = math.fsum(self._map(n.value) for n in neighbours) / len(neighbours)
         self.value = (1.0 - self.coupling) * self._map(self.value) + self.coupling * near
 
     def result(self) -> Mapping[str, Value]:

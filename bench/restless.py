@@ -19,7 +19,7 @@ class Restless(SyncApp):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """x_i += sum_j w_ij (x_j - x_i) + sin(0.37 n + phase)."""
-        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        self.value += math.fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
         self.value += math.sin(TURN * self._n + self.phase)
         self._n += 1
 

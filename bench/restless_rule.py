@@ -127,7 +127,9 @@ def _step(name: str, at: Mapping[str, State | None], weights: Mapping[str, float
     if own is None or any(at[other] is None for other in weights):
         return None
     value, n = own
-    pull = sum(weights[other] * (theirs[0] - value) for other in sorted(weights) if (theirs := at[other]) is not None)
+    pull = math.fsum(
+        weights[other] * (theirs[0] - value) for other in sorted(weights) if (theirs := at[other]) is not None
+    )
     return (value + pull) + math.sin(TURN * n + phase), n + 1
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from swarm.recording.reader import SUFFIX
@@ -21,17 +22,17 @@ class SimulationError(Exception):
 class Simulation:
     """One `swarm sim ARGUMENTS --json`, in directories of its own that go with it. A context."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, program: Sequence[str] = ("swarm.cli", "sim")) -> None:
+        """`program`: module, and its first arguments, that does what `swarm sim` does."""
         # Short, and not below a test's own directory: sockets' paths have at most 107 bytes.
         self._home = Path(tempfile.mkdtemp(prefix="swarm-"))
         self.run_dir = self._home / "run"
         self.records = self._home / "records"
         self._readers: dict[Path, TrajectoryReader] = {}
         self._error = (self._home / "stderr").open("w+")
-        command = ["sim", *arguments, "--json", "--run-dir", str(self.run_dir), "--record", str(self.records)]
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "swarm.cli", *command], stdout=subprocess.PIPE, stderr=self._error, text=True
-        )
+        own = ["--json", "--run-dir", str(self.run_dir), "--record", str(self.records)]
+        command = [sys.executable, "-m", *program, *arguments, *own]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self._error, text=True)
 
     def __enter__(self) -> "Simulation":
         return self

@@ -1,5 +1,7 @@
 """Average consensus in ten lines: `swarm sim examples/consensus.py --set r0.value=1 --set r1.value=4`."""
 
+from math import fsum
+
 from swarm import SyncApp
 
 
@@ -10,4 +12,4 @@ class Consensus(SyncApp):
 
     def step(self, neighbours):
         """Move towards the neighbours' values."""
-        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        self.value += fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))

@@ -1,6 +1,6 @@
 """Find the target with a gradient method of one's own: agree with the neighbours, then step towards the own circle."""
 
-from math import hypot
+from math import fsum, hypot
 from typing import Annotated
 
 from swarm import SyncApp, Vector, parameter
@@ -16,11 +16,11 @@ class FindTarget(SyncApp):
     def start(self):
         """Begin between the anchors."""
         anchors = self.robot.anchors
-        self.x = (sum(a.x for a in anchors) / len(anchors), sum(a.y for a in anchors) / len(anchors))
+        self.x = (fsum(a.x for a in anchors) / len(anchors), fsum(a.y for a in anchors) / len(anchors))
 
     def step(self, neighbours):
         """Mix, then move a part of the way to where the own range says the target is."""
-        x, y = (own + sum(w * (n.x[i] - own) for w, n in self.weighted(neighbours)) for i, own in enumerate(self.x))
+        x, y = (own + fsum(w * (n.x[i] - own) for w, n in self.weighted(neighbours)) for i, own in enumerate(self.x))
         own = self.robot.measurement
         dx, dy = x - own.x, y - own.y
         far = self.gain * (1 - own.distance / max(hypot(dx, dy), 1e-3))

@@ -33,14 +33,14 @@ def furnish(machine: Machine) -> None:
 
 def command(words: str) -> str:
     """The shell command that runs the release's Python inside with these words."""
-    environment = f"PYTHONPATH=/share:/share/tests/lab LAB_PATIENCE={PATIENCE}"
+    environment = f"PYTHONPATH=/share:/share/tests/lab LAB_PATIENCE={PATIENCE} PYTHONUNBUFFERED=1"
     return f"cd /share && {environment} PYTHONDONTWRITEBYTECODE=1 /opt/swarm/current/bin/python {words}"
 
 
 def run_tests(machine: Machine, words: str, seconds: float) -> str:
     """Run pytest inside with these words, with six adapters of its kernel: what it said. AssertionError if it fails."""
     furnish(machine)
-    options = "-p no:cacheprovider -p inside_radio -v --durations=10 --tb=short --timeout=300"
+    options = "-p no:cacheprovider -p inside_radio -v -s --durations=20 --tb=short --timeout=300"
     # Into a file of the host, too, for whoever wants to see how far it is.
     log = "/share/pytest.log"
     words = f"{command(f'-m pytest {options} {words}')} >{log} 2>&1; code=$?; cat {log}; exit $code"

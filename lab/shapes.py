@@ -4,10 +4,15 @@ from lab.radio.remote import address
 
 ROBOTS = 6
 ITERATIONS = 60
+LONG = 140
+"""Iterations of a run with faults in it."""
 
 LINE = [(i, i + 1) for i in range(ROBOTS - 1)]
+LOOP = [*LINE, (0, ROBOTS - 1)]
 SHAPES = {
     "line": LINE,
+    "loop": LOOP,
+    "random": [(0, 2), (0, 3), (1, 3), (1, 4), (2, 5), (3, 4), (4, 5)],
 }
 
 
@@ -15,9 +20,14 @@ TIMES = "heartbeat = 1.0\nsuspect = 10.0\ndead = 30.0\n"
 """Longer than normal: a dozen processes on an emulated processor are slow, and none of them is lost for it."""
 
 
-def config(shape: str, key: str) -> str:
-    """The swarm.toml of that shape; `key` is a line of [mesh]."""
-    robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "{address(i)}"\n' for i in range(ROBOTS))
-    values = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {(7 * i + 3) / 9!r}\n" for i in range(ROBOTS))
-    edges = [[f"r{i}", f"r{j}"] for i, j in SHAPES[shape]]
-    return f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\n{key}\n{TIMES}{values}'.replace("'", '"')
+def config(shape: str, key: str, extra: str = "") -> str:
+    """The swarm.toml of that shape; `key` is a line of [mesh], `extra` whole tables."""
+    return _config(ROBOTS, SHAPES[shape], key) + extra
+
+
+def _config(count: int, pairs: list[tuple[int, int]], key: str) -> str:
+    robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "{address(i)}"\n' for i in range(count))
+    values = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {(7 * i + 3) / 9!r}\n" for i in range(count))
+    edges = [[f"r{i}", f"r{j}"] for i, j in pairs]
+    text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\n{key}\n{TIMES}{values}'
+    return text.replace("'", '"')

@@ -1,10 +1,12 @@
 """What an author of a distributed algorithm writes: a class with a typed state and a step.
 
+    from math import fsum
+
     class Consensus(SyncApp):
         value: float
 
         def step(self, neighbours):
-            self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+            self.value += fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
 
 All robots step together: `step` runs when the states of iteration k of all neighbours are there, and turns
 the own state k into k + 1. A step is a pure function of what it is given (no clock, no files, no unordered

@@ -10,9 +10,10 @@ from collections import Counter, deque
 from itertools import count
 from random import Random
 
-from services.apps.core.strand import Renew, Strand, Terms
+from services.apps.core.strand import Renew, Strand
+from services.apps.core.terms import Terms
+from swarm.core.epoch_actions import Keep, Switch, Tell
 from swarm.core.epoch_notes import first
-from swarm.core.epochs import Keep, Switch, Tell
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
 

@@ -1,5 +1,6 @@
 """The command `swarm`: its verbs, its errors, and that it stays light."""
 
+import importlib
 import json
 import os
 import subprocess
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import swarm
-from swarm.cli import HANDED_ON, VERBS, main
+from swarm.cli import HANDED_ON, MODULES, VERBS, help_of, main
 from swarm.config.example import EXAMPLE
 
 
@@ -137,4 +138,20 @@ def test_nothing_heavy_is_imported():
     )
     done = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60, check=True)
     loaded = {name.partition(".")[0] for name in done.stderr.split()}
-    assert not loaded & {"zenoh", "numpy", "asyncio", "matplotlib", "tomli_w", "services"}
+    assert not loaded & {"zenoh", "numpy", "asyncio", "matplotlib", "services"}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_help_of_a_verb_is_that_of_its_module(verb):
+    assert help_of(verb) == importlib.import_module(f"swarm.cli.{MODULES.get(verb, verb)}").HELP
+
+
+def test_help_imports_no_verb():
+    look = (
+        "import sys; from swarm.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: sys.stderr.write(' '.join(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60, check=True)
+    assert [name for name in done.stderr.split() if name.startswith("swarm.cli.")] == []
+    assert all(f"\n  {verb:<9} " in done.stdout for verb in (*VERBS, "sim", "sweep"))

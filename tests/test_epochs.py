@@ -3,7 +3,7 @@
 import pytest
 from strand_world import World, full, line, loop
 
-from swarm.core.epochs import Order
+from swarm.core.epoch_actions import Order
 from swarm.core.stopping import Rule
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 from strand_world import World
 
-from swarm.core.epochs import Order
+from swarm.core.epoch_actions import Order
 
 
 @st.composite

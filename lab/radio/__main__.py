@@ -178,7 +178,7 @@ class Process:
             air.medium = dataclasses.replace(air.medium, **order)
             return air.heed(now)
         if what == "look":
-            return {"links": air.links(), "counts": dict(air.counts)}
+            return {"links": air.links(), "encrypted": air.encrypted(), "counts": dict(air.counts)}
         raise ValueError(f"no order {what}")
 
 

@@ -92,6 +92,12 @@ class Machine:
     def start(self) -> float:
         """Switch it on and wait until it takes commands; s that took."""
         began = time.monotonic()
+        self.switch_on()
+        self.wait_booted()
+        return time.monotonic() - began
+
+    def switch_on(self) -> None:
+        """Begin to boot. The machine ends with the thread that calls this, so it must be one that lasts."""
         disk = self.folder / "disk.qcow2"
         if not disk.exists():
             made = ["qemu-img", "create", "-q", "-f", "qcow2", "-F", "raw", "-b", str(self._image.disk), str(disk)]
@@ -106,8 +112,10 @@ class Machine:
         self._answers, self._next = {}, 0
         self._stream = self._connected(path)
         threading.Thread(target=self._read, args=(self._stream,), daemon=True).start()
+
+    def wait_booted(self) -> None:
+        """Until it takes commands."""
         self._wait_for(0, BOOT_SECONDS, "boot")
-        return time.monotonic() - began
 
     def kill(self) -> None:
         """Cut its power: what it has not written to its disk is lost."""

@@ -48,9 +48,11 @@ class Changes:
         now: Clock = clock.now,
         *,
         kept: tuple[Path, int] | None = None,
+        record: Callable[[AppParameters], None] | None = None,
     ) -> None:
         """`change(values)` takes new values or raises `AppError`; it runs on the bus's thread. `kept`: the file that
-        keeps them, and the run they hold for."""
+        keeps them, and the run they hold for. `record`: is given them where they are told."""
+        self._record = record
         self._file = kept
         self._kept = self._read()
         self._bus = bus
@@ -75,17 +77,14 @@ class Changes:
         return found
 
     def tell(self) -> None:
-        """Publish the parameters as they are now: after a change."""
-        self._bus.publish(self._key, self._message())
+        """Publish the parameters as they are now: at the start, and after a change."""
+        message = self._message()
+        self._bus.publish(self._key, message)
+        if self._record is not None:
+            self._record(message)
 
     def _message(self) -> AppParameters:
-        return AppParameters(
-            self._now(),
-            {
-                name: AppParameter(value, declared.unit, declared.expected(), bool(declared.live))
-                for name, (declared, value) in self._app.told_parameters().items()
-            },
-        )
+        return in_force(self._app, self._now())
 
     def _on_set(self, name: str, payload: bytes) -> None:
         try:
@@ -123,3 +122,15 @@ class Changes:
         except (OSError, PayloadError):
             return {}
         return kept.parameters if kept.run == run else {}
+
+
+def in_force(app: App, now: float) -> AppParameters:
+    """An app's parameters as they are now, and what they may be."""
+    told = app.told_parameters()
+    return AppParameters(
+        now,
+        {
+            name: AppParameter(value, declared.unit, declared.expected(), bool(declared.live))
+            for name, (declared, value) in told.items()
+        },
+    )

@@ -20,7 +20,7 @@ class Consensus(SyncApp):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """x_i += sum_j w_ij (x_j - x_i)."""
-        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        self.value += math.fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
 
     def result(self) -> Mapping[str, Value]:
         """The value, in the unit of the first values."""
@@ -69,7 +69,7 @@ class SecondOrder(Consensus):
         """x(k+1) = x(k-1) + omega (x(k) - x(k-1) + gain sum_j w_ij (x_j - x_i)); the first step is a plain one."""
         if self.k > self._begun:
             self._omega = self._next()
-        pull = self._gain * sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        pull = self._gain * math.fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
         self.value, self._before = self._before + self._omega * (self.value - self._before + pull), self.value
 
     def _tune(self, low: float, high: float) -> None:
@@ -77,7 +77,7 @@ class SecondOrder(Consensus):
         self._radius = max(-low, high)
 
     def _next(self) -> float:
-        return 2.0 / (1.0 + math.sqrt(1.0 - self._radius**2))
+        return 2.0 / (1.0 + math.sqrt(1.0 - self._radius * self._radius))
 
 
 class Chebyshev(SecondOrder):
@@ -89,8 +89,8 @@ class Chebyshev(SecondOrder):
 
     def _next(self) -> float:
         if self.k == self._begun + 1:
-            return 1.0 / (1.0 - self._radius**2 / 2.0)
-        return 1.0 / (1.0 - self._radius**2 * self._omega / 4.0)
+            return 1.0 / (1.0 - self._radius * self._radius / 2.0)
+        return 1.0 / (1.0 - self._radius * self._radius * self._omega / 4.0)
 
 
 class Flood(SyncApp):

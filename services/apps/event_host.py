@@ -94,7 +94,9 @@ class EventHost:
         self._hung = False
         self._edges = links.config.edges
         kept = (service.runtime / f"app.{name}.parameters", run)
-        self._changes = Changes(service.bus, service.robot, name, app, self._change, self._refuse, kept=kept)
+        record = None if recorder is None else recorder.parameters
+        bus, robot = service.bus, service.robot
+        self._changes = Changes(bus, robot, name, app, self._change, self._refuse, kept=kept, record=record)
         runner.change(self._changes.kept())
         app.robot.timers = self._after
         self._views = {name: getattr(app, name) for name in channels_of(type(app))}

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
-from services.apps.core.strand import Terms
+from services.apps.core.terms import Terms
 from services.apps.hold import Hold
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
@@ -88,7 +88,7 @@ class Host:
             )
             self._notes[terms.notes] = worker
             if not part.channel:
-                self._let_change(name, runner, run)
+                self._let_change(name, runner, run, recorder)
             self._workers[part.channel] = self._by_schema[schema] = worker
         service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
@@ -195,13 +195,16 @@ class Host:
         for worker in self._workers.values():
             worker.take(in_force)
 
-    def _let_change(self, name: str, runner: Runner, run: int) -> None:
+    def _let_change(self, name: str, runner: Runner, run: int, recorder: Recorder | None) -> None:
         """Take other parameters while it runs, as far as the app has declared some that are live."""
         service = self._service
         kept = (service.runtime / f"app.{name}.parameters", run)
-        changes = Changes(service.bus, service.robot, name, runner.app, runner.change, self._refuse, kept=kept)
-        runner.change(changes.kept())
+        record = None if recorder is None else recorder.parameters
+        bus, robot, change = service.bus, service.robot, runner.change
+        changes = Changes(bus, robot, name, runner.app, change, self._refuse, kept=kept, record=record)
+        change(changes.kept())
         runner.changed = changes.tell
+        changes.tell()
 
     def _refuse(self, error: PayloadError) -> None:
         self._service.counters["refused_payloads"] += 1

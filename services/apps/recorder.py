@@ -5,7 +5,7 @@ from typing import Protocol
 
 from swarm.codec import Value
 from swarm.keys import key
-from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
+from swarm.messages import AppEpoch, AppParameters, AppProgress, AppState, Measurement
 
 
 class Sink(Protocol):
@@ -40,6 +40,10 @@ class Recorder:
         self._sink.write(topic, progress.t, progress)
         if progress.phase in ("done", "fault"):
             self._sink.flush()
+
+    def parameters(self, parameters: AppParameters) -> None:
+        """Record the parameters that are in force from now on."""
+        self._sink.write(f"{self._prefix}/parameters", parameters.t, parameters)
 
     def epoch(self, epoch: AppEpoch, channel: str = "") -> None:
         """Record that the members have changed: what was recorded of its first iteration and later ones is void, they

@@ -1,13 +1,16 @@
 """Where the host of an app records: the folder of its run, and the file in it."""
 
 import os
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from services.apps import loader
 from services.apps.recorder import Recorder
 from swarm import clock
+from swarm.config.dump import dump
 from swarm.recording import folder
+from swarm.recording.budget import Budget
 from swarm.recording.file import RecordingFile
 from swarm.recording.reader import CLOCK, EPOCH, RUN, SUFFIX, run_of
 from swarm.recording.watch import Watch
@@ -30,7 +33,9 @@ class Recording:
         entries = folder.describe(app.name, run, seed, app.digest)
         if settings:
             entries["set"] = " ".join(setting.text for setting in settings)
-        files = {folder.CONFIG_FILE: service.config.path.read_bytes()}
+        # What was given on the command line stands in the file, so that it says all that the app was told.
+        config = dump(service.config).encode() if settings else service.config.path.read_bytes()
+        files = {folder.CONFIG_FILE: config}
         if app.name not in loader.BUILT_IN:
             files[f"{app.name}.py"] = Path(app.source).read_bytes()
         try:
@@ -52,6 +57,10 @@ class Recording:
         self.watch = Watch(service.bus, service.robot, app.name, self._file, clock.now)
         """What the robot's other services say meanwhile."""
         self._file.feed = self.watch.drain
+        if place.parent == folder.root():  # in a folder that somebody has named others' files are not ours
+            budget = Budget(place.parent, service.config.recordings.budget, time.time)
+            budget.keep()
+            self._file.tidy = budget.keep
 
     def close(self) -> None:
         """End the file."""

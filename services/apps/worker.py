@@ -7,15 +7,16 @@ from dataclasses import dataclass
 
 from services.apps import topology
 from services.apps.ballots import BallotFile, told
-from services.apps.core.strand import ALONE, Action, Renew, Strand, Terms
+from services.apps.core.strand import ALONE, Action, Renew, Strand
+from services.apps.core.terms import Terms
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.snapshot import SnapshotFile
 from swarm import clock
 from swarm.codec import Value, encode
+from swarm.core.epoch_actions import Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import first
-from swarm.core.epochs import Keep, Order, Switch, Tell
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Save, Send
 from swarm.errors import AppError, SwarmError
 from swarm.keys import key

@@ -16,6 +16,7 @@ def main() -> None:
     """Print what answers an inquiry."""
     parser = argparse.ArgumentParser(prog="swarm discover", description="Bluetooth devices in range, by PyBluez.")
     parser.add_argument("--seconds", type=float, default=8 * pybluez.INQUIRY_UNIT, metavar="S", help="(10.24)")
+    parser.add_argument("--adapter", default="", metavar="NAME", help="hci1, or its address (the first one)")
     parser.add_argument("--services", action="store_true", help="ask each of them for a mesh: slow")
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     arguments = parser.parse_args()
@@ -32,7 +33,7 @@ def main() -> None:
 def _lines(arguments: argparse.Namespace) -> list[str]:
     robots = _robots()
     lines = []
-    for found in pybluez.discover(arguments.seconds, ask_services=arguments.services):
+    for found in pybluez.discover(arguments.seconds, ask_services=arguments.services, adapter=arguments.adapter):
         robot = robots.get(found.address)
         if arguments.json:
             shown = {"address": found.address, "name": found.name, "robot": robot, "channel": found.channel}

@@ -7,7 +7,18 @@ from pathlib import Path
 from swarm.bus import Bus
 from swarm.errors import PayloadError
 from swarm.keys import key
-from swarm.messages import AppProgress, AppState, BalancerState, LedChange, Links, Pose, Status, Truth, read
+from swarm.messages import (
+    AppEpoch,
+    AppProgress,
+    AppState,
+    BalancerState,
+    LedChange,
+    Links,
+    Pose,
+    Status,
+    Truth,
+    read,
+)
 
 
 @dataclass
@@ -21,6 +32,7 @@ class Seen:
     pose: Pose | None = None
     progress: AppProgress | None = None
     state: AppState | None = None
+    epoch: AppEpoch | None = None
 
     def not_ready(self, services: Sequence[str]) -> list[str]:
         """Which of `services` have not finished starting (a degraded one has)."""
@@ -36,6 +48,7 @@ class Monitor:
 
     def __init__(self, run_dir: Path, names: Sequence[str], app: str | None) -> None:
         """`app` is the one whose progress is followed; others may be started meanwhile."""
+        self._app = app
         self._samples: dict[str, dict[str, bytes]] = {name: {} for name in names}
         self._buses = {name: Bus.of(run_dir / name) for name in names}
         for name, bus in self._buses.items():
@@ -43,7 +56,7 @@ class Monitor:
                 [
                     key(name, "*", "status"),
                     key(name, "app", "*", "status"),
-                    *([key(name, "app", app, "progress"), key(name, "app", app, "state")] if app else []),
+                    *([key(name, "app", app, topic) for topic in ("progress", "state", "epoch")] if app else []),
                     key(name, "balancer", "state"),
                     key(name, "mesh", "links"),
                     key(name, "dwm", "pose"),
@@ -57,9 +70,11 @@ class Monitor:
         self._buses[robot].publish(key(robot, "sim", topic), message)
 
     def ask_status(self) -> None:
-        """Ask every service for its status: what was published before we were connected is lost."""
+        """Ask every service for its status, and the app for its members: what was published before we were connected
+        is lost."""
         for name, bus in self._buses.items():
-            for pattern in (key(name, "*", "status"), key(name, "app", "*", "status")):
+            epoch = [key(name, "app", self._app, "epoch")] if self._app else []
+            for pattern in (key(name, "*", "status"), key(name, "app", "*", "status"), *epoch):
                 bus.ask(pattern, self._samples[name].__setitem__)
 
     def look(self) -> dict[str, Seen]:
@@ -93,4 +108,6 @@ def _decoded(samples: dict[str, bytes]) -> Seen:
                 seen.progress = message
             case AppState():
                 seen.state = message
+            case AppEpoch():
+                seen.epoch = message
     return seen

@@ -1,69 +1,38 @@
 """Arguments of `swarm sim`, checked before anything starts."""
 
 import argparse
-import math
-import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.mesh.core.delay import MAX_LOSS
 from services.sim.core.noise import ERRORS
+from services.sim.quantities import (
+    Cut,
+    Off,
+    Press,
+    at_least,
+    cut,
+    duration,
+    loss,
+    off,
+    positive,
+    press,
+    rate,
+    setting,
+    skew,
+    speed,
+)
 from services.sim.virtual.body import MODELS
-from swarm import conduct, settings
+from swarm import conduct
 from swarm.conduct import Conduct
-from swarm.errors import AppError, ConfigError
+from swarm.errors import ConfigError
 from swarm.settings import Setting
-
-_DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
-_SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
-_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z%]*)")
-
-
-@dataclass(frozen=True)
-class Cut:
-    """A link that passes nothing for a while."""
-
-    a: str
-    b: str
-    at: float
-    """s after the first iteration of all robots (without an app: after all are ready)."""
-    seconds: float
-
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
 """Under virtual time: real mesh cores from power-on; such that know all links already; the delay of links alone."""
 
-
-@dataclass(frozen=True)
-class Off:
-    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
-
-    robot: str
-    at: float | None
-    """s, counted like a cut's; None: from the beginning."""
-    seconds: float
-
-
-SLOWEST, FASTEST = 0.01, 1000.0
-"""s of virtual time a second that a page may wish for."""
-
-MAX_SKEW = 100e-6
-"""More than a crystal errs, and what the mesh clock is made for."""
-
 PRESS_S = 0.3
 """How long a button is held down."""
-
-
-@dataclass(frozen=True)
-class Press:
-    """A button that somebody presses."""
-
-    robot: str
-    button: str
-    at: float
-    """s, counted like a cut's."""
 
 
 @dataclass(frozen=True)
@@ -118,111 +87,6 @@ class Options:
     """Only print the page's address."""
 
 
-def _quantity(text: str, units: dict[str, float], what: str) -> float:
-    match = _NUMBER.fullmatch(text.strip())
-    if match is None or match[2] not in units:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
-    try:
-        return float(match[1]) * units[match[2]]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {what}") from None
-
-
-def duration(text: str) -> float:
-    """Seconds of `30ms`, `3s`, `2min` or a bare number of seconds."""
-    return _quantity(text, _DURATION, "a time such as 30ms or 3s")
-
-
-def rate(text: str) -> float:
-    """Bytes per second of `78kB`, `1MB` or a bare number of bytes."""
-    value = _quantity(text, _SIZE, "a rate such as 78kB (per second)")
-    if value <= 0:
-        raise argparse.ArgumentTypeError("a bandwidth must be above zero")
-    return value
-
-
-def cut(text: str) -> Cut:
-    """A cut `r0-r1@12s,3s`: which link, when, how long."""
-    match = re.fullmatch(r"([a-z][a-z0-9_]*)-([a-z][a-z0-9_]*)@([^,]+),(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
-    return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
-
-
-def off(text: str) -> Off:
-    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
-    match = re.fullmatch(r"([a-z][a-z0-9_-]*)@([^,]+),(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
-    at = None if match[2] == FROM_START else duration(match[2])
-    seconds = duration(match[3])
-    if not seconds > 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
-    return Off(match[1], at, seconds)
-
-
-def press(text: str) -> Press:
-    """A button `r4.A@5s`: whose, which, when."""
-    match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
-    return Press(match[1], match[2].upper(), duration(match[3]))
-
-
-def setting(text: str) -> Setting:
-    """A parameter `value=0.5` or, of one robot, `r2.value=3`."""
-    try:
-        return settings.parse(text)
-    except AppError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-def _at_least(low: int) -> Callable[[str], int]:
-    def convert(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-        if value < low:
-            raise argparse.ArgumentTypeError(f"must be at least {low}")
-        return value
-
-    return convert
-
-
-def speed(text: str) -> float:
-    """`0.5`, or `max`: infinity."""
-    if text == "max":
-        return math.inf
-    value = _quantity(text, {"": 1.0}, "a speed such as 0.5, or max")
-    if not SLOWEST <= value <= FASTEST:
-        raise argparse.ArgumentTypeError(f"expected {SLOWEST:g} to {FASTEST:g}, or max")
-    return value
-
-
-def loss(text: str) -> float:
-    """A probability `5%` or `0.05`."""
-    value = _quantity(text, {"": 1.0, "%": 0.01}, "a probability such as 5% or 0.05")
-    if not value <= MAX_LOSS:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {100 * MAX_LOSS:g}%")
-    return value
-
-
-def skew(text: str) -> float:
-    """An error of clocks, `20ppm`."""
-    value = _quantity(text, {"ppm": 1e-6}, "an error such as 20ppm")
-    if not value <= MAX_SKEW:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {1e6 * MAX_SKEW:g}ppm")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _quantity(text, {"": 1.0}, "a number")
-    if value <= 0:
-        raise argparse.ArgumentTypeError("must be above zero")
-    return value
-
-
 def parser() -> argparse.ArgumentParser:
     """The argument parser of `swarm sim`."""
     p = argparse.ArgumentParser(
@@ -238,7 +102,7 @@ def parser() -> argparse.ArgumentParser:
         help="consensus, localization or a file with an app; none: just balance",
     )
     swarm = p.add_argument_group("the swarm")
-    swarm.add_argument("--robots", type=_at_least(1), metavar="N", help="number of robots (3, or as the replay has)")
+    swarm.add_argument("--robots", type=at_least(1), metavar="N", help="number of robots (3, or as the replay has)")
     swarm.add_argument(
         "--topology", metavar="NAME|FILE", help="line, loop, full, thesis-d, random:SEED, auto, or a matrix file"
     )
@@ -247,7 +111,7 @@ def parser() -> argparse.ArgumentParser:
     app.add_argument("--algorithm", metavar="NAME", help="which algorithm of the app")
     app.add_argument("--set", dest="settings", action="append", type=setting, default=[], metavar="[ROBOT.]NAME=VALUE",
                      help="a parameter of the app, for all robots or for one")  # fmt: skip
-    app.add_argument("--step-size", type=_positive, metavar="G", help="gradient step in the thesis' unit, 1/cm^2")
+    app.add_argument("--step-size", type=positive, metavar="G", help="gradient step in the thesis' unit, 1/cm^2")
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
     )
@@ -285,12 +149,12 @@ def parser() -> argparse.ArgumentParser:
     end.add_argument("--seconds", type=duration, metavar="S", help="end after this time")
     end.add_argument(
         "--iterations",
-        type=_at_least(1),
+        type=at_least(1),
         metavar="K",
         help="end after K iterations (100, or all of a replay)",
     )
     run.add_argument(
-        "--seed", type=_at_least(0), default=1, metavar="S", help="of noise, jitter and random topologies (1)"
+        "--seed", type=at_least(0), default=1, metavar="S", help="of noise, jitter and random topologies (1)"
     )
     conduct.add_arguments(p)
     run.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")

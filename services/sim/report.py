@@ -37,6 +37,8 @@ class Outcome:
     """Resident memory of each robot's processes."""
     restarts: Mapping[str, int]
     problems: tuple[str, ...]
+    missing: tuple[str, ...] = ()
+    """Robots that the others have gone on without, and that are not back at the end."""
     computed_s: float | None = None
     """s that a run under virtual time took to compute; None of one in real time."""
     scene: Mapping[str, object] = field(default_factory=dict)
@@ -52,7 +54,7 @@ def summary(outcome: Outcome) -> Json:
     scenario = outcome.scenario
     paths = outcome.trajectories
     times = trajectory.iteration_times(paths)
-    iterations = min((path.last for path in paths.values()), default=0)
+    iterations = min((path.last for name, path in paths.items() if name not in outcome.missing), default=0)
     memory = list(outcome.rss_mib.values())
     report: Json = {
         "app": scenario.app,
@@ -73,6 +75,7 @@ def summary(outcome: Outcome) -> Json:
         "rss_mib_per_robot": round(sum(memory) / len(memory), 1) if memory else None,
         "restarts": sum(outcome.restarts.values()),
         "problems": list(outcome.problems),
+        "missing": list(outcome.missing),
         **({"scene": dict(outcome.scene)} if outcome.scene else {}),
     }
     if outcome.computed_s is not None:
@@ -218,6 +221,8 @@ def _sentences(report: Json, outcome: Outcome) -> list[str]:
         lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
     if "replay_deviation_cm" in report:
         lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")
+    if outcome.missing:
+        lines.append(f"missing     {', '.join(outcome.missing)}: the others have gone on without")
     lines += scene.sentences(outcome.scene)
     lines += [f"problem     {problem}" for problem in outcome.problems]
     return lines

@@ -10,11 +10,12 @@ from typing import TextIO
 
 from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
-from services.sim.options import PRESS_S, Cut, Options, Press
+from services.sim.options import PRESS_S, Options
 from services.sim.orders import Orders
 from services.sim.power import Power
 from services.sim.processes import APP_FAULT, Processes
 from services.sim.progress import Progress
+from services.sim.quantities import Cut, Press
 from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.world import World
@@ -184,8 +185,9 @@ class Run:
             return elapsed >= self._options.seconds
         if self._scenario.app is None:
             return False
-        phases = [robot.progress.phase for robot in seen.values() if robot.progress is not None]
-        if len(phases) < len(seen) or not {"done", "fault"}.issuperset(phases):
+        members = _members(seen)  # robots that the others go on without are waited for no more
+        told = [progress for name in members if (progress := seen[name].progress) is not None]
+        if len(told) < len(members) or any(progress.phase not in ("done", "fault") for progress in told):
             return False
         self._problems += faults  # the others have gone on without them
         return True
@@ -241,6 +243,7 @@ class Run:
             rss_mib=memory,
             restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
             problems=tuple(self._problems),
+            missing=tuple(name for name in names if name not in _members(seen)),
             scene=found,
             witness=self._world.look(lambda witness: witness),
             began=self._commanded,
@@ -252,6 +255,13 @@ def _make_records(directory: Path) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     if next(directory.iterdir(), None) is not None:
         raise LocalError(f"--record {directory}: the folder is not empty; name a new one")
+
+
+def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:
+    """The robots of the newest epoch that one of them knows."""
+    epochs = [robot.epoch for robot in seen.values() if robot.epoch is not None]
+    newest = max(epochs, key=lambda epoch: (epoch.epoch, epoch.frames), default=None)
+    return tuple(seen) if newest is None else newest.members
 
 
 def _faults(seen: Mapping[str, Seen]) -> list[str]:

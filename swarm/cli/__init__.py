@@ -6,11 +6,14 @@ its process with their arguments untouched: the library knows services by name o
 """
 
 import argparse
+import ast
 import difflib
 import importlib
 import os
+import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NoReturn
 
 from swarm import __version__
@@ -41,6 +44,8 @@ HANDED_ON = {
     "demo": ("three simulated robots find a target, in under a minute", ("services.sim", "--demo")),
 }
 """Verb: its help, and the module and first arguments that it becomes."""
+
+_HELP = re.compile(r'^HELP = (".*")$', re.MULTILINE)
 
 KINDS = {("measure", "i2c"): "i2c"}
 """A verb's first argument that makes it another module of this package."""
@@ -93,10 +98,19 @@ def _main(argv: list[str]) -> int:
 
 
 def _usage() -> str:
-    helps = {verb: importlib.import_module(f"swarm.cli.{MODULES.get(verb, verb)}").HELP for verb in VERBS}
+    helps = {verb: help_of(verb) for verb in VERBS}
     helps |= {verb: text for verb, (text, _) in HANDED_ON.items()}
     lines = [f"  {verb:<9} {text}" for verb, text in helps.items()]
     return "\n".join(["usage: swarm COMMAND ...   (swarm COMMAND --help, swarm --version)", "", *lines, ""])
+
+
+def help_of(verb: str) -> str:
+    """The line `HELP` of a verb's module, read from its text: importing all of them takes long."""
+    source = Path(__file__).with_name(f"{MODULES.get(verb, verb)}.py").read_text(encoding="utf-8")
+    found = _HELP.search(source)
+    assert found is not None
+    text: str = ast.literal_eval(found[1])
+    return text
 
 
 def _forget_output() -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from swarm.cli.plots import figure
-from swarm.plotting import events, places, states, style
+from swarm.errors import LocalError
+from swarm.plotting import events, mesh, places, states, style
 from swarm.recording.run import Run
 
 HELP = "draw a recorded run: states, map, mesh, LEDs, floods, ..."
@@ -16,7 +17,7 @@ KINDS: dict[str, Callable[[Any, Run], None]] = {
     "states": states.states,
     "iterations": states.iterations,
     "map": places.scene,
-    "mesh": places.mesh,
+    "mesh": mesh.mesh,
     "leds": events.leds,
     "floods": events.floods,
     "unicasts": events.unicasts,
@@ -43,6 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
     parser.add_argument("--kind", choices=KINDS, help="what to draw (by the app)")
     parser.add_argument("--column", action="append", default=[], metavar="NAME", help="of the states, may be repeated")
+    parser.add_argument("--label", action="append", default=[], metavar="NAME=TEXT",
+                        help='what stands at the axis of a state, e.g. "value=x / m"')  # fmt: skip
     parser.add_argument("--between", nargs=2, type=float, metavar=("FROM", "TO"), help="only this time of the run, s")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="PNG, PDF or SVG (RUN-KIND.png)")
 
@@ -50,8 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0; an error where there is nothing to draw."""
     recorded = Run(args.run)
-    kind = args.kind or ("states" if args.column else _of(recorded))
-    draw = partial(states.states, columns=args.column) if kind == "states" else KINDS[kind]
+    labels = dict(_label(text) for text in args.label)
+    kind = args.kind or ("states" if args.column or labels else _of(recorded))
+    draw = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
     path = args.output or Path(f"{args.run.resolve().stem}-{kind}.png")
     with figure(path, settings=style.RC, layout="constrained") as made:
         draw(made, recorded)
@@ -62,6 +66,13 @@ def run(args: argparse.Namespace) -> int:
         print(f"note: {damage}")
     print(path)
     return 0
+
+
+def _label(text: str) -> tuple[str, str]:
+    name, equals, label = text.partition("=")
+    if not equals or not name:
+        raise LocalError(f'--label {text}: expected NAME=TEXT, e.g. "value=x / m"')
+    return name, label
 
 
 def _of(recorded: Run) -> str:

@@ -1,4 +1,4 @@
-"""`swarm status [--watch]`: one row a robot: services, battery, links, pose, app, release, firmware."""
+"""`swarm status [--watch]`: one row a robot: services, battery, links, pose, app, recordings, release, firmware."""
 
 import argparse
 import asyncio
@@ -8,11 +8,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from swarm.fleet import everyone
+from swarm.fleet.collect import RUNS
 from swarm.fleet.everyone import Outcome, Tell
 from swarm.fleet.ssh import Host, Ssh
 from swarm.fleet.units import SERVICES
+from swarm.recording.budget import shown
 
-HELP = "services, battery, links, pose, app and versions of all robots, over ssh"
+HELP = "services, battery, links, pose, app, recordings and versions of all robots, over ssh"
 
 WATCH_EVERY_S = 2.0
 LISTEN_S = 1.3
@@ -40,6 +42,8 @@ class Row:
     """x, y in m."""
     apps: dict[str, dict[str, Any]]
     """Phase and iteration by app."""
+    recorded: int | None
+    """Bytes of its disk that recordings take."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,14 +54,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 where every robot answers and all of its services run."""
-    _, robots, ssh = everyone.chosen(args)
+    config, robots, ssh = everyone.chosen(args)
     while True:
         outcomes, rows = asyncio.run(_look(ssh, robots, args.timeout))
         if args.json:
             answer = {o.robot: asdict(rows[o.robot]) if o.robot in rows else {"problem": o.text} for o in outcomes}
             sys.stdout.write(json.dumps({"robots": answer}) + "\n")
         else:
-            sys.stdout.write(("\x1b[2J\x1b[H" if args.watch else "") + table(outcomes, rows))
+            sys.stdout.write(("\x1b[2J\x1b[H" if args.watch else "") + table(outcomes, rows, config.recordings.budget))
         sys.stdout.flush()
         if not args.watch:
             return 0 if all(o.ok and not rows[o.robot].failed for o in outcomes) else 1
@@ -79,7 +83,8 @@ def question(robot: str) -> str:
     units = " ".join(f"swarm-{name}.service" for name in SERVICES)  # a pattern here, so with its ending
     return (
         f"echo '{_MARK}release'; readlink /opt/swarm/current; echo '{_MARK}units'; "
-        f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'; echo '{_MARK}bus'; "
+        f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'; echo '{_MARK}runs'; "
+        f"sudo -n du -s -B1 {RUNS} 2>/dev/null; echo '{_MARK}bus'; "
         f"sudo -n /opt/swarm/current/bin/z_sub 'swarm/{robot}/**' --seconds {LISTEN_S} --json; true"
     )
 
@@ -104,6 +109,7 @@ def parse(robot: str, text: str) -> Row:
     failed += [name for name in SERVICES if name not in running]
     body, atmega = newest.get("balancer/state", {}), newest.get("balancer/firmware", {})
     pose = newest.get("dwm/pose", {})
+    runs = parts.get("runs", "").partition("\t")[0]
     progress = {
         key.split("/")[1]: value for key, value in newest.items() if key.startswith("app/") and "phase" in value
     }
@@ -118,6 +124,7 @@ def parse(robot: str, text: str) -> Row:
         links={link["peer"]: link["state"] for link in newest.get("mesh/links", {}).get("links", ())},
         pose=[pose["x"], pose["y"]] if pose.get("quality") else None,
         apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
+        recorded=int(runs) if runs.isdecimal() else None,
     )
 
 
@@ -126,13 +133,15 @@ def _time(seconds: float) -> str:
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
 
 
-def table(outcomes: list[Outcome], rows: dict[str, Row]) -> str:
-    """For a terminal."""
-    cells = [("robot", "services", "battery", "body", "links", "pose", "apps", "release", "firmware")]
+def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> str:
+    """For a terminal; `budget`: bytes that recordings may take."""
+    cells: list[tuple[str, ...]] = [
+        ("robot", "services", "battery", "body", "links", "pose", "apps", "recordings", "release", "firmware")
+    ]
     for outcome in outcomes:
         row = rows.get(outcome.robot)
         if row is None:
-            cells.append((outcome.robot, outcome.text, "", "", "", "", "", "", ""))
+            cells.append((outcome.robot, outcome.text, *[""] * (len(cells[0]) - 2)))
             continue
         left = "" if row.battery_left_s is None else f" {_time(row.battery_left_s)}"
         up = sum(state == "up" for state in row.links.values())
@@ -145,11 +154,12 @@ def table(outcomes: list[Outcome], rows: dict[str, Row]) -> str:
                 f"{up} of {len(row.links)}",
                 "-" if row.pose is None else f"{row.pose[0]:.2f} {row.pose[1]:.2f}",
                 " ".join(f"{app}:{value['phase']}@{value['k']}" for app, value in row.apps.items()) or "-",
+                "-" if row.recorded is None else f"{shown(row.recorded)} of {shown(budget)}",
                 row.release or "-",
                 row.firmware or "-",
             )
         )
-    width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(9)]
+    width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(len(cells[0]))]
     return "".join(
         "  ".join(cell.ljust(n) for cell, n in zip(row, width, strict=True)).rstrip() + "\n" for row in cells
     )

@@ -1,4 +1,5 @@
-"""From a `Config` back to the text of a `swarm.toml`: what a simulation writes for the robots it starts."""
+"""From a `Config` back to the text of a `swarm.toml`: what a simulation writes for the robots it starts, and what a
+recording keeps."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -6,26 +7,24 @@ from typing import Any
 
 from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY, App, Config
+from swarm.core import tomltext
 from swarm.errors import LocalError
 
 
 def dump(config: Config) -> str:
-    """The text that `swarm.config.parse` reads as `config`. For the laptop: it needs the package tomli-w."""
-    import tomli_w  # no robot has it
-
+    """The text that `swarm.config.parse` reads as `config`."""
     rules = config.relay[len(DEFAULT_RELAY) :]
     if config.relay != DEFAULT_RELAY + rules:
         raise LocalError("a config whose relay rules do not begin with the default ones cannot be written")
     document: dict[str, Any] = {"network": config.network, "robots": _plain(config.robots)}
     document["topology"] = AUTO if config.auto else {"edges": _plain(config.edges)}
-    for name in ("mesh", "anchors", "dwm", "simulation"):
+    for name in ("mesh", "anchors", "dwm", "recordings", "simulation"):
         document[name] = _plain(getattr(config, name))
     for name, robots in (("body", config.bodies), ("balancing", config.balancings)):
         document[name] = {**_plain(getattr(config, name)), "robots": _plain(robots)}
     document["relay"] = _plain(rules)
     document["apps"] = {name: _app(app) for name, app in config.apps.items()}
-    text: str = tomli_w.dumps(document)
-    return text
+    return tomltext.dump(document)
 
 
 def _app(app: App) -> dict[str, Any]:

@@ -164,6 +164,11 @@ value = 5.0
 [apps.localization]
 algorithm = "info"         # or "thesis"
 
+# ---- Recordings: what robots keep of their runs until they are fetched.
+
+[recordings]
+budget = 2_000_000_000     # bytes of a robot's disk; beyond, the oldest finished runs are deleted
+
 # ---- Simulation: where things start; only `swarm sim` reads it. Robots without a place get one.
 
 [simulation]

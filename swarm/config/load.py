@@ -26,7 +26,7 @@ AUTO = "auto"
 
 _TABLES = (
     "network", "robots", "topology", "mesh", "relay", "anchors", "dwm", "body", "balancing", "apps",
-    "simulation",
+    "recordings", "simulation",
 )  # fmt: skip
 
 _NAME = "a name: a lower-case letter, then up to 15 lower-case letters, digits, _ or -"
@@ -90,6 +90,7 @@ def parse(text: str, path: Path, *, addressed: bool = True) -> Config:
         balancings=balancings,
         dwm=sections.dwm(top, names),
         apps=sections.apps(top, names),
+        recordings=sections.recordings(top),
         simulation=sections.simulation(top, names),
         auto=auto,
     )

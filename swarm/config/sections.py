@@ -1,5 +1,5 @@
 """The tables of `swarm.toml` that speak of one concern each: mesh, anchors, dwm, body,
-balancing, apps, simulation."""
+balancing, apps, recordings, simulation."""
 
 import dataclasses
 import re
@@ -8,7 +8,7 @@ from typing import Any
 
 from swarm.codec import Value
 from swarm.config.reader import Table, finite, vector
-from swarm.config.types import Affine, Anchor, App, Balancing, Body, Dwm, Linear, Mesh, Simulation
+from swarm.config.types import Affine, Anchor, App, Balancing, Body, Dwm, Linear, Mesh, Recordings, Simulation
 from swarm.keys import is_name
 
 HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
@@ -196,6 +196,13 @@ def apps(top: Table, robots: Sequence[str]) -> dict[str, App]:
             {robot: _parameters(single.table(robot, None)) for robot in single.data},
         )
     return found
+
+
+def recordings(top: Table) -> Recordings:
+    """The table [recordings]."""
+    table = top.table("recordings", ("budget",))
+    normal = Recordings()
+    return Recordings(table.number("budget", normal.budget, above=0, expected="a number above 0, in bytes"))
 
 
 def simulation(top: Table, robots: Sequence[str]) -> Simulation:

@@ -204,6 +204,14 @@ class App:
 
 
 @dataclass(frozen=True)
+class Recordings:
+    """What a robot keeps of its runs."""
+
+    budget: float = 2e9
+    """Bytes of its disk they may take; beyond, the oldest finished runs are deleted."""
+
+
+@dataclass(frozen=True)
 class Simulation:
     """Where simulated robots and the target start; only `swarm sim` reads it."""
 
@@ -234,6 +242,7 @@ class Config:
     """Of the robots that differ from `balancing`."""
     dwm: Dwm = field(default_factory=Dwm)
     apps: Mapping[str, App] = field(default_factory=dict)
+    recordings: Recordings = field(default_factory=Recordings)
     simulation: Simulation = field(default_factory=Simulation)
     auto: bool = False
     """Whether the robots find their links themselves; `edges` is empty then."""

@@ -24,8 +24,9 @@ the neighbours are to hear that this robot is there, and that it is not the one 
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from swarm.core.epoch_actions import Action, Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import NONE, Ballot, Epoch, Kept, Note, Offer, Vote, following
 from swarm.core.epoch_roster import Roster
 from swarm.core.graph import Graph
@@ -41,39 +42,6 @@ TELL_AGAIN = 0.2
 """s between two notes to robots that seem not to know."""
 STAGGER = 0.3
 """s by which each member waits longer than the one before it to make a ballot: mostly one of them does."""
-
-
-@dataclass(frozen=True, slots=True)
-class Keep:
-    """Write this where it outlives kills and reboots, before the `Tell` that follows."""
-
-    kept: Kept
-
-
-@dataclass(frozen=True, slots=True)
-class Tell:
-    """Send this to all neighbours, whatever epoch they are in."""
-
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class Switch:
-    """Leave the old epoch for this one, whether this robot is in it or not."""
-
-    epoch: Epoch
-
-
-@dataclass(frozen=True, slots=True)
-class Order:
-    """What an operator wants: others out, others in, or only the links in force."""
-
-    drop: tuple[str, ...] = ()
-    add: tuple[str, ...] = ()
-    force: bool = False
-
-
-Action = Keep | Tell | Switch
 
 
 class Epochs:

@@ -66,7 +66,9 @@ def _lanczos(weights: list[list[tuple[int, float]]]) -> tuple[list[float], list[
             beside.append(length)
         vector = [v / length for v in vector]
         basis.append(vector)
-        image = [own + sum(w * (vector[j] - own) for j, w in row) for own, row in zip(vector, weights, strict=True)]
+        image = [
+            own + math.fsum(w * (vector[j] - own) for j, w in row) for own, row in zip(vector, weights, strict=True)
+        ]
         diagonal.append(_dot(vector, image))
         vector = image
     return diagonal, beside

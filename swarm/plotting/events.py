@@ -46,7 +46,7 @@ def leds(figure: Any, run: Run) -> None:
         xlabel="time / s",
         ylabel=f"flash after that of {robots[0]} / ms",
     )
-    style.legend(bottom, len(robots), ncols=min(len(robots), 8), loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    style.legend(bottom, len(robots))
 
 
 def floods(figure: Any, run: Run) -> None:
@@ -61,7 +61,14 @@ def unicasts(figure: Any, run: Run) -> None:
 
 
 def standup(figure: Any, run: Run) -> None:
-    """When each robot stands, and its tilt meanwhile (thesis figure 4.2)."""
+    """When each robot stands, and its tilt meanwhile (thesis figure 4.2).
+
+    The moment is the app's own word where it has one: the body's state is recorded five times a second only."""
+    said = {
+        robot: sample.t
+        for sample in reversed([s for s in run.samples("swarm/*/app/*/record/standing") if s.message["value"]])
+        if (robot := sample.topic.split("/")[1])
+    }
     tilts: dict[str, list[tuple[float, float, bool]]] = {}
     for sample in run.samples("swarm/*/balancer/state"):
         message = sample.message
@@ -80,6 +87,7 @@ def standup(figure: Any, run: Run) -> None:
                           linewidth=0)  # fmt: skip
         axes.plot(times, [index - 0.38 * value / 110 for value in degrees], color=colour, linewidth=1.1)
         up = next((t for t, stood in zip(times, stands, strict=True) if stood), None)
+        up = said.get(name, up)
         if up is not None and up > times[0]:
             axes.annotate(f"{up:.1f} s", (up, index), textcoords="offset points", xytext=(3, 5), fontsize=7.5,
                           color=colour)  # fmt: skip
@@ -116,7 +124,7 @@ def _journeys(figure: Any, run: Run, requests: list[_Request], what: str) -> Non
     robots = list(run.robots)
     columns = 1 if len(shown) == 1 else 2
     rows = math.ceil(len(shown) / columns)
-    figure.set_size_inches(3.7 * columns, rows * (1.1 + 0.24 * len(robots)))
+    figure.set_size_inches(max(5.0, 3.7 * columns), rows * (1.1 + 0.24 * len(robots)))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axes in panels.flat[len(shown) :]:
         axes.set_visible(False)
@@ -124,8 +132,8 @@ def _journeys(figure: Any, run: Run, requests: list[_Request], what: str) -> Non
         _journey(
             axes, request, answers.get((request.origin, request.ticket)), _arrivals(request, requests, heard), robots
         )
-    figure.suptitle(f"bar: until its sender knows; dot: it has arrived (the last {len(shown)} of {len(requests)})",
-                    fontsize=9)  # fmt: skip
+    some = f" (the last {len(shown)} of {len(requests)})" if len(shown) < len(requests) else ""
+    figure.suptitle(f"bar: until its sender knows; dot: it has arrived{some}", fontsize=9)
 
 
 def _arrivals(

@@ -1,7 +1,6 @@
-"""Where things are: the map of robots, paths, estimates and their uncertainty, and the mesh with its links' quality."""
+"""Where things are: the map of robots, their paths, what they think where the target is, and their uncertainty."""
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,6 @@ from swarm.recording.folder import CONFIG_FILE
 from swarm.recording.run import Run
 
 Place = tuple[float, float]
-
-CROWD = 24
-"""Links or robots from which on the mesh is drawn without words."""
 
 SIGMAS = 2.0
 """Standard deviations of the ellipses drawn: 86 % of a plane's normal distribution."""
@@ -34,90 +30,33 @@ def scene(figure: Any, run: Run) -> None:
             seen.append((anchor.x, anchor.y))
             axes.plot(anchor.x, anchor.y, "^", color=style.GREY, markersize=8, **_once(marks, "anchor"))
         target = swarm.simulation.target
-        if "localization" in run.apps:
+        # Of real robots nobody knows where the target is.
+        if "localization" in run.apps and any(topic.endswith("/sim/truth") for topic in run.topics):
             seen.append(target)
             axes.plot(*target, "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
-    paths = _paths(run)
+    tracks = paths(run)
     estimates = _estimates(run)
     robots = list(run.robots)
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
-        if name in paths:
-            _path(axes, paths[name], colour, name, marks)
-            seen += [place for place, _ in paths[name]]
+        if name in tracks:
+            _path(axes, tracks[name], colour, name, marks)
+            seen += [place for place, _ in tracks[name]]
         if track := estimates.get(name):
             axes.plot(*zip(*(place for place, _ in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
             place, spread = track[-1]
             axes.plot(
                 *place, "x", color=colour, markersize=7, markeredgewidth=1.6, zorder=6, **_once(marks, "estimate")
             )
-            _ellipse(axes, place, spread, colour)
+            _ellipse(axes, place, spread, colour, marks)
             seen += [place for place, _ in track[len(track) // 4 :]]
     if not seen:
         raise LocalError(f"{run.path}: no place is recorded: neither poses nor a target")
-    _frame(axes, seen)
+    frame(axes, seen)
     axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
     legend = axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     for handle in legend.legend_handles:
         handle.set_color("black" if handle.get_label() == "target" else style.GREY)
-
-
-def mesh(figure: Any, run: Run) -> None:
-    """The links between the robots as they were at the end: width and colour tell the round-trip time, dashed =
-    down."""
-    links: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for sample in run.samples("swarm/*/mesh/links"):
-        robot = sample.topic.split("/")[1]
-        for link in sample.message["links"]:
-            pair = min(robot, link["peer"]), max(robot, link["peer"])
-            links.setdefault(pair, []).append(link)
-    if not links:
-        raise LocalError(f"{run.path}: no state of the mesh's links is recorded")
-    names = sorted({name for pair in links for name in pair})
-    places = _layout(run, names)
-    rtts = {pair: _mean(link["rtt"] for link in each if link.get("rtt") is not None) for pair, each in links.items()}
-    known = [rtt for rtt in rtts.values() if rtt is not None]
-    figure.set_size_inches(5.6, 4.6)
-    axes = figure.add_subplot()
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    scale = Normalize(0.0, 1e3 * max(known, default=1.0) * 1.05)
-    ramp = colormaps["cividis_r"]
-    crowded = max(len(links), len(names)) > CROWD
-    for (a, b), each in links.items():
-        rtt = rtts[a, b]
-        (xa, ya), (xb, yb) = places[a], places[b]
-        up = each[-1]["state"] in ("up", "suspect")
-        colour = style.GREY if rtt is None else ramp(scale(1e3 * rtt))
-        axes.plot(
-            (xa, xb),
-            (ya, yb),
-            color=colour,
-            linewidth=0.8 if crowded else 3.0 if up else 1.2,
-            linestyle="-" if up else "--",
-            zorder=1,
-        )
-        if crowded:
-            continue
-        lost = each[-1].get("dropped", 0)
-        text = "down" if not up else "" if rtt is None else f"{1e3 * rtt:.0f} ms"
-        text += f"\n{lost} lost" if lost else ""
-        axes.annotate(text, ((xa + xb) / 2, (ya + yb) / 2), ha="center", va="center", fontsize=7.5,
-                      bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85})  # fmt: skip
-    for name, (x, y) in places.items():
-        size = 5 if crowded else 21
-        axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=size, zorder=2)
-        if not crowded:
-            axes.annotate(name, (x, y), ha="center", va="center", fontsize=8.5, zorder=3)
-    if known:
-        bar = figure.colorbar(ScalarMappable(scale, ramp), ax=axes, shrink=0.75, pad=0.02)
-        bar.set_label("mean round-trip time / ms")
-        bar.outline.set_visible(False)
-    _frame(axes, list(places.values()))
-    axes.set(aspect="equal")
-    axes.axis("off")
 
 
 def _config(path: Path) -> Config | None:
@@ -136,7 +75,7 @@ def _once(marks: set[str], label: str) -> dict[str, str]:
     return {"label": label}
 
 
-def _paths(run: Run) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
+def paths(run: Run) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
     """Where each robot was: by its poses, else by the simulation's truth, else by what its app measured."""
     found: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
     for topic in ("swarm/*/dwm/pose", "swarm/*/sim/truth", "swarm/*/app/*/measurement"):
@@ -179,10 +118,10 @@ def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name
         axes.annotate("", (place[0] + 0.12 * math.cos(heading), place[1] + 0.12 * math.sin(heading)), place,
                       arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2})  # fmt: skip
     if (dx := last.get("deviation_x")) is not None and (dy := last.get("deviation_y")) is not None:
-        _ellipse(axes, place, (dx * dx, last.get("correlation", 0.0) * dx * dy, dy * dy), colour)
+        _ellipse(axes, place, (dx * dx, last.get("correlation", 0.0) * dx * dy, dy * dy), colour, marks)
 
 
-def _ellipse(axes: Any, place: Place, spread: tuple[float, float, float] | None, colour: Any) -> None:
+def _ellipse(axes: Any, place: Place, spread: tuple[float, float, float] | None, colour: Any, marks: set[str]) -> None:
     """Of two standard deviations, from variances and covariance."""
     if spread is None or not all(map(math.isfinite, spread)):
         return
@@ -194,25 +133,12 @@ def _ellipse(axes: Any, place: Place, spread: tuple[float, float, float] | None,
     angle = math.degrees(0.5 * math.atan2(2 * xy, xx - yy))
     axes.add_patch(Ellipse(place, width, height, angle=angle, facecolor=colour, alpha=0.18, linewidth=0, zorder=2))
     axes.add_patch(Ellipse(place, width, height, angle=angle, fill=False, edgecolor=colour, linewidth=0.9, zorder=3))
+    if label := _once(marks, f"{SIGMAS:g} standard deviations"):
+        axes.plot([], [], "o", fillstyle="none", markersize=10, **label)  # a patch would have a box in the legend
 
 
-def _layout(run: Run, names: list[str]) -> dict[str, Place]:
-    """Robots where they are, if they are apart; else on a circle."""
-    paths = _paths(run)
-    places = {name: paths[name][-1][0] for name in names if name in paths}
-    apart = [math.dist(places[a], places[b]) for a in places for b in places if a < b]
-    if len(places) == len(names) and (not apart or min(apart) > 0.15):
-        return places
-    turn = 2 * math.pi / len(names)
-    return {name: (math.sin(index * turn), math.cos(index * turn)) for index, name in enumerate(names)}
-
-
-def _frame(axes: Any, places: list[Place]) -> None:
+def frame(axes: Any, places: list[Place]) -> None:
+    """Limits of the axes: all places, and a margin."""
     xs, ys = zip(*places, strict=True)
     margin = 0.08 * max(max(xs) - min(xs), max(ys) - min(ys), 0.5) + 0.1
     axes.set(xlim=(min(xs) - margin, max(xs) + margin), ylim=(min(ys) - margin, max(ys) + margin))
-
-
-def _mean(values: Iterable[float]) -> float | None:
-    found = list(values)
-    return sum(found) / len(found) if found else None

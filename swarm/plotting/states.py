@@ -15,10 +15,11 @@ PANELS = 6
 """Columns shown at most, where none are asked for."""
 
 
-def states(figure: Any, run: Run, columns: Sequence[str] = ()) -> None:
+def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[str, str] | None = None) -> None:
     """A row of two panels for each column: over iterations and over time. Truth values get one panel, over time.
 
     `columns`: names as in the app, or with the channel before them (`frequency.value`); default: what is shared.
+    `labels`: what stands at the axis of a column, with its unit; default: its name.
     """
     panels = [(label, column, paths) for label, column, paths in _columns(run) if not columns or label in columns]
     if not panels:
@@ -30,7 +31,7 @@ def states(figure: Any, run: Run, columns: Sequence[str] = ()) -> None:
     grid = figure.add_gridspec(len(panels), 2)
     for row, (label, column, paths) in enumerate(panels):
         if _is_truth(column, paths):
-            _truth(figure.add_subplot(grid[row, :]), label, column, paths)
+            _truth(figure.add_subplot(grid[row, :]), (labels or {}).get(label, label), column, paths)
             continue
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
@@ -40,8 +41,9 @@ def states(figure: Any, run: Run, columns: Sequence[str] = ()) -> None:
             look = _look(index, len(paths), len(ks))
             left.plot(ks, values, label=name, **look)
             right.plot([path.times[k] for k in ks], values, **look)
-        left.set(xlabel="iteration", ylabel=label)
+        left.set(xlabel="iteration", ylabel=(labels or {}).get(label, label))
         right.set(xlabel="time / s")
+        style.whole(left.xaxis)
         right.tick_params(labelleft=False)
         if row == 0:
             style.legend(left, len(paths))
@@ -61,7 +63,8 @@ def iterations(figure: Any, run: Run) -> None:
             look = _look(index, len(paths), len(ks)) | {"drawstyle": "steps-post"}
             axes.plot([path.times[k] for k in ks], ks, label=f"{name}: {_pace(path)}", **look)
         axes.set(xlabel="time / s", ylabel=f"iteration of {channel}" if channel else "iteration")
-        style.legend(axes, len(paths), loc="upper left", ncols=1)
+        style.whole(axes.yaxis)
+        style.legend(axes, len(paths), loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=1, title="mean period")
 
 
 def _columns(run: Run) -> list[tuple[str, str, dict[str, Trajectory]]]:

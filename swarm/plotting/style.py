@@ -22,6 +22,7 @@ RC = {
     "axes.axisbelow": True,
     "legend.frameon": False,
     "legend.fontsize": 8,
+    "savefig.bbox": "tight",
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
 }
@@ -43,9 +44,17 @@ def mark(index: int) -> str:
 
 
 def legend(axes: Any, count: int, **options: Any) -> None:
-    """A legend of robots; with too many it would hide the picture."""
+    """A legend of robots above the axes, where no data is; with too many robots it would hide the picture."""
     if count <= FEW:
-        axes.legend(**{"ncols": 1 if count <= 4 else 2, "handlelength": 1.4, "columnspacing": 1.0, **options})
+        place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": count, "borderaxespad": 0.2}
+        axes.legend(**{**place, "handlelength": 1.4, "columnspacing": 1.0, **options})
+
+
+def whole(axis: Any) -> None:
+    """Ticks of an axis that counts."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
 
 def rows_of_robots(axes: Any, robots: Sequence[str]) -> None:

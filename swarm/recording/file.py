@@ -17,6 +17,7 @@ from swarm import __version__
 from swarm.core import mcap
 from swarm.core.recording import Known, Writer
 from swarm.errors import RecordingError
+from swarm.recording.budget import hold
 from swarm.recording.journal import Journal
 from swarm.recording.survey import survey
 
@@ -67,6 +68,7 @@ class RecordingFile:
         known = Known()
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
+            hold(self._file)
             if append:
                 known = self._found(left[0][0] if left else None)
             os.ftruncate(self._file, known.position)
@@ -80,6 +82,8 @@ class RecordingFile:
         self._restore(left)
         self.feed: Callable[[], None] = lambda: None
         """Called before each write to the file: puts in what waits elsewhere."""
+        self.tidy: Callable[[], object] = lambda: None
+        """Called now and then (each `SYNC_S`): keeps the disk in order."""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="recording", daemon=True)
         self._thread.start()
@@ -160,6 +164,7 @@ class RecordingFile:
             self._path.rename(aside)
             os.close(self._file)
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
+            hold(self._file)
             return Known()
 
     def _loop(self) -> None:
@@ -173,6 +178,7 @@ class RecordingFile:
                     os.fdatasync(self._file)
                 except OSError as error:
                     self._lose(error.strerror or str(error))
+                self.tidy()
 
     def _store(self) -> None:
         """Write what is there. Where the disk takes less, the rest stays for the next time."""

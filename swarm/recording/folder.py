@@ -24,9 +24,14 @@ KEYS = ("app", "run", "version", "seed", "digest")
 """What `run.toml` holds."""
 
 
+def root() -> Path:
+    """Where a robot keeps a folder for each run."""
+    return state_dir() / "runs"
+
+
 def of_robot(app: str, run: int) -> Path:
     """Where a robot keeps the recording of a run."""
-    return state_dir() / "runs" / f"{app}-{run:016x}"
+    return root() / f"{app}-{run:016x}"
 
 
 def describe(app: str, run: int, seed: int, digest: bytes) -> dict[str, str]:

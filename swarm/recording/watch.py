@@ -91,13 +91,17 @@ class Watch:
         bus.subscribe([key("*", "app", app, "flood"), key("*", "app", app, "send", robot)], self._take)
 
     def hear_requests(self, bus: BusLike, robot: str) -> None:
-        """Take this app's requests from the bus, where its session is another one than ours (in virtual time)."""
+        """Take this app's requests and parameters from the bus, where its session is another one than ours (in virtual
+        time)."""
 
         def take(name: str, payload: bytes) -> None:
             request = read(name, payload)
             if isinstance(request, FloodRequest | SendRequest) and request.app == self._app:
                 self.asked(request)
 
+        parameters = f"{self._prefix}/parameters"
+        self._least[parameters] = 0.0
+        bus.subscribe(parameters, self._take)
         bus.subscribe([key(robot, "mesh", "set", "flood"), key(robot, "mesh", "set", "send")], take)
 
     def asked(self, request: FloodRequest | SendRequest) -> None:

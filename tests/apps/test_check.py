@@ -15,8 +15,8 @@ from swarm.errors import AppError, LocalError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-HEAD = "import random\nfrom swarm import SyncApp\nCOUNT = 0\nclass Bad(SyncApp):\n    value: float\n"
-STEP = HEAD + "    def step(self, neighbours):\n        mean = sum(n.value for n in neighbours)\n"
+HEAD = "import math, random\nfrom swarm import SyncApp\nCOUNT = 0\nclass Bad(SyncApp):\n    value: float\n"
+STEP = HEAD + "    def step(self, neighbours):\n        mean = math.fsum(n.value for n in neighbours)\n"
 """Seven lines: the eighth is the one to blame."""
 
 
@@ -94,8 +94,18 @@ def test_who_goes_by_the_order_of_neighbours_is_warned(tmp_path: Path, short: No
     assert "depends on the order of the neighbours" in warning
 
 
+def test_a_sum_of_floats_is_warned_of(tmp_path: Path, short: None) -> None:
+    body = "        self.value = (mean + sum(n.value for n in neighbours)) / 3 / sum(1 for n in neighbours)\n"
+    file = write(tmp_path, STEP + body)
+    found = check.judge(findings(file), findings(file))
+    assert found["ok"]
+    assert found["warnings"] == [
+        f"{file}, line 8: sum() of floats may have another last bit from Python 3.12 on, math.fsum never"
+    ]
+
+
 def test_a_slow_step_is_warned_of(tmp_path: Path, short: None) -> None:
-    file = write(tmp_path, STEP + "        self.value = sum(mean * 1e-9 for _ in range(60_000))\n")
+    file = write(tmp_path, STEP + "        self.value = math.fsum(mean * 1e-9 for _ in range(60_000))\n")
     found = check.judge(findings(file, 5), findings(file, 5))
     assert any("on a Pi Zero 2 W, more than 10 ms" in warning for warning in found["warnings"])
 
@@ -165,7 +175,8 @@ def test_a_new_app_passes_its_test_and_the_check(tmp_path: Path, kind: str, shor
         cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
-    assert check.judge(findings(str(app), 60), findings(str(app), 60))["ok"]
+    found = check.judge(findings(str(app), 60), findings(str(app), 60))
+    assert (found["problems"], found["warnings"]) == ([], [])
     assert max(map(len, app.read_text().splitlines())) <= 120
     with pytest.raises(LocalError, match="is there already; it is not written over"):
         new.write(app, kind)

@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import os
 import platform
 import queue
 import random
@@ -19,7 +20,9 @@ from services.apps import loader
 from services.apps.host import schema_of
 from services.apps.runner import Runner
 from swarm.codec import decode, encode
+from swarm.config import load
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
+from swarm.recording.run import Run
 
 START = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {x}\n" for i, x in enumerate((0.5, 3.0, 5.0)))
 REPLAY = '[apps.localization]\nalgorithm = "thesis"\n[dwm]\nsource = "replay:somewhere"\n'
@@ -282,6 +285,36 @@ def test_wrong_starts_are_one_line_and_exit_2(runtime: Path, arguments: tuple[st
     assert rig.start("r0", "apps", *arguments).wait(30) == 2
     assert message in rig.log("r0")
     assert "Traceback" not in rig.log("r0")
+
+
+def test_a_recording_knows_what_was_set(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.start_all("consensus", "--iterations", "5", "--set", "r1.value=9", "--set", "weights=row")
+    rig.until_phase("done")
+    for name in NAMES:
+        rig.stop(name)
+    recorded = load(rig.records / "swarm.toml").app("consensus")
+    assert [recorded.of(name) for name in NAMES] == [{"value": x, "weights": "row"} for x in (0.5, 9, 5.0)]
+    run = Run(rig.records)
+    parameters = {s.topic.split("/")[1]: s.message["parameters"] for s in run.samples("**/parameters")}
+    assert {name: found["weights"]["value"] for name, found in parameters.items()} == dict.fromkeys(NAMES, "row")
+
+
+def test_old_recordings_make_room_for_new_ones(make_rig: MakeRig) -> None:
+    rig = make_rig(START + "[recordings]\nbudget = 5e4\n")
+    state = rig.directory / "state"
+    old = state / "runs" / "consensus-0000000000000001"
+    old.mkdir(parents=True)
+    (old / "r0.consensus.mcap").write_bytes(bytes(100_000))
+    for path in (old, *old.iterdir()):
+        os.utime(path, (1e9, 1e9))
+    words = ("apps", "consensus", "--iterations", "5", "--run", "2")
+    rig.start("r0", *words, "--record", SWARM_STATE=str(state), SWARM_RECORD="")
+    for name in NAMES[1:]:
+        rig.start(name, *words)
+    rig.until_phase("done")
+    assert [path.name for path in (state / "runs").iterdir()] == ["consensus-0000000000000002"]
+    assert "consensus-0000000000000001 is deleted" in rig.log("r0")
 
 
 def test_a_full_disk_for_the_recording_does_not_stop_the_run(make_rig: MakeRig) -> None:

@@ -132,6 +132,11 @@ def test_a_robot_that_is_well() -> None:
         ("pairing", "warning", "not paired with r1", replace(WELL, system=system(
             pairing={"problem": "", "address": "B8:27:EB:00:00:10", "powered": True, "devices": {}}
         ))),
+        ("pairing", "bad", "not paired with r1: it takes no call of r1", replace(
+            WELL, addresses={"r1": "B8:27:EB:00:00:0F"}, system=system(
+                pairing={"problem": "", "address": "B8:27:EB:00:00:10", "powered": True, "devices": {}}
+            )
+        )),
         ("links", "bad", "no link to r1 (dead)", replace(WELL, bus=bus(
             mesh_links={"links": [{"peer": "r1", "state": "down", "reason": "dead"}]}
         ))),

@@ -399,6 +399,8 @@ swarm-app@consensus.service loaded active running Balboa Swarm: the app consensu
 swarm-balancer.service loaded active running Balboa Swarm: the balancer
 swarm-bus.service loaded active running Balboa Swarm: the bus
 swarm-mesh.service loaded failed failed Balboa Swarm: the mesh
+== runs
+312000000	/var/lib/swarm/runs
 == bus
 {"key": "swarm/r0/balancer/state", "value": {"mode": "balancing", "battery": 7.4, "battery_left": 9000, "fault": ""}}
 {"key": "swarm/r0/balancer/firmware", "value": {"layout": 1, "revision": 4}}
@@ -423,16 +425,28 @@ def test_the_status_of_a_robot_is_read() -> None:
         links={"r1": "up", "r2": "down"},
         pose=[1.5, 2.0],
         apps={"consensus": {"phase": "running", "k": 12}},
+        recorded=312_000_000,
     )
 
 
 def test_a_row_for_people() -> None:
     rows = {"r0": status.parse("r0", ANSWER)}
-    head, row = status.table([Outcome("r0", True, "", 1.0)], rows).splitlines()
-    assert head.split() == ["robot", "services", "battery", "body", "links", "pose", "apps", "release", "firmware"]
+    head, row = status.table([Outcome("r0", True, "", 1.0)], rows, 2e9).splitlines()
+    assert head.split() == [
+        "robot",
+        "services",
+        "battery",
+        "body",
+        "links",
+        "pose",
+        "apps",
+        "recordings",
+        "release",
+        "firmware",
+    ]
     assert row == (
         "r0     not running: dwm mesh  7.4 V 2 h 30 min  balancing  1 of 2  1.50 2.00  "
-        "consensus:running@12  0.1.0-abc  1.4"
+        "consensus:running@12  312.0 MB of 2.00 GB  0.1.0-abc  1.4"
     )
 
 

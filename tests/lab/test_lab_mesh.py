@@ -1,41 +1,71 @@
-"""The mesh over real RFCOMM, six robots in one machine: tests/lab/inside_consensus.py."""
+"""The mesh over real RFCOMM, six robots in one machine: tests/lab/inside_consensus.py and inside_overlays.py."""
 
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from lab.inside import run_tests
-from lab.shapes import ITERATIONS, SHAPES, config
+from lab.shapes import ITERATIONS, LONG, SHAPES, config
+from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from swarm.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
-pytestmark = [pytest.mark.lab, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(600)]
+
+RULES = """
+[[relay]]
+keys = "swarm/{self}/dwm/pose"
+overlay = "flood"
+[[relay]]
+keys = "swarm/{peer}/balancer/set/leds"
+overlay = "unicast"
+priority = "sync"
+"""
 
 
 def simulate(shape: str, share: Path) -> None:
     """The same swarm in the simulation of this host: its configuration and its recording, for the machine."""
+    if (share / "simulated" / shape).exists():
+        return
     (share / f"{shape}.toml").write_text(config(shape, 'key = "/share/swarm.key"'))
     own = share / "own.toml"
     own.write_text(config(shape, "insecure = true"))
-    words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
+    iterations = LONG if shape == "line" else ITERATIONS
+    words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(iterations), "--json"]
     record = ["--record", str(share / "simulated" / shape)]
     subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
 
 
-@pytest.fixture
-def robots(machine: Callable[..., Machine]) -> Machine:
-    made = machine("robots", init=PLAIN, cores=2, memory_mb=1536)
-    made.start()
-    return made
+@pytest.fixture(scope="module")
+def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
+    with Machine(lab_image, tmp_path_factory.mktemp("mesh"), "robots", init=PLAIN, cores=2, memory_mb=1536) as made:
+        for name in ("swarm", "stranger"):
+            new_key_file(made.share / f"{name}.key", int(time.time()))
+        yield made
 
 
 def test_six_robots_compute_what_the_simulation_computes(robots: Machine) -> None:
-    new_key_file(robots.share / "swarm.key", int(time.time()))
     for shape in SHAPES:
         simulate(shape, robots.share)
-    run_tests(robots, "tests/lab/inside_consensus.py", 800)
+    run_tests(robots, "tests/lab/inside_consensus.py -k simulation", 500)
+
+
+def test_nothing_is_lost_or_doubled_by_faults_in_mid_run(robots: Machine) -> None:
+    simulate("line", robots.share)
+    run_tests(robots, "tests/lab/inside_consensus.py -k faults", 500)
+
+
+def test_all_that_the_mesh_does_it_does_over_rfcomm(robots: Machine) -> None:
+    (robots.share / "overlays.toml").write_text(config("loop", 'key = "/share/swarm.key"', RULES))
+    for name in ("swarm", "stranger"):
+        (robots.share / f"{name}.toml").write_text(config("line", f'key = "/share/{name}.key"'))
+    run_tests(robots, "tests/lab/inside_overlays.py tests/lab/inside_stranger.py", 500)
+
+
+def test_pybluez_looks_through_the_adapter_of_our_choice(robots: Machine) -> None:
+    run_tests(robots, "tests/lab/inside_pybluez.py", 200)

@@ -172,6 +172,16 @@ def test_a_page_that_nobody_hears_times_out(world: World) -> None:
         assert [body[0] for _, body in world.events(A)] == [Status.PAGE_TIMEOUT]
 
 
+def test_a_page_is_repeated_until_it_is_heard(world: World) -> None:
+    world.air.silence(B, world.now)
+    world.tell(A, Op.CREATE_CONNECTION, hci.to_wire(B) + bytes(7))
+    world.run(3.0)
+    assert world.codes(A) == [Ev.COMMAND_STATUS]
+    world.air.unsilence(B, world.now)
+    world.run(0.2)
+    assert world.codes(B) == [Ev.CONNECTION_REQUEST]
+
+
 def test_two_that_page_each_other_hear_nothing(world: World) -> None:
     for one, other in ((A, B), (B, A)):
         world.tell(one, Op.CREATE_CONNECTION, hci.to_wire(other) + bytes(7))
@@ -280,6 +290,52 @@ def test_simple_pairing_gives_both_the_key_and_next_time_it_is_enough(world: Wor
     ]
     world.tell(A, Op.SET_ENCRYPTION, handle + b"\1")
     assert dict(world.events(B))[Ev.ENCRYPTION_CHANGE][3] == 1
+    assert world.air.encrypted() == [(A, B)]
+    world.tell(A, Op.SET_ENCRYPTION, handle + b"\0")
+    assert world.air.encrypted() == []
+
+
+def test_golden_bytes_of_pairing_and_encryption(world: World) -> None:
+    """As btmon shows them: reversed addresses, the key, its type (unauthenticated), the handle."""
+    heard: dict[str, list[str]] = {A: [], B: []}
+    for address in (A, B):
+        world.tell(address, Op.WRITE_SIMPLE_PAIRING, b"\1")
+    one, other = world.link(A, B)
+    assert (one, other) == (1, 65)
+
+    def say(who: str, op: int, more: bytes = b"") -> None:
+        world.tell(who, op, (hci.to_wire(B if who == A else A) if op != Op.AUTHENTICATION_REQUESTED else b"") + more)
+        for address in (A, B):
+            rows = [bytes((code,)) + body for code, body in world.events(address)]
+            heard[address] += [row.hex() for row in rows if row[0] not in (Ev.COMMAND_COMPLETE, Ev.COMMAND_STATUS)]
+
+    say(A, Op.AUTHENTICATION_REQUESTED, b"\1\0")
+    say(A, Op.LINK_KEY_NEGATIVE_REPLY)
+    say(A, Op.IO_CAPABILITY_REPLY, b"\3\0\2")
+    say(B, Op.IO_CAPABILITY_REPLY, b"\3\0\2")
+    say(A, Op.CONFIRM)
+    say(B, Op.CONFIRM)
+    first, second = "010000ba1002", "020000ba1002"
+    key = KEY.hex() + "04"
+    assert heard[A] == [
+        *("17" + second, "31" + second, "32" + second + "030002", "33" + second + "40e20100"),
+        *("3600" + second, "18" + second + key, "06000100"),
+    ]
+    assert heard[B] == [
+        *("32" + first + "030002", "31" + first, "33" + first + "40e20100"),
+        *("3600" + first, "18" + first + key),
+    ]
+    world.tell(A, Op.SET_ENCRYPTION, b"\1\0\1")
+    assert [body.hex() for code, body in world.events(A) if code == Ev.ENCRYPTION_CHANGE] == ["00010001"]
+    assert [body.hex() for code, body in world.events(B) if code == Ev.ENCRYPTION_CHANGE] == ["00410001"]
+
+
+def test_no_encryption_without_a_key(world: World) -> None:
+    one, _ = world.link(A, B)
+    world.tell(A, Op.SET_ENCRYPTION, one.to_bytes(2, "little") + b"\1")
+    assert dict(world.events(A))[Ev.ENCRYPTION_CHANGE] == bytes((Status.KEY_MISSING, one, 0, 0))
+    assert world.events(B) == []
+    assert world.air.encrypted() == []
 
 
 @pytest.mark.parametrize(

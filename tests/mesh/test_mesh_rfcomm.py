@@ -370,6 +370,25 @@ def test_devices_in_range_and_their_meshes_are_found(bluetooth: types.SimpleName
     assert (robot.address, robot.name, robot.channel) == (B, "raspberrypi", 1)
 
 
+def test_the_adapter_that_looks_can_be_chosen(
+    bluetooth: types.SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = types.SimpleNamespace(hci_devid=lambda name: 1 if name in ("hci1", A) else -1)
+    monkeypatch.setitem(__import__("sys").modules, "bluetooth._bluetooth", inner)
+    asked: list[int] = []
+
+    def discover_devices(device_id: int = -1, **_: object) -> list[tuple[str, str]]:
+        asked.append(device_id)
+        return []
+
+    bluetooth.discover_devices = discover_devices
+    for name in ("", "hci1", A):
+        assert pybluez.discover(1.28, ask_services=False, adapter=name) == []
+    assert asked == [-1, 1, 1]
+    with pytest.raises(LocalError, match="there is no Bluetooth adapter hci7"):
+        pybluez.discover(1.28, ask_services=False, adapter="hci7")
+
+
 def test_the_record_is_that_of_the_listening_socket(
     bluetooth: types.SimpleNamespace, air: RfcommAir, listener: rfcomm.Listener
 ) -> None:

@@ -1,9 +1,18 @@
 """Each kind of picture from a recording, made under virtual time: it is drawn, and what cannot be drawn is said."""
 
+import math
+from itertools import combinations
+from pathlib import Path
+
 import pytest
 
 from services.sim.virtual.run import simulate
 from swarm.cli import main
+from swarm.cli.plot import KINDS
+from swarm.cli.plots import figure
+from swarm.plotting import style
+from swarm.plotting.mesh import layout, spots
+from swarm.recording.run import Run
 
 pytest.importorskip("matplotlib")
 
@@ -63,6 +72,66 @@ def test_a_column_is_drawn_by_its_name_and_unknown_ones_are_said(runs, tmp_path,
     assert "result.x" in (tmp_path / "x.svg").read_text()
     assert plot(runs / "localization", "--column", "colour", "-o", tmp_path / "x.svg") == 2
     assert "no such column of states; there are: q[0], q[1]" in capsys.readouterr().err
+
+
+def test_an_axis_says_what_it_was_told(runs, tmp_path, capsys):
+    path = tmp_path / "x.svg"
+    assert plot(runs / "localization", "--column", "result.x", "--label", "result.x=target x / m", "-o", path) == 0
+    assert "target x / m" in path.read_text()
+    assert plot(runs / "localization", "--label", "nonsense", "-o", path) == 2
+    assert "expected NAME=TEXT" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["states", "iterations", "mesh", "leds"])
+def test_no_legend_hides_data(runs, kind):
+    """Legends stand outside of the axes they belong to."""
+    with figure(Path("unused.pdf"), settings=style.RC, layout="constrained") as made:
+        KINDS[kind](made, Run(runs / "led_sync"))
+        made.canvas.draw()
+        for axes in made.axes:
+            if (legend := axes.get_legend()) is not None:
+                shown, inside = legend.get_window_extent(), axes.get_window_extent()
+                assert shown.x0 >= inside.x1 - 1 or shown.y0 >= inside.y1 - 1
+        made.savefig = lambda *args, **options: None
+
+
+def test_a_vector_file_has_text_in_it(runs, tmp_path):
+    assert plot(runs / "led_sync", "-o", tmp_path / "leds.pdf") == 0
+    assert b"/Type /Font" in (tmp_path / "leds.pdf").read_bytes()
+
+
+def test_the_moment_a_robot_stands_is_the_apps_own(runs, tmp_path):
+    """The body's state is recorded five times a second; the app says when it stood."""
+    stood = {
+        sample.topic.split("/")[1]: sample.t
+        for sample in Run(runs / "stand_up").samples("swarm/*/app/*/record/standing")
+        if sample.message["value"]
+    }
+    assert set(stood) == {"r0", "r1"}
+    assert plot(runs / "stand_up", "-o", tmp_path / "x.svg") == 0
+    assert all(f"{t:.1f} s" in (tmp_path / "x.svg").read_text() for t in stood.values())
+
+
+RING = [("r0", "r1"), ("r1", "r2"), ("r2", "r3"), ("r0", "r3")]
+SQUARE = {"r0": (0.0, 0.0), "r1": (1.0, 0.0), "r2": (1.0, 1.0), "r3": (0.0, 1.0)}
+
+
+def test_robots_are_drawn_where_they_are_unless_that_misleads():
+    names = sorted(SQUARE)
+    assert layout(names, RING, SQUARE) == SQUARE
+    circle = layout(names, RING, {})
+    assert circle["r0"] == (0.0, 1.0)
+    near = SQUARE | {"r2": (1.05, 0.05)}  # hides r1
+    beside = SQUARE | {"r2": (0.5, 0.02)}  # seems to be on the link of r0 and r1
+    for misleading in (near, beside):
+        assert layout(names, RING, misleading) == circle
+
+
+def test_words_of_links_that_cross_stand_apart():
+    links = [("r0", "r2"), ("r1", "r3"), *RING]
+    found = spots(SQUARE, links)
+    assert set(found) == set(links)
+    assert min(math.dist(a, b) for a, b in combinations(found.values(), 2)) > 0.13
 
 
 def test_what_was_not_recorded_cannot_be_drawn(runs, tmp_path, capsys):

@@ -156,6 +156,15 @@ def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):
             assert max(at - found.times[k - 1] for k, at in found.times.items() if k) > 0.8
 
 
+def test_a_robot_that_is_cut_off_for_ever_does_not_keep_the_others_from_their_end():
+    drop = ("--absent", "drop", "--drop-after", "1.5", "--cut", "r1-r2@0.2s,999s")
+    report = simulate("consensus", "--iterations", "60", "--latency", "10ms", *drop)
+    assert report["missing"] == ["r2"]
+    assert report["iterations"] == 60
+    assert report["problems"] == []
+    assert report["result"]["r0"] == pytest.approx(report["result"]["r1"])
+
+
 @pytest.mark.slow
 def test_robots_without_an_app_just_balance():
     report = simulate("--robots", "2", "--seconds", "2")

@@ -4,44 +4,44 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim import options
-from services.sim.options import Cut, Off, Press, Setting
+from services.sim import options, quantities
+from services.sim.quantities import Cut, Off, Press, Setting
 from swarm.errors import ConfigError
 
 
 def test_durations_and_rates_have_units():
-    assert options.duration("30ms") == 0.03
-    assert options.duration("2min") == 120
-    assert options.duration("1.5") == 1.5
-    assert options.rate("78kB") == 78000
-    assert options.loss("5%") == options.loss("0.05") == 0.05
-    assert options.off("r2@5s,10s") == Off("r2", 5.0, 10.0)
-    assert options.off("r2@start,1min") == Off("r2", None, 60.0)
-    assert options.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
-    assert options.press("r4.a@1500ms") == Press("r4", "A", 1.5)
-    assert options.setting("value=0.5") == Setting(None, "value", 0.5)
-    assert options.setting("r2.value=3") == Setting("r2", "value", 3)
-    assert options.setting("weights=row") == Setting(None, "weights", "row")
-    assert options.setting("places=[0.5, 1]") == Setting(None, "places", (0.5, 1.0))
+    assert quantities.duration("30ms") == 0.03
+    assert quantities.duration("2min") == 120
+    assert quantities.duration("1.5") == 1.5
+    assert quantities.rate("78kB") == 78000
+    assert quantities.loss("5%") == quantities.loss("0.05") == 0.05
+    assert quantities.off("r2@5s,10s") == Off("r2", 5.0, 10.0)
+    assert quantities.off("r2@start,1min") == Off("r2", None, 60.0)
+    assert quantities.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
+    assert quantities.press("r4.a@1500ms") == Press("r4", "A", 1.5)
+    assert quantities.setting("value=0.5") == Setting(None, "value", 0.5)
+    assert quantities.setting("r2.value=3") == Setting("r2", "value", 3)
+    assert quantities.setting("weights=row") == Setting(None, "weights", "row")
+    assert quantities.setting("places=[0.5, 1]") == Setting(None, "places", (0.5, 1.0))
 
 
 @pytest.mark.parametrize(
     ("convert", "text"),
     [
-        (options.duration, "30parsec"),
-        (options.duration, "1.2.3s"),
-        (options.rate, "0kB"),
-        (options.cut, "r0r1@12s,3s"),
-        (options.cut, "r0-r1@12s"),
-        (options.loss, "95%"),
-        (options.loss, "5kB"),
-        (options.off, "r2@5s"),
-        (options.off, "r2@5s,0s"),
-        (options.press, "r4.D@1s"),
-        (options.press, "r4@1s"),
-        (options.setting, "value"),
-        (options.setting, "a b=3"),
-        (options.setting, "value=[1,x]"),
+        (quantities.duration, "30parsec"),
+        (quantities.duration, "1.2.3s"),
+        (quantities.rate, "0kB"),
+        (quantities.cut, "r0r1@12s,3s"),
+        (quantities.cut, "r0-r1@12s"),
+        (quantities.loss, "95%"),
+        (quantities.loss, "5kB"),
+        (quantities.off, "r2@5s"),
+        (quantities.off, "r2@5s,0s"),
+        (quantities.press, "r4.D@1s"),
+        (quantities.press, "r4@1s"),
+        (quantities.setting, "value"),
+        (quantities.setting, "a b=3"),
+        (quantities.setting, "value=[1,x]"),
     ],
 )
 def test_wrong_text_is_refused_by_argparse(convert, text):
@@ -52,13 +52,13 @@ def test_wrong_text_is_refused_by_argparse(convert, text):
 @given(st.text(max_size=20))
 def test_any_text_is_a_value_or_refused(text):
     for convert in (
-        options.duration,
-        options.rate,
-        options.cut,
-        options.loss,
-        options.off,
-        options.press,
-        options.setting,
+        quantities.duration,
+        quantities.rate,
+        quantities.cut,
+        quantities.loss,
+        quantities.off,
+        quantities.press,
+        quantities.setting,
     ):
         try:
             convert(text)

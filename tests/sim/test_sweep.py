@@ -13,6 +13,7 @@ from services.sim.sweep import engines, show
 from services.sim.sweep.limit import search
 from services.sim.sweep.measure import Found, measure, settled, together
 from services.sim.sweep.plan import Job, Point, jobs_of, points_of, seeds_of, setting_of, values_of
+from swarm.errors import LocalError
 from swarm.recording.trajectory import Trajectory
 
 
@@ -155,11 +156,45 @@ def test_a_wrong_command_is_refused_before_anything_runs():
     assert "none" in done.stderr
 
 
+def figures(runs):
+    """What of them does not depend on the machine."""
+    return [(each.point, each.seed, each.settled, each.error, each.seconds, each.problem) for each in runs]
+
+
 def test_a_dask_cluster_gives_the_same():
-    pytest.importorskip("distributed", reason="Dask is not installed: pip install distributed")
+    """Of this machine, and one that runs already, of which only the address is known."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install distributed")
     jobs = jobs_of("consensus", points_of([("robots", ("3", "4"))]), (1, 2), ["--iterations", "20"], 0.01)
+    expected = figures(map(measure, jobs))
+    done = []
     with engines.dask(2, None) as run:
-        found = run(jobs, lambda: None)
-    assert [(each.point, each.seed, each.settled, each.error) for each in found] == [
-        (each.point, each.seed, each.settled, each.error) for each in map(measure, jobs)
-    ]
+        assert figures(run(jobs, lambda: done.append(1))) == expected
+    assert len(done) == len(jobs)
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
+        engines.dask(2, cluster.scheduler_address) as run,
+    ):
+        assert figures(run(jobs, lambda: None)) == expected
+        # Not from its memory: each sweep computes its own.
+        assert figures(run(jobs, lambda: done.append(1))) == expected
+    assert len(done) == 2 * len(jobs)
+
+
+def test_the_command_on_dask_gives_what_the_command_on_processes_gives():
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install distributed")
+    words = ["consensus", "--robots", "3,4", "--seeds", "2", "--iterations", "20", "--json", "--jobs", "2"]
+    told = []
+    for engine in engines.ENGINES:
+        command = [sys.executable, "-m", "services.sim.sweep", *words, "--engine", engine]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        told.append(json.loads(done.stdout.splitlines()[-1]))
+        for point in told[-1]["points"]:
+            for run in point["runs"]:
+                del run["computed_s"]
+    assert told[0] == told[1]
+
+
+def test_without_dask_it_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "dask", None)
+    with pytest.raises(LocalError, match=r"balboa-swarm\[dask\]"), engines.dask(1, None):
+        pass

@@ -49,6 +49,13 @@ def test_a_robot_that_is_cut_off_is_dropped_and_the_others_go_on(tmp_path):
     }
 
 
+def test_a_robot_that_is_cut_off_for_ever_is_named_at_the_end():
+    cut = ("--cut", "r0-r1@0.5s,999s", "--cut", "r1-r2@0.5s,999s")
+    report, _ = simulate(*LOOP, "--iterations", "60", *DROP, *cut)
+    assert report["missing"] == ["r1"]
+    assert report["iterations"] == 60
+
+
 def test_a_robot_that_comes_back_is_taken_in_with_its_value(tmp_path):
     report, outcome = simulate(*LOOP, "--seconds", "20", *DROP, *AWAY, "--record", str(tmp_path), rows=True)
     assert report["problems"] == []

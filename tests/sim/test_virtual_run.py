@@ -121,6 +121,8 @@ def test_a_replay_ends_where_the_recording_does(tmp_path):
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BLINK = """
+from math import fsum
+
 from swarm import PeriodicApp, SyncApp, channel
 
 
@@ -128,7 +130,7 @@ class Frequency(SyncApp):
     value: float
 
     def step(self, neighbours):
-        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        self.value += fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
 
 
 class Blink(PeriodicApp):

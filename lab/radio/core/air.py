@@ -149,6 +149,10 @@ class Air:
         """The pairs that have a link, sorted."""
         return sorted((min(link.ends), max(link.ends)) for link in self._links)
 
+    def encrypted(self) -> list[tuple[str, str]]:
+        """The pairs whose link is encrypted, sorted."""
+        return sorted((min(link.ends), max(link.ends)) for link in self._links if link.encrypted)
+
     # -- for controllers -------------------------------------------------------------------------------------
 
     def send(self, address: str, packet: bytes) -> None:

@@ -24,6 +24,9 @@ SLOT = 0.000625
 INQUIRY_UNIT = 1.28
 """s."""
 
+PAGE_AGAIN = 0.16
+"""s between looks at whether a page is heard now: a controller repeats it until its time-out."""
+
 DATA_SIZE, DATA_PACKETS = 1021, 8
 """Bytes of the largest packet of data and how many a controller keeps, for all links together."""
 
@@ -280,17 +283,21 @@ class Controller:
             return
         self._status(op)
         attempt = self.paging[address] = object()
-        self._air.at(now + self._air.medium.page, lambda now: self._page(address, attempt, now))
+        until = now + self._air.medium.page + self._page_timeout
+        self._air.at(now + self._air.medium.page, lambda now: self._page(address, attempt, until, now))
 
-    def _page(self, address: str, attempt: object, now: float) -> None:
-        """The page is heard, or will not be."""
+    def _page(self, address: str, attempt: object, until: float, now: float) -> None:
+        """The page is heard; or it is repeated until then."""
         if self.paging.get(address) is not attempt:
+            return
+        if now >= until:
+            self.page_failed(address, attempt, Status.PAGE_TIMEOUT)
             return
         called = self._air.find(address)
         # Who pages does not hear pages: two that call each other both wait in vain.
         heard = called in self._air.others(self) and called.scan & PAGE_SCAN and self.address not in called.paging
         if called is None or not heard:
-            self._air.at(now + self._page_timeout, lambda _: self.page_failed(address, attempt, Status.PAGE_TIMEOUT))
+            self._air.at(min(now + PAGE_AGAIN, until), lambda now: self._page(address, attempt, until, now))
         elif len(self.links) >= MAX_LINKS:
             self.page_failed(address, attempt, Status.CONNECTION_LIMIT)
         elif len(called.links) >= MAX_LINKS:
@@ -377,6 +384,7 @@ class Controller:
         for address, packet in pairing.events():
             if address not in link.gone:
                 self._air.send(address, packet)
+        link.authenticated |= pairing.status == Status.SUCCESS
         if pairing.status is not None and pairing.initiator not in link.gone:
             body = struct.pack("<BH", pairing.status, link.ends[pairing.initiator])
             self._air.send(pairing.initiator, hci.event(Ev.AUTHENTICATION_COMPLETE, body))
@@ -387,7 +395,14 @@ class Controller:
             self._status(op, Status.UNKNOWN_CONNECTION)
             return
         self._status(op)
+        on = parameters[2]
+        if on and not link.authenticated:
+            self._event(Ev.ENCRYPTION_CHANGE, bytes((Status.KEY_MISSING,)) + parameters[:2] + b"\0")
+            return
+        link.encrypted = bool(on)
+        self._air.counts["encrypted"] += on
         for address, handle in link.ends.items():
             if address not in link.gone:
-                body = struct.pack("<BHB", Status.SUCCESS, handle, parameters[2])
-                self._air.send(address, hci.event(Ev.ENCRYPTION_CHANGE, body))
+                self._air.send(
+                    address, hci.event(Ev.ENCRYPTION_CHANGE, struct.pack("<BHB", Status.SUCCESS, handle, on))
+                )

@@ -18,6 +18,9 @@ class Link:
     """Sides that do not have the link any more."""
     pairing: Pairing | None = None
     """An authentication under way."""
+    authenticated: bool = False
+    """Whether both sides have shown that they have the same key: encryption needs it."""
+    encrypted: bool = False
     held: dict[str, deque[tuple[int, bytes]]] = field(init=False)
     """What each side has given and is not on the air yet: (packet boundary, data)."""
     free: dict[str, float] = field(init=False)

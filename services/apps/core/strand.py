@@ -10,50 +10,24 @@ import struct
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from swarm.conduct import AFTER
-from swarm.core import epochs, lockstep
+from services.apps.core.terms import Program, Terms
+from swarm.core import epoch_actions, lockstep
+from swarm.core.epoch_actions import Keep, Order, Switch
 from swarm.core.epoch_notes import Epoch, Kept
 from swarm.core.epoch_roster import FRESH
-from swarm.core.epochs import Epochs, Keep, Order, Switch, Tell
+from swarm.core.epochs import Epochs
 from swarm.core.graph import Graph
-from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
+from swarm.core.lockstep import Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
 from swarm.core.lockstep_frames import Snapshot
-from swarm.core.stopping import Rule, Stopping
+from swarm.core.stopping import Stopping
 from swarm.messages import Measurement
 
 ALONE = 0.03
 """s of an iteration of a robot without neighbours, who has nobody to wait for."""
 
 _STAMP = struct.Struct("<dd")  # before the private fields in a snapshot: when its state was computed, and the first one
-
-
-class Program(Protocol):
-    """The author's app between packed states: `services.apps.runner.Runner`."""
-
-    k: int
-
-    @property
-    def size(self) -> int:
-        """Bytes of one packed state."""
-
-    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
-        """The first state, packed: shared, private."""
-
-    def step(
-        self, k: int, own: bytes, values: Mapping[str, bytes], measurement: Measurement | None
-    ) -> tuple[bytes, bytes]:
-        """x(k+1), packed: shared, private."""
-
-    def restore(self, k: int, own: bytes, private: bytes, graph: Graph) -> None:
-        """Be again where a snapshot was taken."""
-
-    def renew(self, k: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
-        """Be at k with this state, among these robots; the state the app goes on with, packed: shared, private."""
-
-    def content(self) -> bool:
-        """Whether the last step has changed the state so little that the app might stop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,28 +46,7 @@ class State(NamedTuple):
     at: float
 
 
-@dataclass(frozen=True, slots=True)
-class Terms:
-    """What holds for a whole run, the same on all robots."""
-
-    run: int
-    schema: int
-    last: int | None = None
-    """The last iteration, if there is one."""
-    rule: Rule | None = None
-    """Another reason to stop."""
-    drop: bool = False
-    """Whether robots that stay away are given up, and taken in again when they come back."""
-    after: float = AFTER
-    """s after which they are."""
-
-    @property
-    def notes(self) -> str:
-        """The chunk of the key under which notes about the members travel, beside the frames."""
-        return f"{self.run:016x}-{self.schema:08x}-epochs"
-
-
-Action = lockstep.Action | epochs.Action | Renew
+Action = lockstep.Action | epoch_actions.Action | Renew
 
 
 class Strand:
@@ -399,6 +352,3 @@ class Strand:
 
     def _stamp(self, private: bytes) -> bytes:
         return _STAMP.pack(self.computed_at, self._began_at) + private
-
-
-__all__ = ["ALONE", "Action", "Advanced", "Program", "Renew", "Strand", "Tell", "Terms"]

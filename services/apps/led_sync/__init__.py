@@ -1,7 +1,7 @@
 """LEDs that blink together, in frequency and phase (thesis 4.3.2). docs/apps/led_sync.md."""
 
-import math
 from collections.abc import Mapping, Sequence
+from math import fsum, inf
 from typing import Any
 
 from services.apps.core import algorithm3, blink
@@ -33,7 +33,7 @@ class Frequency(SyncApp):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """f_i += sum_j w_ij (f_j - f_i)."""
-        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        self.value += fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
 
 
 class LedSync(EventApp):
@@ -46,7 +46,7 @@ class LedSync(EventApp):
     frequency = channel(Frequency)
     agreed: float = 0.0
     """Hz it blinks with; 0 before consensus and clock have settled."""
-    _since: float = -math.inf
+    _since: float = -inf
 
     def start(self) -> None:
         """Show that it waits."""
@@ -86,7 +86,7 @@ class RowFrequency(SyncApp):
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """The mean of the own and the neighbours' values."""
-        self.value += sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        self.value += fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
 
 
 class Phase(SyncApp):
@@ -107,7 +107,7 @@ class Phase(SyncApp):
         """The mean of the own and the neighbours' values, moved as far as the last blink has moved the own one: so all
         of that reaches the others, as it does where the state is overwritten between two iterations."""
         own, fired, self._fired = self.value, self._fired, -1.0
-        self.value = own + sum(w * (n.value - own) for w, n in self.weighted(neighbours))
+        self.value = own + fsum(w * (n.value - own) for w, n in self.weighted(neighbours))
         if fired >= 0.0:
             self.value += fired - own
 

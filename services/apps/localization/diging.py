@@ -57,14 +57,14 @@ class Diging(Judged):
         weighted = self.weighted(neighbours)
         step, old = self.step_size, self._x
         self._x = (
-            self._x[0] + sum(w * (n.x - self.x) for w, n in weighted) - step * self._y[0],
-            self._x[1] + sum(w * (n.y - self.y) for w, n in weighted) - step * self._y[1],
+            self._x[0] + math.fsum(w * (n.x - self.x) for w, n in weighted) - step * self._y[0],
+            self._x[1] + math.fsum(w * (n.y - self.y) for w, n in weighted) - step * self._y[1],
         )
         check_bounded((CM * self._x[0], CM * self._x[1]), step)
         before, self._g = self._g, self._gradient()
         self._y = (
-            self._y[0] + sum(w * (n.gx - self.gx) for w, n in weighted) + self._g[0] - before[0],
-            self._y[1] + sum(w * (n.gy - self.gy) for w, n in weighted) + self._g[1] - before[1],
+            self._y[0] + math.fsum(w * (n.gx - self.gx) for w, n in weighted) + self._g[0] - before[0],
+            self._y[1] + math.fsum(w * (n.gy - self.gy) for w, n in weighted) + self._g[1] - before[1],
         )
         self.judge([(w, n.part) for w, n in weighted], math.dist(self._x, old))
         (self.x, self.y), (self.gx, self.gy) = self._x, self._y

@@ -4,6 +4,7 @@ Exact after as many rounds as there are hops, and what one robot knows of anothe
 """
 
 from collections.abc import Mapping, Sequence
+from math import fsum
 from typing import Annotated, Any
 
 from services.apps.localization import ranges
@@ -69,7 +70,7 @@ class Flood(Localization):
         """Place of the target, m, its uncertainty, and the other place that fits as well (the same one if none)."""
         seen = [unpack(entry) for entry in self.entries if entry]
         parts = [ranges.statistics(*one, self.sigma()) for one in seen]
-        mean = tuple(sum(column) / len(parts) for column in zip(*parts, strict=True)) if parts else ranges.NOTHING
+        mean = tuple(fsum(column) / len(parts) for column in zip(*parts, strict=True)) if parts else ranges.NOTHING
         found = ranges.solve(mean, len(parts)) or UNKNOWN
         place = refine(seen, (found.x, found.y)) if found.rank == 3 else (found.x, found.y)
         return self.report(place, found)

@@ -1,6 +1,7 @@
 """`info`: consensus on the sums of the squared-range problem, solved in closed form by every robot. No step size."""
 
 from collections.abc import Mapping, Sequence
+from math import fsum
 from typing import Annotated, Any
 
 from services.apps.localization import ranges
@@ -39,7 +40,7 @@ class Info(Localization):
         # The difference to each neighbour is formed first, of values as they are sent, the own one too: both ends of an
         # edge then add the same amount with opposite signs, and the sum over the swarm stays.
         self.q = tuple(
-            own + sum(w * (n.q[i] - own) for w, n in weighted) + (m[i] - self._m[i]) for i, own in enumerate(self.q)
+            own + fsum(w * (n.q[i] - own) for w, n in weighted) + (m[i] - self._m[i]) for i, own in enumerate(self.q)
         )
         self._m = m
 

@@ -1,6 +1,7 @@
 """`moving`: `info` for a target that moves. Predict, then dynamic average consensus, on the information of `track`."""
 
 from collections.abc import Mapping, Sequence
+from math import fsum
 from typing import Annotated, Any
 
 from services.apps.localization import track
@@ -40,7 +41,7 @@ class Moving(Localization):
     def step(self, neighbours: Sequence[Any]) -> None:
         """Agree, predict, take in the new range."""
         weighted = self.weighted(neighbours)
-        mixed = tuple(own + sum(w * (n.q[i] - own) for w, n in weighted) for i, own in enumerate(self.q))
+        mixed = tuple(own + fsum(w * (n.q[i] - own) for w, n in weighted) for i, own in enumerate(self.q))
         predicted = track.predict(mixed, 1.0 - 1.0 / self.memory)
         self.q = tuple(a + b for a, b in zip(predicted, self._new(), strict=True))
         self._period = max(0.0, self.robot.measurement.t - self._began) / (self.k + 1)

@@ -58,8 +58,8 @@ class Nids(Judged):
         weighted = self.weighted(neighbours)
         before, gradient = self._x, self._g
         self._x = (
-            self._bracket[0] + sum(w * (n.x - self.x) for w, n in weighted) / 2,
-            self._bracket[1] + sum(w * (n.y - self.y) for w, n in weighted) / 2,
+            self._bracket[0] + math.fsum(w * (n.x - self.x) for w, n in weighted) / 2,
+            self._bracket[1] + math.fsum(w * (n.y - self.y) for w, n in weighted) / 2,
         )
         self._g = self._gradient()
         self.judge([(w, n.part) for w, n in weighted], math.dist(self._x, before))

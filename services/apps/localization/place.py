@@ -30,7 +30,7 @@ class Localization(SyncApp):
         anchors = self.robot.anchors
         if not anchors:
             return 0.0, 0.0
-        return sum(a.x for a in anchors) / len(anchors), sum(a.y for a in anchors) / len(anchors)
+        return math.fsum(a.x for a in anchors) / len(anchors), math.fsum(a.y for a in anchors) / len(anchors)
 
     def sigma(self) -> float:
         """Standard deviation of a range including that of the own place, m."""
@@ -106,7 +106,7 @@ class Judged(Localization):
         smoothing = 0.1
         self._m = tuple(old + smoothing * (new - old) for old, new in zip(self._m, self.statistics(), strict=True))
         i = self.k % len(self._q)
-        pull = sum(w * (part - self.part) for w, part in neighbours)
+        pull = math.fsum(w * (part - self.part) for w, part in neighbours)
         q, entered = list(self._q), list(self._entered)
         q[i] += pull + (self._m[i] - entered[i])
         entered[i] = self._m[i]

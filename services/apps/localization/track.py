@@ -17,6 +17,7 @@ swarm stays. Plain Python.
 
 import math
 from dataclasses import dataclass, replace
+from math import fsum
 from operator import mul
 
 from services.apps.localization import ranges
@@ -103,7 +104,7 @@ def _given(matrix: Matrix, vector: Information, velocity: tuple[float, float]) -
     """The statistics of `ranges` of a target whose velocity is known: Y = B (x, y, |x|^2) + d."""
     vx, vy = velocity
     offset = (0.0, 0.0, 0.0, vx, vy, 0.0, vx * vx + vy * vy)
-    rest = [v - sum(m * d for m, d in zip(row, offset, strict=True)) for v, row in zip(vector, matrix, strict=True)]
+    rest = [v - fsum(m * d for m, d in zip(row, offset, strict=True)) for v, row in zip(vector, matrix, strict=True)]
 
     def fold(row: list[float]) -> tuple[float, float, float]:
         return row[0] + vx * row[5], row[1] + vy * row[5], row[2]
@@ -119,8 +120,8 @@ def _descend(matrix: Matrix, vector: Information, start: Unknowns, prior: float)
     at, cost = start, _cost(matrix, vector, start, prior)
     for _ in range(_STEPS):
         full, slopes = _full(*at), _slopes(*at)
-        residual = [v - sum(map(mul, row, full)) for v, row in zip(vector, matrix, strict=True)]
-        gradient = [sum(map(mul, slope, residual)) for slope in slopes]
+        residual = [v - fsum(map(mul, row, full)) for v, row in zip(vector, matrix, strict=True)]
+        gradient = [fsum(map(mul, slope, residual)) for slope in slopes]
         for i in (2, 3):
             gradient[i] -= prior * at[i]
         step = _solved(_hessian(matrix, slopes, prior), gradient)
@@ -154,8 +155,8 @@ def _slopes(x: float, y: float, vx: float, vy: float) -> tuple[tuple[float, ...]
 
 
 def _hessian(matrix: Matrix, slopes: tuple[tuple[float, ...], ...], prior: float) -> Matrix:
-    images = [[sum(map(mul, row, slope)) for row in matrix] for slope in slopes]
-    hessian = [[sum(map(mul, slope, image)) for image in images] for slope in slopes]
+    images = [[fsum(map(mul, row, slope)) for row in matrix] for slope in slopes]
+    hessian = [[fsum(map(mul, slope, image)) for image in images] for slope in slopes]
     for i in (2, 3):
         hessian[i][i] += prior
     return hessian
@@ -163,8 +164,8 @@ def _hessian(matrix: Matrix, slopes: tuple[tuple[float, ...], ...], prior: float
 
 def _cost(matrix: Matrix, vector: Information, at: Unknowns, prior: float) -> float:
     full = _full(*at)
-    square: float = sum(f * sum(map(mul, row, full)) for f, row in zip(full, matrix, strict=True))
-    linear: float = sum(map(mul, vector, full))
+    square = fsum(f * fsum(map(mul, row, full)) for f, row in zip(full, matrix, strict=True))
+    linear = fsum(map(mul, vector, full))
     return square - 2 * linear + prior * (at[2] * at[2] + at[3] * at[3])
 
 
@@ -174,7 +175,7 @@ def _solved(matrix: Matrix, vector: list[float]) -> list[float] | None:
     lower = [[0.0] * size for _ in range(size)]
     for i in range(size):
         for j in range(i + 1):
-            rest = matrix[i][j] - sum(lower[i][k] * lower[j][k] for k in range(j))
+            rest = matrix[i][j] - fsum(lower[i][k] * lower[j][k] for k in range(j))
             if i == j:
                 if rest <= 1e-14 * abs(matrix[i][i]):
                     return None
@@ -183,8 +184,8 @@ def _solved(matrix: Matrix, vector: list[float]) -> list[float] | None:
                 lower[i][j] = rest / lower[j][j]
     forward: list[float] = []
     for i in range(size):
-        forward.append((vector[i] - sum(lower[i][k] * forward[k] for k in range(i))) / lower[i][i])
+        forward.append((vector[i] - fsum(lower[i][k] * forward[k] for k in range(i))) / lower[i][i])
     back = [0.0] * size
     for i in reversed(range(size)):
-        back[i] = (forward[i] - sum(lower[k][i] * back[k] for k in range(i + 1, size))) / lower[i][i]
+        back[i] = (forward[i] - fsum(lower[k][i] * back[k] for k in range(i + 1, size))) / lower[i][i]
     return back

@@ -2,6 +2,8 @@
 
 SYNC = '''"""@NAME@: say here what it does. `swarm check @FILE@`, then `swarm sim @FILE@ --robots 6`."""
 
+from math import fsum
+
 from swarm import SyncApp, parameter
 
 
@@ -27,7 +29,8 @@ class @CLASS@(SyncApp):
         Keep it pure: no clock, no files, no random numbers but self.robot.random. Then every run repeats.
         """
         # weighted() pairs each neighbour with its Metropolis weight; with these the mean of all values stays.
-        self._moved = self.gain * sum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+        # fsum, not sum: that one rounds floats differently from Python 3.12 on, and robots may have another one.
+        self._moved = self.gain * fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
         self.value += self._moved
 
     def result(self):

@@ -97,7 +97,7 @@ def delayed(a: Matrix, b: Matrix, period: float, delay: float) -> tuple[Matrix, 
 
 def exponential(a: Matrix) -> Matrix:
     """Matrix exponential by scaling, Taylor series and squaring."""
-    norm = max(sum(abs(value) for value in row) for row in a)
+    norm = max(math.fsum(abs(value) for value in row) for row in a)
     squarings = max(0, math.ceil(math.log2(norm)) + 3) if norm > 0 else 0
     scaled = [[value / 2**squarings for value in row] for row in a]
     term = result = identity(len(a))
@@ -154,7 +154,7 @@ def add(a: Matrix, b: Matrix) -> Matrix:
 def multiply(a: Matrix, b: Matrix) -> Matrix:
     """A B."""
     columns = list(zip(*b, strict=True))
-    return [[sum(x * y for x, y in zip(row, column, strict=True)) for column in columns] for row in a]
+    return [[math.fsum(x * y for x, y in zip(row, column, strict=True)) for column in columns] for row in a]
 
 
 def inverse(a: Matrix) -> Matrix:

@@ -6,7 +6,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import dist, sqrt
+from math import dist, fsum, sqrt
 from statistics import median
 
 from services.dwm.core.calls import RATE_UNIT, UWB_ACTIVE, ModuleStatus, Settings, UpdateRate, Version
@@ -317,7 +317,7 @@ def _misfit(
     fix = multilaterate(places, [medians[name] for name in names], height, SIGMA)
     if not isinstance(fix, Fix):
         return None
-    return sqrt(sum(residual**2 for residual in fix.residuals) / len(names))
+    return sqrt(fsum(residual**2 for residual in fix.residuals) / len(names))
 
 
 def _halves(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:

@@ -10,7 +10,7 @@ itself is worth is judged by the same choice made anew without each place.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import cos, hypot, inf, sin, sqrt
+from math import cos, fsum, hypot, inf, sin, sqrt
 from math import log as ln
 from statistics import stdev
 
@@ -106,7 +106,7 @@ def with_antenna(fit: RangeFit) -> RangeFit:
             # Against the place's own mean: the place's bias is none of the antenna's.
             waves = [(cos(g.heading or 0.0), sin(g.heading or 0.0)) for g in of]
             errors = [model.distance(g.mean) - g.true for g in of]
-            middle = [sum(column) / len(of) for column in (*zip(*waves, strict=True), errors)]
+            middle = [fsum(column) / len(of) for column in (*zip(*waves, strict=True), errors)]
             rows += [[c - middle[0], s - middle[1]] for c, s in waves]
             right += [error - middle[2] for error in errors]
         a, b = least_squares(rows, right)

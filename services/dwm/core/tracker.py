@@ -9,7 +9,7 @@ second: then everything begins anew.
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, exp, hypot, log, pi, sin
+from math import cos, exp, fsum, hypot, log, pi, sin
 
 from services.dwm.core.ekf import GATE, HEADING, Ekf, Innovation, Noise, Point, X, Y
 from services.dwm.core.motion import Motion, Node
@@ -149,7 +149,7 @@ class Tracker:
         told: list[Innovation] = []
         for hypothesis in self._filters:
             innovations = self._update(hypothesis.ekf, heard, now)
-            hypothesis.likelihood -= sum(
+            hypothesis.likelihood -= fsum(
                 0.5 * (min(item.error**2 / item.variance, GATE) + log(item.variance)) for item in innovations
             )
             told = told or innovations
@@ -243,7 +243,7 @@ class Tracker:
         """Mean and covariance of the place over all hypotheses."""
         top = max(item.likelihood for item in self._filters)
         shares = [exp(item.likelihood - top) for item in self._filters]
-        total = sum(shares)
+        total = fsum(shares)
         x = y = xx = xy = yy = 0.0
         for share, item in zip(shares, self._filters, strict=True):
             x += share / total * item.ekf.state[X]

@@ -187,17 +187,17 @@ class LinkClock:
         by_rtt = sorted(self._samples, key=lambda sample: sample[1])
         best = by_rtt[: max(1, math.ceil(len(by_rtt) * BEST))]
         count = len(best)
-        at = sum(sample[0] for sample in best) / count
-        mean = sum(sample[2] for sample in best) / count
+        at = math.fsum(sample[0] for sample in best) / count
+        mean = math.fsum(sample[2] for sample in best) / count
         skew, skew_error = 0.0, UNKNOWN_SKEW
-        square = sum((sample[0] - at) ** 2 for sample in best)
+        square = math.fsum((sample[0] - at) ** 2 for sample in best)
         fitted = self._samples[-1][0] - self._samples[0][0] >= SKEW_AFTER and square > 0.0
         if fitted:
-            skew = sum((sample[0] - at) * (sample[2] - mean) for sample in best) / square
+            skew = math.fsum((sample[0] - at) * (sample[2] - mean) for sample in best) / square
             skew = max(-MAX_SKEW, min(MAX_SKEW, skew))
         if count < 2:
             return Fit(at, mean, skew, best[0][1] / 2, skew_error)
-        rest = sum((sample[2] - mean - skew * (sample[0] - at)) ** 2 for sample in best) / (count - 1)
+        rest = math.fsum((sample[2] - mean - skew * (sample[0] - at)) ** 2 for sample in best) / (count - 1)
         if fitted:
             skew_error = math.sqrt(rest / square)
         return Fit(at, mean, skew, math.sqrt(rest / count), skew_error)

@@ -42,11 +42,20 @@ def load() -> Any:
         ) from None
 
 
-def discover(seconds: float, *, ask_services: bool) -> list[Found]:
-    """Devices that answer an inquiry, sorted by address; raises OSError where the adapter cannot."""
+def discover(seconds: float, *, ask_services: bool, adapter: str = "") -> list[Found]:
+    """Devices that answer an inquiry, sorted by address; raises OSError where the adapter cannot.
+
+    `adapter`: hci1, or its address; the kernel's choice without. `LocalError` where there is none of that name.
+    """
     bluetooth = load()
     units = max(1, round(seconds / INQUIRY_UNIT))
-    pairs = bluetooth.discover_devices(duration=units, flush_cache=True, lookup_names=True)
+    chosen = {}
+    if adapter:
+        number = importlib.import_module("bluetooth._bluetooth").hci_devid(adapter)
+        if number < 0:
+            raise LocalError(f"there is no Bluetooth adapter {adapter}, or it is switched off: bluetoothctl list")
+        chosen = {"device_id": number}
+    pairs = bluetooth.discover_devices(duration=units, flush_cache=True, lookup_names=True, **chosen)
     return sorted(
         (
             Found(str(address).upper(), str(name), find_channel(str(address)) if ask_services else None)

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from services.apps.core.strand import Strand, Terms
+from services.apps.core.strand import Strand
+from services.apps.core.terms import Terms
 from services.apps.host import TICK, schema_of
 from services.apps.runner import Runner
 from services.sim.virtual.bus import VirtualBus
@@ -11,8 +12,8 @@ from services.sim.virtual.events import Time
 from services.sim.virtual.strand import Measurements, Told, VirtualStrand
 from swarm.codec import decode
 from swarm.conduct import Conduct
+from swarm.core.epoch_actions import Order
 from swarm.core.epoch_notes import Epoch, Kept
-from swarm.core.epochs import Order
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError

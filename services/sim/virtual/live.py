@@ -7,7 +7,7 @@ import math
 import threading
 from collections.abc import Mapping
 
-from services.sim.options import FASTEST, SLOWEST
+from services.sim.quantities import FASTEST, SLOWEST
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.world import World
 from swarm import clock

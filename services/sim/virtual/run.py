@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from services.apps import loader
+from services.apps.changes import in_force
 from services.apps.recorder import Recorder
 from services.mesh.core.delay import AirModel
 from services.sim import scene
@@ -21,7 +22,7 @@ from services.sim.scenario import Scenario, build
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.host import VirtualHost
-from services.sim.virtual.strand import Line, Teller, Told
+from services.sim.virtual.strand import Line, Teller, Told, VirtualStrand
 from services.sim.virtual.tape import Tape
 from services.sim.virtual.world import Launch, World
 from swarm.config.dump import dump
@@ -142,6 +143,8 @@ class Run:
         name = teller.robot
         self._last_progress = now = self.world.time.now
         if self._recorders:
+            if line.k == 0 and isinstance(teller, VirtualStrand) and not teller.part:
+                self._recorders[name].parameters(in_force(teller.runner.app, line.t))
             if line.measurement is not None:
                 self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
             self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
@@ -234,6 +237,7 @@ class Run:
             rss_mib={},
             restarts=dict.fromkeys(names, 0),
             problems=tuple(self._problems),
+            missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
             witness=self._witness,
             scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),

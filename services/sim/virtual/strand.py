@@ -10,8 +10,8 @@ from services.apps.runner import AppRunner, Runner
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import Time
 from swarm.codec import Value
+from swarm.core.epoch_actions import Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import Kept
-from swarm.core.epochs import Keep, Order, Switch, Tell
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Send
 from swarm.errors import AppError
 from swarm.keys import key

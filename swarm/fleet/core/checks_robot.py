@@ -117,7 +117,11 @@ def pairing(robot: Robot) -> Finding:
     text = f"not paired with {' '.join(missing)}"
     if robot.config.mesh.rfcomm_encrypt:
         return bad(text, "swarm pair")
-    return warning(f"{text} (links come up without it)", "swarm pair")
+    # The lower address calls (swarm pair, the mesh); bluetoothd takes calls of devices alone that it is paired with.
+    own = robot.system["pairing"].get("address", "")
+    if deaf := [name for name in missing if robot.addresses.get(name, own) < own]:
+        return bad(f"{text}: it takes no call of {' '.join(deaf)}", "swarm pair")
+    return warning(f"{text}: they take no call of it", "swarm pair")
 
 
 def links(robot: Robot) -> Finding:

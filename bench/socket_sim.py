@@ -1,0 +1,41 @@
+"""`swarm sim` whose robots link over sockets, with `bench.radio` between them.
+
+`python -m bench.socket_sim ARGUMENTS`, as of `swarm sim`; six robots at most.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from bench import radio, socket_mesh
+from services.sim import __main__ as sim
+from services.sim import run
+from swarm import service
+from swarm.keyfile import new_key_file
+
+ROBOTS = 6
+
+
+def main() -> int:
+    """Start the radio, then the simulation with the other mesh in it."""
+    with tempfile.TemporaryDirectory(prefix="swarm-") as home, socket.create_server((radio.in_range(0), 0)) as free:
+        key, port = Path(home) / "key", str(free.getsockname()[1])
+        free.close()
+        new_key_file(key, time.time())
+        os.environ.update({socket_mesh.PORT: port, socket_mesh.KEY: str(key)})
+        run.SERVICE_MODULES["mesh"] = "bench.socket_mesh"
+        environment = {**os.environ, "SWARM_PARENT": str(os.getpid())}
+        command = [sys.executable, "-m", "bench.radio", str(ROBOTS), port]
+        with subprocess.Popen(command, env=environment) as between:
+            try:
+                return sim.main()
+            finally:
+                between.terminate()
+
+
+if __name__ == "__main__":
+    service.run(main)

@@ -1,0 +1,58 @@
+"""What a `Strand` is given: the author's app between packed states, and what holds for the whole run."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from swarm.conduct import AFTER
+from swarm.core.graph import Graph
+from swarm.core.stopping import Rule
+from swarm.messages import Measurement
+
+
+class Program(Protocol):
+    """The author's app between packed states: `services.apps.runner.Runner`."""
+
+    k: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of one packed state."""
+
+    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
+        """The first state, packed: shared, private."""
+
+    def step(
+        self, k: int, own: bytes, values: Mapping[str, bytes], measurement: Measurement | None
+    ) -> tuple[bytes, bytes]:
+        """x(k+1), packed: shared, private."""
+
+    def restore(self, k: int, own: bytes, private: bytes, graph: Graph) -> None:
+        """Be again where a snapshot was taken."""
+
+    def renew(self, k: int, own: bytes, private: bytes, graph: Graph) -> tuple[bytes, bytes]:
+        """Be at k with this state, among these robots; the state the app goes on with, packed: shared, private."""
+
+    def content(self) -> bool:
+        """Whether the last step has changed the state so little that the app might stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What holds for a whole run, the same on all robots."""
+
+    run: int
+    schema: int
+    last: int | None = None
+    """The last iteration, if there is one."""
+    rule: Rule | None = None
+    """Another reason to stop."""
+    drop: bool = False
+    """Whether robots that stay away are given up, and taken in again when they come back."""
+    after: float = AFTER
+    """s after which they are."""
+
+    @property
+    def notes(self) -> str:
+        """The chunk of the key under which notes about the members travel, beside the frames."""
+        return f"{self.run:016x}-{self.schema:08x}-epochs"

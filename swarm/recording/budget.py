@@ -1,0 +1,135 @@
+"""What a robot's recordings may take of its disk: when there is more, the oldest finished runs go.
+
+A run that is being recorded is never touched: its process holds a lock on its file (`RecordingFile`), and one that was
+written to within the last minutes may be that of a process that is being started again.
+"""
+
+import contextlib
+import fcntl
+import logging
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarm.recording.reader import SUFFIX
+
+RESTING_S = 120.0
+"""s without a change after which a run that no process holds is over: a service that is killed is started again
+sooner."""
+
+_BLOCK = 512
+"""Bytes of `st_blocks` (stat(2))."""
+
+_log = logging.getLogger("record")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """One run's folder."""
+
+    path: Path
+    size: int
+    """Bytes on the disk."""
+    changed: float
+    """When something in it was written last, s since 1970."""
+    held: bool
+    """Whether a process records into it."""
+
+
+def runs_of(root: Path) -> list[Kept]:
+    """The runs in a folder, the one that has rested longest first. What vanishes meanwhile is left out."""
+    found = []
+    with contextlib.suppress(OSError):
+        for entry in sorted(os.scandir(root), key=lambda entry: entry.name):
+            with contextlib.suppress(OSError):
+                if entry.is_dir(follow_symlinks=False):
+                    found.append(_look(Path(entry.path)))
+    return sorted(found, key=lambda run: (run.changed, run.path.name))
+
+
+class Budget:
+    """Keeps the runs in one folder within their budget."""
+
+    def __init__(self, root: Path, limit: float, now: Callable[[], float]) -> None:
+        """`limit`: bytes; `now`: the time of day, s since 1970."""
+        self._root = root
+        self._limit = limit
+        self._now = now
+        self._told = False
+
+    def keep(self) -> list[Kept]:
+        """Delete what is too much, as far as it may be: the runs that went. Each is logged; so is, once, that those
+        that go on take more than the budget by themselves."""
+        runs = runs_of(self._root)
+        used = sum(run.size for run in runs)
+        gone = []
+        for run in runs:
+            if used <= self._limit:
+                break
+            if run.held or 0 <= self._now() - run.changed < RESTING_S:
+                continue
+            try:
+                _delete(run.path)
+            except OSError as error:
+                _log.warning("%s cannot be deleted: %s", run.path, error.strerror)
+                continue
+            used -= run.size
+            gone.append(run)
+            _log.warning(
+                "%s is deleted, %s: recordings may take %s (recordings.budget)",
+                run.path.name,
+                shown(run.size),
+                shown(self._limit),
+            )
+        if used > self._limit and not self._told:
+            self._told = True
+            _log.warning(
+                "recordings take %s of %s (recordings.budget), and none of them is over",
+                shown(used),
+                shown(self._limit),
+            )
+        return gone
+
+
+def shown(size: float) -> str:
+    """Bytes for people."""
+    return f"{size / 1e9:.2f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
+
+
+def hold(file: int) -> None:
+    """Let others see that a process records into this file, until it is closed or the process ends."""
+    with contextlib.suppress(OSError):  # a file system without locks
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _look(folder: Path) -> Kept:
+    about = folder.stat()
+    size, changed, held = 0, about.st_mtime, False
+    for path in folder.rglob("*"):
+        with contextlib.suppress(FileNotFoundError):
+            about = path.stat(follow_symlinks=False)
+            size += about.st_blocks * _BLOCK
+            changed = max(changed, about.st_mtime)
+            held = held or (path.suffix == SUFFIX and _is_held(path))
+    return Kept(folder, size, changed, held)
+
+
+def _delete(folder: Path) -> None:
+    """With all that is in it; two that do so at once are in no one's way. Raises `OSError`."""
+    for path in sorted(folder.rglob("*"), reverse=True):  # what is in a folder stands behind it
+        with contextlib.suppress(FileNotFoundError):
+            path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+    with contextlib.suppress(FileNotFoundError):
+        folder.rmdir()
+
+
+def _is_held(path: Path) -> bool:
+    file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(file)
+    return False

@@ -1,0 +1,119 @@
+"""Inside a machine: the mesh and app processes of its robots, an adapter each."""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from conftest import PATIENCE, Processes
+
+from lab.shapes import ROBOTS
+from swarm.bus import Bus, Router
+from swarm.messages import read
+from swarm.paths import bus_endpoint
+
+NAMES = [f"r{i}" for i in range(ROBOTS)]
+SHARE = Path("/share")
+MESH, APPS = "services.mesh", "services.apps"
+
+
+class Swarm:
+    """Services of the robots here, with buses of this process; a killed one is started again, as systemd does."""
+
+    def __init__(self, processes: Processes, config: str, names: Sequence[str] = NAMES) -> None:
+        """`config`: the name of its swarm.toml in the shared folder, without the suffix; `names`: those here."""
+        self.processes = processes
+        self.config = config
+        self.names = names
+        self.records = processes.runtime / "records"
+        self.records.mkdir()
+        self.routers: list[Router] = []
+        self.buses: dict[str, Bus] = {}
+        self.reached: dict[str, int] = dict.fromkeys(names, -1)
+        """The latest iteration of each robot."""
+        self.nursery = processes.start(str(Path(__file__).with_name("inside_nursery.py")))
+        for name in self.names:
+            directory = processes.runtime / name
+            directory.mkdir()
+            self.routers.append(Router(bus_endpoint(directory)))
+            self.buses[name] = Bus.of(directory)
+            self.buses[name].subscribe(f"swarm/{name}/app/consensus/state", self._on_state)
+
+    def _on_state(self, key: str, payload: bytes) -> None:
+        self.reached[key.split("/")[1]] = read(key, payload).k
+
+    def start(self, module: str, name: str, *words: str, config: str = "") -> int:
+        """The process id of a service that has begun to start."""
+        environment = {
+            "SWARM_ROBOT": name,
+            "SWARM_RUNTIME": str(self.processes.runtime / name),
+            "SWARM_CONFIG": str(SHARE / f"{config or self.config}.toml"),
+            "SWARM_RECORD": str(self.records),
+        }
+        order = json.dumps({"environment": environment, "module": module, "words": words})
+        stdin, stdout = self.nursery.stdin, self.nursery.stdout
+        assert stdin is not None
+        assert stdout is not None
+        stdin.write(order + "\n")
+        stdin.flush()
+        return int(stdout.readline())
+
+    def start_meshes(self) -> None:
+        for name in self.names:
+            self.start(MESH, name)
+
+    def run(self, iterations: int) -> None:
+        self.start_meshes()
+        for name in self.names:
+            self.start(APPS, name, "consensus", "--iterations", str(iterations), "--run", "1ab")
+
+    def kill(self, module: str, name: str) -> int:
+        """By -9: the process id that is no more."""
+        process = self.process(module, name)
+        os.kill(process, signal.SIGKILL)
+        return process
+
+    def process(self, module: str, name: str) -> int:
+        """The id of the process that is it now."""
+        return int((self.processes.runtime / name / f"{module}.pid").read_text())
+
+    def ask(self, name: str, topic: str) -> Any:
+        """What that robot's mesh answers."""
+        answers: list[Any] = []
+
+        def asked() -> bool:
+            key = f"swarm/{name}/mesh/{topic}"
+            self.buses[name].ask(key, lambda key, payload: answers.append(read(key, payload)), timeout_s=2.0)
+            return bool(answers)
+
+        self.wait(asked, lambda: f"{name}'s mesh does not answer")
+        return answers[0]
+
+    def wait(self, condition: Callable[[], bool], what: Callable[[], str]) -> None:
+        """Until that is so; `what` says how it is when it took too long."""
+        deadline = time.monotonic() + 20 * PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, f"{what()}\n{self.logs()}"
+            time.sleep(0.05)
+
+    def end(self) -> None:
+        """All services end by SIGTERM, and well."""
+        stdin = self.nursery.stdin
+        assert stdin is not None
+        stdin.close()
+        code = self.nursery.wait(40 * PATIENCE)
+        assert code == 0, self.logs()
+
+    def logs(self) -> str:
+        """What the services have said last."""
+        return "\n".join(f"{log}: {log.read_text()[-1500:]}" for log in sorted(self.processes.runtime.glob("*/log")))
+
+    def close(self) -> None:
+        self.processes.end()
+        for bus in self.buses.values():
+            bus.close()
+        for router in self.routers:
+            router.close()
