@@ -137,7 +137,8 @@ rm /etc/systemd/system/swarm-balancer.service.d/90-lab.conf /etc/swarm/swarm.tom
 """The release's own installation, which looks whether all services run; then no robot is made of it yet: a test that
 wants one runs /opt/release/install again, which finds the release unpacked."""
 
-CONFIG = """network = "lab"
+NO_MODULE = "/dev/ttyS9"
+CONFIG = f"""network = "lab"
 [topology]
 edges = []
 [[robots]]
@@ -146,8 +147,9 @@ link = "tcp:127.0.0.1:5501"
 [mesh]
 listen = "127.0.0.1:5501"
 [dwm]
-source = "serial:/dev/ttyS9"
+source = "serial:{NO_MODULE}"
 """
+"""Of a robot alone."""
 
 
 def _image(folder: Path, base: Future[Path]) -> None:

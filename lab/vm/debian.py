@@ -63,7 +63,7 @@ def _closure(kernel: Path, version: str, modules: tuple[str, ...]) -> list[Path]
 
 
 def _unpacked(file: Path, to: Path) -> None:
-    """A module, stored unpacked and without its signature and types, all of which take seconds in an emulated machine."""
+    """A module, stored unpacked and without signature and types, each of which takes seconds in an emulated machine."""
     to.parent.mkdir(parents=True, exist_ok=True)
     if file.suffix == ".xz":
         to = to.with_suffix("")

@@ -7,6 +7,8 @@ The host asserts (test_lab_robot.py).
 import json
 import math
 import os
+import pwd
+import stat
 import subprocess
 import sys
 import time
@@ -121,6 +123,9 @@ def is_a_robot() -> dict[str, float]:
     for unit, limit in zip(SERVICES, (64, 96, 96, 64), strict=True):
         found = int((Path("/sys/fs/cgroup") / show(unit, "ControlGroup").strip("/") / "memory.max").read_text())
         expect(found == limit << 20, f"{unit} may have {found} bytes")
+    tty = Path("/dev/ttyS0").stat()  # of a kernel with udev: the module's, where it is wired to the Pi's UART
+    owner, mode = pwd.getpwuid(tty.st_uid).pw_name, stat.S_IMODE(tty.st_mode)
+    expect((owner, mode) == ("swarm-dwm", 0o600), f"our udev rule has no effect: ttyS0 is {owner}'s, {mode:o}")
     # The first pose is of few ranges.
     wait(lambda: robot.off(1.0, 1.0) < 0.3, "it knows that it is at (1, 1)")
     return {"up_s": up, "pose_error_m": robot.off(1.0, 1.0)}
