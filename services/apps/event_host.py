@@ -16,7 +16,7 @@ from functools import partial
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
-from services.apps.event_runner import EventRunner, version
+from services.apps.event_runner import EventRunner, place_of, version
 from services.apps.hold import Hold
 from services.apps.host import Host, Part
 from services.apps.recorder import Recorder
@@ -354,7 +354,7 @@ class EventHost:
 
     def _hanging(self) -> str:
         call = self._core.running
-        return "" if call is None else f"{self._runner.where(call, self._core.k)}: has not returned for {HANG:g} s"
+        return "" if call is None else self._runner.hangs(place_of(call, self._core.k), self._threads[0].ident, HANG)
 
     def _progress(self) -> AppProgress:
         now = clock.now()

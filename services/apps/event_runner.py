@@ -64,7 +64,7 @@ class EventRunner(AppRunner):
         """
         self._be_at(k)
         app = self.app
-        where = f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}"
+        where = place_of(call, k)
         self._calls += 1
         app.robot.prepare(f"{self._calls}", None)
         graph, self._graph = self._graph, None
@@ -86,10 +86,6 @@ class EventRunner(AppRunner):
         if answer is not None:
             raise AppError(f"{self._where(where)}: it returned {answer!r}; a handler assigns to the state instead")
         return self._packed(where)
-
-    def where(self, call: Call, k: int) -> str:
-        """A call in words: app, robot, handler and step."""
-        return self._where(f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}")
 
     def _views(self, known: Sequence[Known]) -> dict[Any, Any]:
         view, unpack = type(self.app).spec.view, self.schema.unpack
@@ -117,3 +113,8 @@ def version(app: EventApp, digest: bytes) -> int:
     robots."""
     text = f"{type(app).spec.schema.hash:08x} {digest.hex()} {' '.join(app.robot.swarm)}"
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")
+
+
+def place_of(call: Call, k: int) -> str:
+    """A call in words: handler and step."""
+    return f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}"

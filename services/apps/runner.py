@@ -4,6 +4,7 @@ No IO and no clock. Whatever the author's code raises comes out as one `AppError
 file, line and fault.
 """
 
+import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeVar
@@ -48,6 +49,14 @@ class AppRunner:
                 f"{self._where(where)}: it gave {', '.join(result)}, first it was {', '.join(self._columns)}"
             )
         return result
+
+    def hangs(self, where: str, thread: int | None, limit: float) -> str:
+        """What is wrong with code of the author that has run for `limit` s in a thread, with the line it is at."""
+        frame = None if thread is None else sys._current_frames().get(thread)
+        while frame is not None and frame.f_code.co_filename != self._source:
+            frame = frame.f_back
+        place = "" if frame is None else f"{self._source}, line {frame.f_lineno}: "
+        return f"{self._where(where)}: {place}it has not ended within {limit:g} s"
 
     def _be_at(self, k: int) -> None:
         self.k = k

@@ -28,6 +28,8 @@ EVERY = 1.0
 reason."""
 CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
+LETTING_GO = 0.2
+"""s that the last step's thread is given to let go of the app, so that who hears of the end finds its state."""
 STUCK = 10.0
 """s after which a step that still runs is a fault, and no longer feeds systemd's watchdog."""
 
@@ -261,7 +263,8 @@ class Worker:
         now = clock.now()
         with self._lock:
             if self.stuck:
-                self._failed(f"the step of iteration {self._strand.k} has not ended within {STUCK:g} s")
+                where = f"iteration {self._strand.k}"
+                self._failed(self._runner.hangs(where, self._thread.ident, STUCK))
             deadline = self._strand.next_deadline(now)
             if deadline is not None and now >= deadline:
                 self._strand.handle_timer(now)
@@ -286,7 +289,8 @@ class Worker:
         state, strand = self._state, self._strand
         if strand.phase not in ("running", "done") or (state is not None and state.k == strand.k and not repeat):
             return
-        if self._app_lock.acquire(blocking=False):
+        # When all is done no step is waited for, but the thread may still be about to let go of the last one.
+        if self._app_lock.acquire(timeout=LETTING_GO if strand.phase == "done" else 0.0):
             runner = self._runner
             try:
                 state = AppState(strand.computed_at, runner.k, runner.state(), runner.result())

@@ -6,6 +6,7 @@ from pathlib import Path
 from services.sim import report, scene, scene_plot
 from services.sim.palette import COLOURS
 from services.sim.report import Json, Outcome
+from swarm.plotting import style
 
 
 def draw(outcome: Outcome, summary: Json, path: Path) -> None:
@@ -71,7 +72,7 @@ def _map(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
     places = [place[:2] for place in config.simulation.places.values()] + [(a.x, a.y) for a in config.anchors]
     xs, ys = zip(*places, config.simulation.target, strict=True)
     axes.set(xlim=(min(xs) - 0.3, max(xs) + 0.45), ylim=(min(ys) - 0.3, max(ys) + 0.3))
-    axes.legend(loc="lower center", ncols=3, fontsize="small")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False, fontsize="small")
     axes.grid(alpha=0.3)
 
 
@@ -90,22 +91,24 @@ def _errors(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
         xlabel="iteration",
         ylabel="distance to the true target / cm",
         yscale="log",
-        title="error of each robot",
     )
-    axes.legend(fontsize="small")
+    style.legend(axes, len(outcome.trajectories) + bool(outcome.scenario.recorded), fontsize="small", frameon=False)
     axes.grid(alpha=0.3, which="both")
 
 
 def _states(axes, outcome: Outcome, *, against_time: bool) -> None:  # type: ignore[no-untyped-def]
     starts = [min(path.times.values()) for path in outcome.trajectories.values() if path.times]
     origin = min(starts, default=0.0)
+    shown: dict[str, None] = {}
     for index, (name, path) in enumerate(outcome.trajectories.items()):
         columns = [column for column in path.columns if not column.startswith("result.")]
         for column in columns[:1]:
             ks = sorted(path.rows)
             at = [path.times[k] - origin for k in ks] if against_time else ks
+            shown[column] = None
             axes.plot(at, [path.value(k, column) for k in ks], ".-", color=COLOURS[index % len(COLOURS)], markersize=3,
-                      linewidth=1, label=f"{name} {column}")  # fmt: skip
-    axes.set(xlabel="time / s" if against_time else "iteration", ylabel="state")
-    axes.legend(fontsize="small")
+                      linewidth=1, label=name)  # fmt: skip
+    axes.set(xlabel="time / s" if against_time else "iteration", ylabel=next(iter(shown), "state"))
+    if not against_time:
+        style.legend(axes, len(outcome.trajectories), fontsize="small", frameon=False)
     axes.grid(alpha=0.3)

@@ -75,6 +75,7 @@ def _app(scenario: Scenario, seen: Seen) -> str:
     text = f"k={max(progress.k, state.k if state is not None else 0)}"
     if progress.waiting_for:
         text += f" waits for {', '.join(progress.waiting_for)}"
+        text += f" ({progress.reason})" if progress.reason else ""
     elif progress.phase != "running":
         text += f" {progress.phase} {progress.reason}".rstrip()
     if state is None:

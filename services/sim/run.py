@@ -222,6 +222,8 @@ class Run:
         now = clock.now()
         self._refresh(now)
         seen = self._monitor.look()
+        if self._options.seconds is not None:
+            self._problems += _held_up(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded))
         self._processes.stop()  # only then are the recordings complete
@@ -266,6 +268,16 @@ def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:
 
 def _faults(seen: Mapping[str, Seen]) -> list[str]:
     return [f"{name} app {robot.progress.reason}" for name, robot in seen.items() if robot.progress and _failed(robot)]
+
+
+def _held_up(seen: Mapping[str, Seen]) -> list[str]:
+    """What members of the run wait for, where that is more than a robot that is away."""
+    waiting = [(name, seen[name].progress) for name in _members(seen)]
+    return [
+        f"{name} app waits for {', '.join(told.waiting_for)} at iteration {told.k}: {told.reason}"
+        for name, told in waiting
+        if told is not None and told.phase == "waiting" and told.waiting_for and told.reason
+    ]
 
 
 def _failed(seen: Seen) -> bool:

@@ -9,6 +9,7 @@ from services.sim.core.witness import Witness
 from services.sim.palette import COLOURS
 from services.sim.scenario import Scenario
 from services.sim.scene import CONTACT_M, FORMED_M, offsets_of
+from swarm.plotting import style
 
 
 def draw(scenario: Scenario, witness: Witness, began: float, path: Path) -> None:
@@ -50,7 +51,7 @@ def _apart(axes: Any, witness: Witness, began: float) -> None:
     axes.set(xlabel="time / s", ylabel=f"LED on after {witness.names[0]}'s / ms")
     if farthest > 60.0:
         axes.set_yscale("symlog", linthresh=20)
-    axes.legend(fontsize="small", ncols=3)
+    style.legend(axes, len(witness.names) - 1, fontsize="small", frameon=False, handlelength=0.8)
     axes.grid(alpha=0.3)
 
 

@@ -145,6 +145,21 @@ def test_an_app_that_raises_is_named_with_robot_and_iteration(iteration, tmp_pat
     assert "no first iteration" not in str(failure.value)
 
 
+@pytest.mark.slow
+def test_a_robot_with_another_version_of_the_app_is_named(tmp_path):
+    """It is changed in mid-run, and one robot's process starts again: the others take nothing of it."""
+    app = tmp_path / "mean.py"
+    app.write_text((Path(__file__).parents[2] / "examples" / "consensus.py").read_text())
+    with Simulation(str(app), "--seconds", "12", "--set", "value=1", "--latency", "10ms") as simulation:
+        simulation.wait_for("r1", 20, "mean")
+        app.write_text(app.read_text() + "\n")
+        simulation.kill("r1", "app")
+        said = r"r0 app waits for r1 at iteration \d+: r1 runs another version of this app"
+        with pytest.raises(SimulationError, match=said):
+            simulation.finish()
+        assert simulation.trajectory("r0", "mean").last > 20
+
+
 def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):
     _, expected = undisturbed
     with Simulation("consensus", "--iterations", "120", "--latency", "10ms", "--cut", "r0-r1@0.3s,1s") as simulation:

@@ -68,7 +68,7 @@ def draw(app: str, points: Sequence[Point], found: Sequence[Found], path: Path) 
         choices = dict(point.choices)
         x = float(choices.pop(along)) if along is not None else float(index)
         lines.setdefault(", ".join(f"{name} {value}" for name, value in choices.items()), []).append((x, each))
-    with figure(path, figsize=(9, 4)) as made:
+    with figure(path, figsize=(9, 4), layout="constrained") as made:
         left, right = made.subplots(1, 2)
         for label, each_line in lines.items():
             for axes, middle, most in ((left, "settled", "settled_most"), (right, "error", "error_most")):
@@ -84,8 +84,7 @@ def draw(app: str, points: Sequence[Point], found: Sequence[Found], path: Path) 
             axes.grid(alpha=0.3)
         right.set_yscale("log")
         if any(lines):
-            left.legend(fontsize="small")
-        made.tight_layout()
+            made.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize="small")
 
 
 def _along(points: Sequence[Point]) -> str | None:

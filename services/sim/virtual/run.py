@@ -21,6 +21,7 @@ from services.sim.report import Json, Outcome, summary
 from services.sim.scenario import Scenario, build
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.event_host import VirtualEventHost
+from services.sim.virtual.hang import broken_off
 from services.sim.virtual.host import VirtualHost
 from services.sim.virtual.strand import Line, Teller, Told, VirtualStrand
 from services.sim.virtual.tape import Tape
@@ -28,7 +29,7 @@ from services.sim.virtual.world import Launch, World
 from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import ConfigError, LocalError
-from swarm.messages import AppEpoch
+from swarm.messages import AppEpoch, AppProgress
 from swarm.recording import folder
 from swarm.recording.plain import PlainRecording
 from swarm.recording.reader import SUFFIX
@@ -90,6 +91,10 @@ class Run:
 
     def go(self) -> Outcome:
         """The whole run."""
+        with broken_off():
+            return self._go()
+
+    def _go(self) -> Outcome:
         options, scenario, world = self._options, self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.program is not None:
@@ -97,7 +102,7 @@ class Run:
             number = random.Random(f"{options.seed} run").getrandbits(64)
             if options.record is not None:
                 self._begin_record(options.record, app, number)
-            told = Told(self._advanced, self._ended, self._switched)
+            told = Told(self._advanced, self._ended, self._switched, self._progress)
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds)
             for name in scenario.config.names:
@@ -143,8 +148,10 @@ class Run:
         name = teller.robot
         self._last_progress = now = self.world.time.now
         if self._recorders:
-            if line.k == 0 and isinstance(teller, VirtualStrand) and not teller.part:
-                self._recorders[name].parameters(in_force(teller.runner.app, line.t))
+            if line.k == 0:
+                self._progress(teller)
+                if isinstance(teller, VirtualStrand) and not teller.part:
+                    self._recorders[name].parameters(in_force(teller.runner.app, line.t))
             if line.measurement is not None:
                 self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
             self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
@@ -155,6 +162,16 @@ class Run:
             self._missing_first.discard(name)
             if not self._missing_first:
                 self._first_done()
+
+    def _progress(self, teller: Teller, phase: str = "") -> None:
+        """Record what has become of an app: it runs, waits, is done, or has failed."""
+        if not self._recorders:
+            return
+        reason = teller.reason or teller.obstacle
+        phase = phase or ("waiting" if teller.waiting or reason else "running")
+        now = self.world.robots[teller.robot].time.now
+        progress = AppProgress(now, phase, teller.runner.k, teller.waiting, reason)
+        self._recorders[teller.robot].progress(progress, teller.part)
 
     def _begin_record(self, place: Path, app: loader.App, number: int) -> None:
         """Begin the recording: one file for all robots, or one for each where each has a clock of its own."""
@@ -188,6 +205,7 @@ class Run:
 
     def _ended(self, teller: Teller) -> None:
         """A robot is at its last iteration, or its app has failed: that ends the run."""
+        self._progress(teller, "fault" if teller.reason else "done")
         if teller.reason:
             self._problems.append(f"{teller.robot} app {teller.reason}")
             if not self._scenario.conduct.drop:
@@ -204,6 +222,7 @@ class Run:
         self._last_progress = self.world.time.now
         if self._recorders:
             self._recorders[name].epoch(epoch, teller.part)
+            self._progress(teller)
         if teller.part:
             return
         self._tapes[name].go_back(epoch.k)

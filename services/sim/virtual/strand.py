@@ -12,7 +12,7 @@ from services.sim.virtual.events import Time
 from swarm.codec import Value
 from swarm.core.epoch_actions import Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import Kept
-from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Send
+from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Send, Waiting
 from swarm.errors import AppError
 from swarm.keys import key
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
@@ -79,6 +79,8 @@ class Told(NamedTuple):
     """When the last one is done or the app has failed."""
     switched: Callable[[Teller, AppEpoch], None]
     """When the members have changed: the iterations from the epoch's first one on are done again."""
+    waits: Callable[[Teller], None]
+    """When robots are waited for, others than before or none any more."""
 
 
 class VirtualStrand:
@@ -109,7 +111,7 @@ class VirtualStrand:
         self._bus = bus
         self._measurements = measurements
         self._measured: Measurement | None = None
-        self._advanced, self._ended, self._switched = told
+        self._advanced, self._ended, self._switched, self._waits = told
         self.kept: Kept | None = None
         """What a robot keeps through a reboot: its votes."""
         self._closed = False
@@ -277,6 +279,8 @@ class VirtualStrand:
                 if self._latest is not None:
                     self._latest(action.k, action.value)
                 self._advanced(self, line)
+            elif type(action) is Waiting:
+                self._waits(self)
             elif type(action) is Fault or type(action) is Finished:
                 self._ended(self)
         deadline = strand.next_deadline(self._time.now)
