@@ -3,7 +3,7 @@
 from lab.radio.remote import address
 
 ROBOTS = 6
-ITERATIONS = 60
+ITERATIONS = 40
 LONG = 140
 """Iterations of a run with faults in it."""
 
@@ -13,6 +13,7 @@ SHAPES = {
     "line": LINE,
     "loop": LOOP,
     "random": [(0, 2), (0, 3), (1, 3), (1, 4), (2, 5), (3, 4), (4, 5)],
+    "full": [(i, j) for i in range(ROBOTS) for j in range(i + 1, ROBOTS)],
 }
 
 

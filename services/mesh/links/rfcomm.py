@@ -37,6 +37,7 @@ HINTS = {
     errno.EBUSY: "an earlier connection to it has not ended yet",
     errno.ECONNREFUSED: "it is there, but no mesh listens on that channel",
     errno.EACCES: "it refuses to pair for encryption",
+    errno.EBADE: "it has lost the key of the pairing, or has another one (swarm pair)",
     errno.EADDRINUSE: "something else listens on that channel (bluetoothd -C holds channel 8)",
     errno.EAFNOSUPPORT: "this kernel has no Bluetooth",
     errno.EPROTONOSUPPORT: "this kernel has no RFCOMM (modprobe rfcomm)",

@@ -8,6 +8,7 @@ from services.sim.sweep.limit import Bracket
 from services.sim.sweep.measure import Found, Summary, together
 from services.sim.sweep.plan import Point
 from swarm.cli.plots import figure
+from swarm.plotting import style
 
 _NUMBERS = {
     "runs": "runs",
@@ -68,23 +69,25 @@ def draw(app: str, points: Sequence[Point], found: Sequence[Found], path: Path) 
         choices = dict(point.choices)
         x = float(choices.pop(along)) if along is not None else float(index)
         lines.setdefault(", ".join(f"{name} {value}" for name, value in choices.items()), []).append((x, each))
-    with figure(path, figsize=(9, 4), layout="constrained") as made:
+    with figure(path, settings=style.RC, figsize=(9, 4), layout="constrained") as made:
         left, right = made.subplots(1, 2)
-        for label, each_line in lines.items():
+        for index, (label, each_line) in enumerate(lines.items()):
+            look = {"color": style.colour(index, len(lines)), "marker": style.mark(index), "markersize": 4}
             for axes, middle, most in ((left, "settled", "settled_most"), (right, "error", "error_most")):
                 drawn = [
                     (x, getattr(s, middle), getattr(s, most)) for x, s in each_line if getattr(s, middle) is not None
                 ]
                 if drawn:
                     xs, ys, tops = zip(*drawn, strict=True)
-                    (line,) = axes.plot(xs, ys, "o-", markersize=4, label=label or None)
-                    axes.plot(xs, tops, ":", color=line.get_color())
-        for axes, what in ((left, "iterations to settle"), (right, "error")):
+                    axes.plot(xs, ys, "-", label=label or None, **look)
+                    axes.plot(xs, tops, ":", color=look["color"])
+        unit = {"consensus": " from the mean", "localization": " / cm"}.get(app, "")
+        for axes, what in ((left, "iterations to settle"), (right, f"error{unit}")):
             axes.set(xlabel=along or "combination", ylabel=what, title=f"{app}: median, and worst (dotted)")
             axes.grid(alpha=0.3)
-        right.set_yscale("log")
+        right.set_yscale("log", nonpositive="mask")  # exact to the last bit: no point
         if any(lines):
-            made.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize="small")
+            made.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize="small")
 
 
 def _along(points: Sequence[Point]) -> str | None:
