@@ -104,14 +104,20 @@ def robots(directory: Path) -> dict[str, Path]:
     return {name: directory / name for name in names if is_name(name)}
 
 
+def running(run_dir: Path | None) -> Path:
+    """The directory of the simulation that runs in `run_dir` (None = the usual place); `LocalError` where none does."""
+    directory = (run_dir or default_run_dir()).absolute()
+    if not is_live(directory):
+        raise LocalError(f"no simulation is running in {directory} (--run-dir names another one)")
+    return directory
+
+
 def runtime_of(run_dir: Path | None, robot: str) -> Path:
     """Runtime directory of a robot of the running simulation in `run_dir` (None = the usual place).
 
     Raises `LocalError` where there is no such simulation or robot.
     """
-    directory = (run_dir or default_run_dir()).absolute()
-    if not is_live(directory):
-        raise LocalError(f"no simulation is running in {directory} (--run-dir names another one)")
+    directory = running(run_dir)
     known = robots(directory)
     if robot not in known:
         raise LocalError(f"no robot {robot!r} in the simulation, there are {', '.join(known) or 'none yet'}")

@@ -511,7 +511,9 @@ def swarms(draw):
         apps=draw(
             st.dictionaries(names, st.builds(App, parameters, st.dictionaries(of_robots, parameters)), max_size=3)
         ),
-        simulation=Simulation(draw(pair), draw(st.dictionaries(of_robots, st.tuples(finite, finite, finite)))),
+        simulation=Simulation(
+            draw(pair), draw(pair), draw(st.dictionaries(of_robots, st.tuples(finite, finite, finite)))
+        ),
     )
 
 

@@ -85,7 +85,9 @@ class ModuleBoard:
         self._places: dict[str, tuple[float, float, float, float]] = {}
         """Where each is: x, y, z in m, heading in rad."""
         self._selector = selectors.EpollSelector()
-        target = config.dwm.target
+        self._target = target = config.dwm.target
+        self.moves_from = math.inf
+        """When the target begins to move, if it does."""
         for anchor in config.anchors:
             at = (anchor.x, anchor.y, anchor.z)
             if anchor.address == target:  # the simulation may have moved it
@@ -164,6 +166,9 @@ class ModuleBoard:
         if name not in self._places:
             return Location(NOWHERE, ())
         now = clock.now()
+        if self._config.simulation.moving and self._target is not None:
+            place = self._config.simulation.target_after(now - self.moves_from)
+            self._places[self._target] = (*place, *self._places[self._target][2:])
         around = [
             Module(each.module.address, *self._places[other][:3], each.module.flash.place)
             for other, each in tuple(self._modules.items())

@@ -20,6 +20,7 @@ from services.sim.quantities import (
     setting,
     skew,
     speed,
+    velocity,
 )
 from services.sim.virtual.body import MODELS
 from swarm import conduct
@@ -65,6 +66,8 @@ class Options:
     replay: Path | None
     noise: str | None
     """Of `core.noise.ERRORS`: how measurements err; None: as the simulated modules do."""
+    target_velocity: tuple[float, float] | None
+    """m/s; None: as the configuration says."""
     json: bool
     plot: Path | None
     run_dir: Path | None
@@ -121,6 +124,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="MODEL",
         help="measurements of a simulation study: none, bias (5 %%), thesis (5 %% and 2 %% every 5 iterations)",
     )
+    app.add_argument("--target-velocity", type=velocity, metavar="VX,VY",
+                     help="the target moves, m/s, from the first iteration of all robots on")  # fmt: skip
     radio = p.add_argument_group("the radio")
     radio.add_argument("--latency", type=duration, default=0.03, metavar="30ms", help="one way (30ms)")
     radio.add_argument(
@@ -186,6 +191,10 @@ def parse(arguments: list[str]) -> Options:
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
         raise ConfigError("--noise makes the measurements, --replay has recorded ones: leave out one of them")
+    if options.target_velocity is not None and (options.noise is not None or options.replay is not None):
+        raise ConfigError("--target-velocity moves what simulated modules range to: leave out --noise and --replay")
+    if options.target_velocity is not None and options.clock_skew:
+        raise ConfigError("--target-velocity and --clock-skew: each robot would have another time, leave out one")
     if options.clock_skew and not options.virtual:
         raise ConfigError("--clock-skew is for --virtual: processes of one machine have one clock")
     if options.offs and not options.virtual:

@@ -64,25 +64,27 @@ def _map(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
         if track:
             axes.plot(*zip(*track, strict=True), "-", color=colour, linewidth=0.8, alpha=0.7)
             axes.plot(*track[-1], "x", color=colour, markersize=9)
-    axes.plot(*config.simulation.target, "*", color="crimson", markersize=16, zorder=0, label="target")
+    way = [config.simulation.target, *outcome.targets().values()]
+    axes.plot(*zip(*way, strict=True), "-", color="crimson", linewidth=1, zorder=0)
+    axes.plot(*way[-1], "*", color="crimson", markersize=16, zorder=0, label="target")
     axes.plot([], [], "x", color="0.2", label="estimates")
     axes.plot([], [], "^", color="0.4", linestyle="none", label="anchors")
     axes.set(xlabel="x / m", ylabel="y / m", aspect="equal", title="robots, mesh and estimates of the target")
     # A first estimate may be far out; the picture is about the table.
     places = [place[:2] for place in config.simulation.places.values()] + [(a.x, a.y) for a in config.anchors]
-    xs, ys = zip(*places, config.simulation.target, strict=True)
+    xs, ys = zip(*places, *way, strict=True)
     axes.set(xlim=(min(xs) - 0.3, max(xs) + 0.45), ylim=(min(ys) - 0.3, max(ys) + 0.3))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False, fontsize="small")
     axes.grid(alpha=0.3)
 
 
 def _errors(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
-    target = outcome.scenario.config.simulation.target
     for index, (name, path) in enumerate(outcome.trajectories.items()):
         ks = sorted(path.rows)
-        errors = [100 * math.dist(report.estimate(path, k), target) for k in ks]
+        errors = [100 * math.dist(report.estimate(path, k), outcome.target(path.times[k])) for k in ks]
         axes.plot(ks, errors, color=COLOURS[index % len(COLOURS)], linewidth=1, label=name)
     for index, (name, recording) in enumerate(outcome.scenario.recorded.items()):
+        target = outcome.scenario.config.simulation.target  # it stands: recordings are of such
         errors = [100 * math.dist(place, target) for place in recording.estimates]
         label = "recorded" if index == 0 else None
         axes.plot(errors, color=COLOURS[index % len(COLOURS)], linewidth=1, linestyle=":", label=label)

@@ -82,7 +82,7 @@ def _app(scenario: Scenario, seen: Seen) -> str:
         return text
     if scenario.app == "localization":
         x, y = state.result.get("x"), state.result.get("y")
-        if isinstance(x, float) and isinstance(y, float):
+        if isinstance(x, float) and isinstance(y, float) and not scenario.config.simulation.moving:
             text += f" error {100 * math.dist((x, y), scenario.config.simulation.target):.1f} cm"
         return text
     numbers = [f"{name}={value:.4g}" for name, value in state.result.items() if isinstance(value, float | int)]

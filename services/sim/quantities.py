@@ -24,6 +24,9 @@ AT_START = "start"
 SLOWEST, FASTEST = 0.01, 1000.0
 """s of virtual time a second that a page may wish for."""
 
+MAX_VELOCITY = 10.0
+"""m/s of a target."""
+
 MAX_SKEW = 100e-6
 """More than a crystal errs, and what the mesh clock is made for."""
 
@@ -57,6 +60,17 @@ class Press:
     button: str
     at: float
     """s, counted like a cut's."""
+
+
+def velocity(text: str) -> tuple[float, float]:
+    """`0.1,-0.03`: vx and vy, m/s."""
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (abs(x) <= MAX_VELOCITY and abs(y) <= MAX_VELOCITY):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a velocity such as 0.1,-0.03 (m/s, below {MAX_VELOCITY:g})")
+    return x, y
 
 
 def _quantity(text: str, units: dict[str, float], what: str) -> float:

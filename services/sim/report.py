@@ -47,6 +47,16 @@ class Outcome:
     """The world's own eyes, where somebody looked."""
     began: float = 0.0
     """When the run began, by the witness' clock, s."""
+    moves_from: float = math.inf
+    """When a target that moves began to, by the clock of the trajectories, s."""
+
+    def target(self, t: float) -> tuple[float, float]:
+        """Where the target was at a time of the trajectories, m."""
+        return self.scenario.config.simulation.target_after(t - self.moves_from)
+
+    def targets(self) -> dict[str, tuple[float, float]]:
+        """Where it was when each robot did its last iteration."""
+        return {name: self.target(path.times[path.last]) for name, path in self.trajectories.items() if path.last >= 0}
 
 
 def summary(outcome: Outcome) -> Json:
@@ -85,10 +95,10 @@ def summary(outcome: Outcome) -> Json:
         report["mean"] = true_mean(scenario)
         report["error"] = consensus_error(scenario, paths)
     if scenario.app == "localization":
-        report["error_cm"] = target_error_cm(scenario, {name: estimate(path) for name, path in paths.items()})
+        report["error_cm"] = target_error_cm(outcome, {name: estimate(path) for name, path in paths.items()})
     if scenario.recorded:
         last = {name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recorded.items()}
-        report["recorded_error_cm"] = target_error_cm(scenario, last)
+        report["recorded_error_cm"] = target_error_cm(outcome, last)
         if scenario.algorithm == "thesis":  # another algorithm is not meant to follow the recorded one
             report["replay_deviation_cm"] = replay_deviation_cm(scenario, paths)
     return report
@@ -139,10 +149,10 @@ def estimate(path: Trajectory, k: int | None = None) -> tuple[float, float]:
     return (x, y)
 
 
-def target_error_cm(scenario: Scenario, estimates: Mapping[str, tuple[float, float]]) -> float | None:
-    """Mean distance of the robots' estimates to the true target, cm; None where a robot has none."""
-    target = scenario.config.simulation.target
-    distances = [math.dist(place, target) for place in estimates.values()]
+def target_error_cm(outcome: Outcome, estimates: Mapping[str, tuple[float, float]]) -> float | None:
+    """Mean distance of the robots' last estimates to the true target, cm; None where a robot has none."""
+    targets = outcome.targets()
+    distances = [math.dist(place, targets[name]) if name in targets else math.nan for name, place in estimates.items()]
     if not distances or any(math.isnan(distance) for distance in distances):
         return None
     return round(100 * math.fsum(distances) / len(distances), 4)
@@ -186,10 +196,11 @@ def _cells(outcome: Outcome, name: str) -> tuple[str, ...]:
     path = outcome.trajectories.get(name, trajectory.EMPTY)
     if outcome.scenario.app == "localization":
         x, y = estimate(path)
+        target = outcome.targets().get(name, outcome.scenario.config.simulation.target)
         return (
             f"{x:.4f}",
             f"{y:.4f}",
-            f"{100 * math.dist((x, y), outcome.scenario.config.simulation.target):.2f}",
+            f"{100 * math.dist((x, y), target):.2f}",
         )
     if outcome.scenario.app:
         values = result(path) or {}

@@ -1,6 +1,7 @@
 """One run of a simulated swarm, from the start of its processes to what it found."""
 
 import contextlib
+import math
 import os
 import signal
 import time
@@ -54,6 +55,7 @@ class Run:
         self._commanded = footprint.commanded()
         self._progress = Progress(stream, scenario)
         self._problems: list[str] = []
+        self._moves_from = math.inf
         self._stop = False
         names = scenario.config.names
         _make_records(self._records)
@@ -115,6 +117,8 @@ class Run:
             if started is None:
                 if self._has_started(seen, missing):
                     started = now
+                    self._moves_from = now
+                    self._world.move_target(now)
                 elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
                     self._problems += faults
                     break
@@ -249,6 +253,7 @@ class Run:
             scene=found,
             witness=self._world.look(lambda witness: witness),
             began=self._commanded,
+            moves_from=self._moves_from,
         )
 
 

@@ -123,6 +123,10 @@ def build(options: Options, run_dir: Path) -> Scenario:
         dwm=_dwm(base, options.replay, run_dir),
         simulation=_places(base),
     )
+    if options.target_velocity is not None:
+        # An average over three seconds would be of places that the target has left.
+        moving = replace(config.simulation, target_velocity=options.target_velocity)
+        config = replace(config, simulation=moving, dwm=replace(config.dwm, window=1, position_window=WINDOW))
     if app is not None:
         config = replace(config, apps={**config.apps, app.name: _parameters(config, app, options)})
         app.check(config)

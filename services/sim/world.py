@@ -91,6 +91,10 @@ class World:
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._thread.start()
 
+    def move_target(self, since: float) -> None:
+        """The target moves from this time on, if the configuration gives it a velocity."""
+        self._modules.moves_from = since
+
     def close(self) -> None:
         """Stop the world and unplug the modules."""
         self._closing = True

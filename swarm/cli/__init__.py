@@ -20,8 +20,8 @@ from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 
 VERBS = (
-    "arm", "bundle", "command", "config", "deploy", "doctor", "epoch", "estop", "export", "fetch", "film", "import",
-    "key", "kill", "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push",
+    "app", "arm", "bundle", "command", "config", "deploy", "doctor", "epoch", "estop", "export", "fetch", "film",
+    "import", "key", "kill", "lay", "logs", "measure", "mesh", "pair", "param", "plot", "press", "provision", "push",
     "reboot", "replay", "restart", "run", "start", "status", "stop", "topology", "unplug", "view",
 )  # fmt: skip
 """Modules of this package."""

@@ -173,6 +173,7 @@ budget = 2_000_000_000     # bytes of a robot's disk; beyond, the oldest finishe
 
 [simulation]
 target = [0.5, 1.0]        # m
+target_velocity = [0.0, 0.0]    # m/s, from the first iteration of all robots on
 
 [simulation.places]        # x in m, y in m, heading in rad
 r0 = [0.5, 1.5, 0.0]

@@ -207,12 +207,15 @@ def recordings(top: Table) -> Recordings:
 
 def simulation(top: Table, robots: Sequence[str]) -> Simulation:
     """The table [simulation]."""
-    table = top.table("simulation", ("target", "places"))
+    table = top.table("simulation", ("target", "target_velocity", "places"))
     normal = Simulation()
     places = table.table("places", robots)
     expected = "three numbers [x, y, heading], in m, m and rad"
     return Simulation(
         target=table.numbers("target", normal.target, expected="two numbers [x, y], in m", length=2),
+        target_velocity=table.numbers(
+            "target_velocity", normal.target_velocity, expected="two numbers [vx, vy], in m/s", length=2
+        ),
         places={robot: places.numbers(robot, (), expected=expected, length=3) for robot in places.data},
     )
 

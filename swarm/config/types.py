@@ -217,8 +217,20 @@ class Simulation:
 
     target: tuple[float, float] = (0.5, 1.0)
     """m."""
+    target_velocity: tuple[float, float] = (0.0, 0.0)
+    """m/s, from the first iteration of all robots on."""
     places: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     """x, y in m and heading in rad, by robot."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the target moves."""
+        return self.target_velocity != (0.0, 0.0)
+
+    def target_after(self, seconds: float) -> tuple[float, float]:
+        """Where the target is so long after the first iteration of all robots; before it stands."""
+        (x, y), (vx, vy), t = self.target, self.target_velocity, max(0.0, seconds)
+        return (x + vx * t, y + vy * t)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,15 @@ def scene(figure: Any, run: Run) -> None:
         # Of real robots nobody knows where the target is.
         if "localization" in run.apps and any(topic.endswith("/sim/truth") for topic in run.topics):
             seen.append(target)
-            axes.plot(*target, "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
+            mark = "target's start" if swarm.simulation.moving else "target"
+            axes.plot(
+                *target,
+                "*",
+                color="black",
+                markersize=13,
+                zorder=5,
+                **_once(marks, mark),
+            )
     tracks = paths(run)
     estimates = _estimates(run)
     robots = list(run.robots)
@@ -56,7 +64,7 @@ def scene(figure: Any, run: Run) -> None:
     axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
     legend = axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     for handle in legend.legend_handles:
-        handle.set_color("black" if handle.get_label() == "target" else style.GREY)
+        handle.set_color("black" if handle.get_label().startswith("target") else style.GREY)
 
 
 def _config(path: Path) -> Config | None:

@@ -32,8 +32,6 @@ class Side:
         self.socket: list[bytes] = []
         self.inbox: list[tuple[float, Received]] = []
         self.written = 0
-        """Bytes."""
-        self.writes = 0
         self.wakes_at = -1.0
 
 
@@ -92,7 +90,6 @@ class Link:
         while sum(map(len, side.socket)) < self.sndbuf and (data := session.data_to_send(self.now, 4096)):
             side.socket.append(data)
             side.written += len(data)
-            side.writes += 1
         line, receiver = self.other(side).line, self.other(side)
         # The air takes the bytes at its own pace: each write when those before it have passed.
         if self.now >= side.wakes_at:

@@ -1,6 +1,5 @@
 """Flow on one link: fragments, acknowledged bytes, the window, shares of the classes, and pushing back."""
 
-import itertools
 import statistics
 from collections import Counter
 from contextlib import suppress
@@ -141,33 +140,6 @@ def test_lockstep_alone_costs_almost_no_acknowledgements() -> None:
     acknowledgements = link.b.session.sent - frames_before - heartbeats - 10.0 / 0.031
     assert acknowledgements < 10.0 / 0.031 / 8
     assert link.b.written - before < 15_000
-
-
-def test_heartbeats_go_along_with_lockstep(monkeypatch: pytest.MonkeyPatch) -> None:
-    link = Link()
-    pulse, times = link.a.session.pulse, list[float]()
-    beat = pulse.beat
-    monkeypatch.setattr(pulse, "beat", lambda now, *counts: (times.append(now), beat(now, *counts))[1])
-    link.run(1.0)
-    before, times[:] = link.a.writes, times[-1:]
-    pings = Pings(link, 0.031)
-    link.run(10.0)
-    assert link.a.writes - before <= pings.sent + 1, "only the first one may have come between two messages"
-    gaps = [later - earlier for earlier, later in itertools.pairwise(times)]
-    assert all(0.4375 - 1e-9 <= gap <= 0.5 + 1e-9 for gap in gaps)
-    assert len(gaps) >= 20
-
-
-def test_alone_or_beside_bulk_a_heartbeat_comes_when_it_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
-    link = Link()
-    pulse, times = link.a.session.pulse, list[float]()
-    beat = pulse.beat
-    monkeypatch.setattr(pulse, "beat", lambda now, *counts: (times.append(now), beat(now, *counts))[1])
-    link.run(2.0)
-    transfer(link, MIB // 4)
-    gaps = [later - earlier for earlier, later in itertools.pairwise(times)]
-    assert len(gaps) > 6
-    assert gaps == pytest.approx([0.5] * len(gaps))
 
 
 def test_one_way_traffic_is_acknowledged_too() -> None:

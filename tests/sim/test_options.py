@@ -19,6 +19,7 @@ def test_durations_and_rates_have_units():
     assert quantities.off("r2@start,1min") == Off("r2", None, 60.0)
     assert quantities.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
     assert quantities.press("r4.a@1500ms") == Press("r4", "A", 1.5)
+    assert quantities.velocity("0.1, -0.03") == (0.1, -0.03)
     assert quantities.setting("value=0.5") == Setting(None, "value", 0.5)
     assert quantities.setting("r2.value=3") == Setting("r2", "value", 3)
     assert quantities.setting("weights=row") == Setting(None, "weights", "row")
@@ -42,6 +43,10 @@ def test_durations_and_rates_have_units():
         (quantities.setting, "value"),
         (quantities.setting, "a b=3"),
         (quantities.setting, "value=[1,x]"),
+        (quantities.velocity, "0.1"),
+        (quantities.velocity, "0.1,x"),
+        (quantities.velocity, "nan,0"),
+        (quantities.velocity, "0,99"),
     ],
 )
 def test_wrong_text_is_refused_by_argparse(convert, text):

@@ -1,6 +1,8 @@
 """Orders to a running simulation: from any datagram, and carried out by processes."""
 
 import socket
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -143,7 +145,9 @@ def test_bad_orders_are_refused_before_they_are_given(tmp_path: Path) -> None:
 def test_an_app_of_a_swarm_that_runs_another_one(tmp_path: Path) -> None:
     with Simulation("consensus", "--robots", "2", "--seconds", "600") as simulation:
         simulation.wait_for("r0", 3)
-        assert "started" in orders.give(simulation.run_dir, "start", "led_sync", ["r0", "r1"])
+        start = ["app", "start", "led_sync", "--run-dir", str(simulation.run_dir)]
+        done = subprocess.run([sys.executable, "-m", "swarm.cli", *start], capture_output=True, text=True, check=True)
+        assert done.stdout == "led_sync: started on r0 r1\n"
         simulation.wait_for("r1", 3, app="led_sync")
         assert "stopped" in orders.give(simulation.run_dir, "stop", "consensus", ["r0", "r1"])
         led = simulation.trajectory("r0", "led_sync").last

@@ -42,10 +42,6 @@ BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
 for each."""
 
-RIDE = 0.125
-"""Share of the time between two heartbeats by which one may leave early, with a message of sync: then it takes no write
-of its own and no waking of the other end, and the heartbeats of all links that lockstep uses fall together."""
-
 SENT = ("sent_control", "sent_sync", "sent_bulk")
 """Which counter counts the messages of a class that left."""
 
@@ -221,12 +217,12 @@ class Session:
             return b""
         chunks, self._urgent = self._urgent, []
         size = sum(map(len, chunks)) if chunks else 0
-        bulk = sync = False
+        bulk = False
         if self.is_up:
             beat, self._heartbeat_due = self._heartbeat_due, False
             if beat:
                 self._beat(chunks, now)
-            elif (count := receipts.take(at_once=False)) is not None:
+            if (count := receipts.take(at_once=beat)) is not None:
                 chunks.append(flow.encode_ack(count))
             window = self._window
             fragment = window.fragment(now)
@@ -249,15 +245,11 @@ class Session:
                 if part is None or part.last:
                     self._counters[SENT[message.priority]] += 1
                 if message.priority == SYNC:
-                    sync = True
                     window.busy(now)
                 elif message.priority == BULK:
                     bulk = True
                     if size >= BULK_WRITE:
                         break
-            if sync and not bulk and now >= self._heartbeat_at - RIDE * self._local.heartbeat:
-                self._heartbeat_at = now + self._local.heartbeat
-                self._beat(chunks, now)  # behind the message: that one is in a hurry
         self.sent += len(chunks)
         data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)
         self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
@@ -268,8 +260,6 @@ class Session:
         assert self.peer is not None
         stamps = self.pulse.beat(now, self.sent_bytes, self.received_bytes)
         chunks += (frames.encode_heartbeat(stamps), encode_claim(self._clock.claim(self.peer, now)))
-        if (count := self._receipts.take(at_once=True)) is not None:
-            chunks.append(flow.encode_ack(count))
         self._reassembly.expire(now)
 
     # -- frames of the other end -------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import math
 import os
 import random
 import time as real_time
@@ -49,9 +50,23 @@ MAX_FROM_START = 50
 _NEVER = float("inf")
 
 
+@contextlib.contextmanager
+def _without_looking_for_garbage() -> Iterator[None]:
+    """The robots live to the end and make no circles: going through millions of their objects again and again takes a
+    third of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
 class Run:
     """Runs a scenario until its end."""
 
+    @_without_looking_for_garbage()
     def __init__(self, options: Options, scenario: Scenario, *, rows: bool = False) -> None:
         """`rows`: keep the states of all iterations for the outcome, not only the last."""
         self._options = options
@@ -89,6 +104,7 @@ class Run:
         self.computed = 0.0
         """s of real time that it took."""
 
+    @_without_looking_for_garbage()
     def go(self) -> Outcome:
         """The whole run."""
         with broken_off():
@@ -110,8 +126,7 @@ class Run:
                 world.start_app(name, launch, after=self._late.get(name, 0.0))
         else:
             self._first_done()
-        with _without_looking_for_garbage():
-            self._watch()
+        self._watch()
         ended_at = world.time.now
         for recording in self._recordings:
             recording.close()
@@ -194,7 +209,7 @@ class Run:
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
-        self._started = now = self.world.time.now
+        self._started = self.world.modules.moves_from = now = self.world.time.now
         for press in self._options.presses:
             self.world.act(press.robot, now + press.at, hands.Press(press.button, PRESS_S))
         for cut in self._options.cuts:
@@ -259,6 +274,7 @@ class Run:
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
             witness=self._witness,
+            moves_from=math.inf if started is None else started,
             scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
         )
 
@@ -266,19 +282,6 @@ class Run:
 def _has_no_steps(teller: Teller) -> bool:
     """Whether it waits for events alone."""
     return isinstance(teller, VirtualEventHost) and teller.runner.period is None
-
-
-@contextlib.contextmanager
-def _without_looking_for_garbage() -> Iterator[None]:
-    """The robots live to the end and make no circles: going through millions of their objects again and again takes a
-    third of the time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def simulate(*arguments: str, rows: bool = False) -> tuple[Json, Outcome]:

@@ -5,6 +5,7 @@ A robot's module measures as long as somebody hears what comes of it: a filter c
 """
 
 import logging
+import math
 import random
 from collections import Counter
 from typing import NamedTuple
@@ -36,7 +37,10 @@ class ModuleField:
     """All modules of a world: the anchors, the target, and those of robots that are anchors."""
 
     def __init__(self, config: Config) -> None:
-        target = config.dwm.target
+        self._simulation = config.simulation
+        self._target = target = config.dwm.target
+        self.moves_from = math.inf
+        """When the target begins to move, if it does."""
         self._standing = []
         for anchor in config.anchors:
             at = (anchor.x, anchor.y)
@@ -59,8 +63,10 @@ class ModuleField:
         """A robot whose module is an anchor."""
         self._carried[robot] = (address, balancer)
 
-    def around(self, robot: str) -> list[Module]:
+    def around(self, robot: str, now: float) -> list[Module]:
         """What a robot's module may range to."""
+        if self._simulation.moving and self._target is not None:
+            self.move(self._target, *self._simulation.target_after(now - self.moves_from))
         modules = [Module(each.address, *each.place, each.known) for each in self._standing]
         for name, (address, balancer) in self._carried.items():
             if name != robot:
@@ -109,7 +115,7 @@ class VirtualDwm:
             self._localizer = Localizer(self, now)
         body = self._balancer.look()
         location = (
-            self._tag.measure(self._field.around(self.robot), body.x, body.y, body.heading)
+            self._tag.measure(self._field.around(self.robot, self._time.now), body.x, body.y, body.heading)
             if self._is_tag
             else Location(NOWHERE, ())
         )
