@@ -25,10 +25,10 @@ from swarm.view.picture import TRAIL_S, Picture
 from swarm.view.recording import Recording
 
 HOST = "127.0.0.1"
-RATE = 20.0
+RATE = 25.0
 """Steps a second that a page gets at most: places are told of at 10 Hz; the page draws the way between."""
 
-FULL = 4
+FULL = 5
 """Steps of which one has all keys, events and services: nobody reads numbers that change more often."""
 
 CROWD = 50

@@ -10,7 +10,7 @@ import { Player } from "./player.js";
 import { Store } from "./store.js";
 import { theme } from "./theme.js";
 
-const SILENCE_MS = 1500; // the server speaks 20 times a second, 5 for a crowd
+const SILENCE_MS = 1500; // the server speaks 25 times a second, 5 for a crowd
 const RETRY_MS = 500;
 const PLAYER_MS = 100;
 const PANELS_MS = 200; // as often as the server tells what they show

@@ -3,7 +3,7 @@
 export const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#8a5ad6", "#7a7a7a"]; // told apart by the colour-blind too (Okabe, Ito 2008)
 const TRAIL = 300; // places
 const STEP_MS = [40, 500]; // the way between two samples takes nearly as long as they are apart as a rule, within this
-const NEARLY = 0.9; // else a late one would be waited for twice
+const NEARLY = 0.8; // else a late one would be waited for twice
 const RULE = 0.2; // share of the newest one in what is the rule
 const BADNESS = ["up", "suspect", "connecting", "down"];
 const SLOWER = 3; // times its shortest round trip of the last minute
