@@ -27,8 +27,8 @@ ITERATIONS = 1200
 TAGGED_AND_RESUME_S = {"line": 0.0507, "loop": 0.0522, "thesis-d": 0.0669, "full": 0.0928}
 """Mean iteration of a discrete-event simulation of tagged messages with resume after a cut, made when this protocol was
 designed: latency 30 +- 10 ms, 1.4 ms for a step, exponentially distributed cuts, 4.8 % of the time. One draw of cuts
-each: with ours the same model gives 48.9, 52.9, 65.1 and 89.9 ms, the mean of 24 seeds (standard deviation 1.1, 1.2, 1.6
-and 3 ms)."""
+each: with ours the same model gives 48.9, 52.9, 65.1 and 89.9 ms, the mean of 24 seeds (standard deviation 1.1, 1.2,
+1.6 and 3 ms)."""
 
 
 def rows() -> Iterator[Row]:
