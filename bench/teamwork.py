@@ -20,6 +20,9 @@ from services.sim.virtual.run import PLACE, Run
 LINKS = ("--robots", "6", "--topology", "line", "--latency", "30ms", "--jitter", "10ms")
 NEIGHBOURS_MS, ALL_MS, TOGETHER_S = 10.0, 20.0, 30.0
 """Goals: 95 % of the differences between LEDs, and from the command until they blink together."""
+FREQUENCIES = {"r0": 1.8, "r1": 2.0, "r2": 2.1, "r3": 2.2, "r4": 2.3, "r5": 2.2}
+"""Hz, at first."""
+LED_SEEDS = 20
 THESIS_TOGETHER_S = 40.0
 """Figure 4.6: 40 s and 160 s."""
 
@@ -38,14 +41,14 @@ RADIUS, SPREAD, CENTRE = 0.8, 0.08, 0.97
 def rows() -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     yield from _leds()
+    yield from _leds_of_own_clocks()
     yield from _stand_up()
     yield from _formation()
     yield from _crossings()
 
 
 def _leds() -> Iterator[Row]:
-    frequencies = [f"r{i}.frequency_value={value}" for i, value in enumerate((1.8, 2.0, 2.1, 2.2, 2.3, 2.2))]
-    settings = [word for text in frequencies for word in ("--set", text)]
+    settings = [word for robot, value in FREQUENCIES.items() for word in ("--set", f"{robot}.frequency_value={value}")]
     for algorithm, judged in (("clock", 1.0), ("thesis", None)):
         scene = _real("led_sync", *LINKS, "--algorithm", algorithm, "--seconds", "60", *settings)
         name = f"LEDs, {algorithm}"
@@ -56,6 +59,17 @@ def _leds() -> Iterator[Row]:
         yield Row(f"{name}: any two apart, 95 %", _figure(scene, "apart_all_p95_ms"), "ms", ALL_MS, judged)
         limit = TOGETHER_S if judged else THESIS_TOGETHER_S
         yield Row(f"{name}: together within 20 ms after", after, "s", limit, judged)
+
+
+def _leds_of_own_clocks() -> Iterator[Row]:
+    """In virtual time, which has what processes of one machine have not: clocks with other zeros and rates."""
+    settings = {f"{robot}.frequency_value": str(value) for robot, value in FREQUENCIES.items()}
+    skew = ("--clock-skew", "30ppm", "--seconds", "60")
+    found = [_virtual("led_sync", {}, settings, *skew, "--seed", str(seed)) for seed in range(LED_SEEDS)]
+    name = f"LEDs, clocks of +- 30 ppm, worst of {LED_SEEDS}"
+    yield Row(f"{name}: neighbours apart, 95 %", _worst(found, "apart_neighbours_p95_ms"), "ms", NEIGHBOURS_MS, 1.0)
+    yield Row(f"{name}: any two apart, 95 %", _worst(found, "apart_all_p95_ms"), "ms", ALL_MS, 1.0)
+    yield Row(f"{name}: together within 20 ms after", _worst(found, "synchronous_after_s"), "s", TOGETHER_S, 1.0)
 
 
 def _stand_up() -> Iterator[Row]:
@@ -100,14 +114,14 @@ def _crossings() -> Iterator[Row]:
 
 
 def crossing(seed: int, count: int = 6) -> tuple[dict[str, tuple[float, float, float]], dict[str, str]]:
-    """Places (m, rad) and waypoints of the robots, by name."""
+    """Places (m, rad) of the robots by name, and the values that are their waypoints."""
     generator = random.Random(f"crossing {seed}")
     turned = generator.uniform(0.0, math.tau)
     places, waypoints = {}, {}
     for i in range(count):
         start, end = (turned + math.tau * i / count + half + generator.gauss(0.0, SPREAD) for half in (0.0, math.pi))
         places[f"r{i}"] = (*_on_circle(start), generator.uniform(-math.pi, math.pi))
-        waypoints[f"r{i}"] = "{:.4f},{:.4f}".format(*_on_circle(end))
+        waypoints[f"r{i}.waypoints"] = "{:.4f},{:.4f}".format(*_on_circle(end))
     return places, waypoints
 
 
@@ -132,15 +146,17 @@ def _real(*arguments: str) -> Mapping[str, Any]:
 
 
 def _virtual(
-    app: str, places: Mapping[str, tuple[float, float, float]], waypoints: Mapping[str, str], *arguments: str
+    app: str, places: Mapping[str, tuple[float, float, float]], values: Mapping[str, str], *arguments: str
 ) -> Mapping[str, Any]:
-    """The same of a run in virtual time, with `all_arrived` and `seconds`."""
-    settings = [word for robot, text in waypoints.items() for word in ("--set", f"{robot}.waypoints={text}")]
+    """The same of a run in virtual time with these values of parameters, with `all_arrived` and `seconds`."""
+    settings = [word for name, text in values.items() for word in ("--set", f"{name}={text}")]
     options = parse([app, *LINKS, *arguments, *settings, "--virtual"])
     scenario = build(options, PLACE)
-    simulation = replace(scenario.config.simulation, places=dict(places))
-    outcome = Run(options, replace(scenario, config=replace(scenario.config, simulation=simulation))).go()
-    results = [path.value(path.last, "result.reached") for path in outcome.trajectories.values() if waypoints]
+    if places:
+        simulation = replace(scenario.config.simulation, places=dict(places))
+        scenario = replace(scenario, config=replace(scenario.config, simulation=simulation))
+    outcome = Run(options, scenario).go()
+    results = [path.value(path.last, "result.reached") for path in outcome.trajectories.values() if app == "goto"]
     return {**outcome.scene, "seconds": outcome.seconds, "all_arrived": all(each == 1 for each in results)}
 
 

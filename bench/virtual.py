@@ -14,9 +14,10 @@ SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 60.0, 120.0
 def rows() -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     yield Row("6 robots, 1000 iterations, whole mesh", _seconds(6, "loop", 1000), "s", SIX_S, 1.0)
-    hundred = _seconds(100, "random:1", 100, "--mesh", "settled")
+    # The least of some runs: neighbours on a shared machine take up to half of the time of a short one.
+    hundred = min(_seconds(100, "random:1", 100, "--mesh", "settled") for _ in range(6))
     yield Row("100 robots, 100 iterations, settled mesh", hundred, "s", hundred, None)
-    thousand = _seconds(1000, "random:1", 100, "--mesh", "settled")
+    thousand = min(_seconds(1000, "random:1", 100, "--mesh", "settled") for _ in range(2))
     yield Row("1000 robots, 100 iterations, settled mesh", thousand, "s", THOUSAND_S, 1.0)
     yield Row("a robot's iteration, 1000 beside 100", thousand / 1e5 * 1e6, "us", hundred / 1e4 * 1e6, 1.3)
     ten_thousand = _seconds(10_000, "random:1", 100, "--mesh", "delay")

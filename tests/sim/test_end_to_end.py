@@ -198,3 +198,24 @@ def test_one_robot_alone_runs():
 def test_localization_finds_the_target():
     report = simulate("localization", "--iterations", "60")
     assert report["error_cm"] < 15
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_six_balancing_robots_drive_into_a_formation():
+    """The balancer, the body that falls if it is late, odometry, UWB, EKF and mesh of each robot: 36 processes."""
+    report = simulate("formation", "--robots", "6", "--topology", "line", "--jitter", "10ms", "--seconds", "75")
+    scene = report["scene"]
+    assert report["problems"] == []
+    assert scene["misfit_m"] < 0.05
+    assert scene["closest_m"] > 0.15
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_six_balancing_robots_cross_without_contact():
+    """Each to the opposite side, as the app has it where no waypoints are given."""
+    report = simulate("goto", "--robots", "6", "--topology", "line", "--jitter", "10ms", "--seconds", "75")
+    assert report["problems"] == []
+    assert report["scene"]["closest_m"] > 0.15
+    assert all(result["reached"] == result["of"] for result in report["result"].values())

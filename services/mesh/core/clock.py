@@ -2,9 +2,9 @@
 
 Every robot keeps C = own monotonic clock + offset. The root is the robot with the smallest name in reach; its offset
 runs free. Every other robot follows a neighbour nearer to the root: C = the neighbour's C + the measured offset of the
-two monotonic clocks. It slews (at most `MAX_SLEW`), and steps only where it is off by more than `STEP`. So robots agree
-without anybody's idea of the true time. A robot that becomes the root goes on with the time it has; one that was
-started anew first takes over the time of the others, even where it is to be their root.
+two monotonic clocks. It slews (at most `MAX_SLEW`), and steps only where it is off by more than `STEP`, and for a
+while after that. So robots agree without anybody's idea of the true time. A robot that becomes the root goes on with
+the time it has; one that was started anew first takes over the time of the others, even where it is to be their root.
 
 After FTSP (Maroti et al. 2004: root by smallest id, its flooded sequence number here called epoch) and PulseSync
 (Lenzen et al. 2009). Two-way samples cancel the delay, not its asymmetry: half the difference of the two directions'
@@ -46,6 +46,10 @@ MAX_SLEW = 500e-6
 
 STEP = 0.2
 """s of error above which the clock steps, which happens when it first hears of others, and when swarms merge."""
+
+STEPS_FOR = 10.0
+"""s after such a step in which it steps again rather than slews: it rested on the first sample of each link, whose
+jitter of some ms a hop would take half a minute to slew away."""
 
 SETTLE = 2.0
 """s in which an error decays by e, as far as `MAX_SLEW` allows: with 60 ppm between clocks the lag is 0.12 ms a hop."""
@@ -199,7 +203,11 @@ class LinkClock:
             return Fit(at, mean, skew, best[0][1] / 2, skew_error)
         rest = math.fsum((sample[2] - mean - skew * (sample[0] - at)) ** 2 for sample in best) / (count - 1)
         if fitted:
-            skew_error = math.sqrt(rest / square)
+            # The slope of some noisy samples says less than that quartz clocks hardly differ: the mean of both, each by
+            # what it is worth.
+            share = square / (square + rest / UNKNOWN_SKEW**2)
+            skew *= share
+            skew_error *= math.sqrt(1.0 - share)
         return Fit(at, mean, skew, math.sqrt(rest / count), skew_error)
 
 
@@ -238,6 +246,7 @@ class MeshClock:
         self._own_epoch_at = -math.inf
         self._at = 0.0
         self._offset = 0.0
+        self._steps_until = -math.inf
         self._rate = 0.0
         self._error = 0.0
 
@@ -335,6 +344,8 @@ class MeshClock:
         target = between + claim.offset + claim.rate * (now + between - claim.at)
         error = target - self._offset
         if abs(error) > STEP:
+            self._steps_until = now + STEPS_FOR
+        if now < self._steps_until:
             self._offset, error = target, 0.0
         self._rate = max(-MAX_SLEW, min(MAX_SLEW, error / SETTLE))
         # What is still to be slewed is an error, too.

@@ -45,6 +45,10 @@ class Membership:
         self.changes: deque[MemberChange] = deque(maxlen=KEPT_CHANGES)
         """The newest last."""
 
+    def settle(self, now: float) -> None:
+        """All are here, and have been for long: none of them is news."""
+        self._members = dict.fromkeys(self._members, _State(HERE, 0, now))
+
     def look(
         self,
         routes: Mapping[str, Route],
@@ -59,6 +63,8 @@ class Membership:
         for name, old in self._members.items():
             incarnation = incarnations.get(name, 0) or old.incarnation
             if name in routes and name not in left:
+                if old.state == HERE and old.incarnation == incarnation:
+                    continue
                 self._members[name] = _State(HERE, incarnation, old.since if old.state == HERE else now)
                 if (what := _arrival(old, incarnation)) is not None:
                     changes.append(MemberChange(now, name, what))

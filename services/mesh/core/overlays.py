@@ -138,10 +138,11 @@ class Overlays:
         return True
 
     def settle(self, links: Mapping[str, int], others: Mapping[str, Known], now: float) -> None:
-        """Begin in a swarm that has been there for long, see `LinkState.settle`. Who is there is found out within
-        `MEMBERS_PERIOD`, not by all robots at once."""
+        """Begin in a swarm that has been there for long, see `LinkState.settle`. Robots tell who is there within
+        `MEMBERS_PERIOD`, not all at once."""
         self._now = now
         self._map.settle(links, others, now)
+        self._membership.settle(now)
         self._version = self._map.version
         self._look_at = self._members_at = now + SETTLE + MEMBERS_PERIOD * self._random()
 

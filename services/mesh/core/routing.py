@@ -54,7 +54,7 @@ def routes_by_hops(me: str, own: Mapping[str, int], told: Mapping[str, Mapping[s
     while level:
         hops += 1
         # In the order in which `routes` finds them.
-        for (first, name), time in sorted([((first, name), time) for name, (first, time) in level.items()]):
+        for first, name, time in sorted([(first, name, time) for name, (first, time) in level.items()]):
             found[name] = Route(first, hops, hops, time)
         further: dict[str, tuple[str, int]] = {}
         for name, (first, time) in level.items():

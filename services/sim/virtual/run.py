@@ -50,9 +50,23 @@ MAX_FROM_START = 50
 _NEVER = float("inf")
 
 
+@contextlib.contextmanager
+def _without_looking_for_garbage() -> Iterator[None]:
+    """The robots live to the end and make no circles: going through millions of their objects again and again takes a
+    third of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
 class Run:
     """Runs a scenario until its end."""
 
+    @_without_looking_for_garbage()
     def __init__(self, options: Options, scenario: Scenario, *, rows: bool = False) -> None:
         """`rows`: keep the states of all iterations for the outcome, not only the last."""
         self._options = options
@@ -90,6 +104,7 @@ class Run:
         self.computed = 0.0
         """s of real time that it took."""
 
+    @_without_looking_for_garbage()
     def go(self) -> Outcome:
         """The whole run."""
         with broken_off():
@@ -111,8 +126,7 @@ class Run:
                 world.start_app(name, launch, after=self._late.get(name, 0.0))
         else:
             self._first_done()
-        with _without_looking_for_garbage():
-            self._watch()
+        self._watch()
         ended_at = world.time.now
         for recording in self._recordings:
             recording.close()
@@ -268,19 +282,6 @@ class Run:
 def _has_no_steps(teller: Teller) -> bool:
     """Whether it waits for events alone."""
     return isinstance(teller, VirtualEventHost) and teller.runner.period is None
-
-
-@contextlib.contextmanager
-def _without_looking_for_garbage() -> Iterator[None]:
-    """The robots live to the end and make no circles: going through millions of their objects again and again takes a
-    third of the time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def simulate(*arguments: str, rows: bool = False) -> tuple[Json, Outcome]:
