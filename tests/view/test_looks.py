@@ -179,6 +179,22 @@ def test_all_can_be_reached_by_keys(page: Any) -> None:
     until(page, f"swarmView.map.shown.scale === {before['scale']}")
 
 
+def test_a_chart_out_of_sight_is_drawn_when_it_comes_back(page: Any) -> None:
+    page.evaluate("swarmView.charts.open('app/consensus/state', ['state', 'value'])")
+    expect(page.locator(".chart .u-title")).to_be_visible(timeout=PATIENCE_MS)
+    until(page, "[...swarmView.charts.charts.values()].every((chart) => chart.plot && !chart.stale)")
+    page.evaluate("scrollTo(0, 0)")
+    stale = "[...swarmView.charts.charts.values()].some((chart) => chart.stale)"
+    until(page, "swarmView.charts.outside.size === 1")
+    page.evaluate("swarmView.charts.charts.values().next().value.stale = true")
+    page.evaluate("swarmView.charts.draw(Infinity)")
+    assert page.evaluate(stale)
+    page.locator(".chart").scroll_into_view_if_needed()
+    until(page, "swarmView.charts.outside.size === 0")
+    page.evaluate("swarmView.charts.draw(Infinity)")
+    assert not page.evaluate(stale)
+
+
 def test_names_of_fields_are_those_of_the_message(page: Any) -> None:
     tell(page, r0={"balancer/display": {"t": AT, "lines": ["r0", "value 2.5"]}})
     page.locator("tr[data-robot=r0]").click()
