@@ -2,11 +2,14 @@
 
 One simulation is watched and left alone by turns; iterations and the balancers' lateness of both come from its
 recordings, so that nothing else than the watching differs. Browser and server run on the same machine as the robots
-here, which they do not in a lab: what they take from the robots is in the pairs too.
+here, which they do not in a lab: what they take from the robots is in these pairs too. So there is a second simulation
+that has one core to itself, watched and not, while server and browser have another one: what is left then is what
+watching costs the robots' own processes.
 """
 
 import asyncio
 import contextlib
+import os
 import statistics
 import subprocess
 import sys
@@ -26,7 +29,7 @@ from swarm.view import chromium
 
 NAMES = tuple(f"r{index}" for index in range(6))
 SIZE = (1400, 1000)
-TURNS = 4
+TURNS = 3
 TURN_S = 10.0
 SETTLE_S = 3.0
 """For the page to load, and for the swarm to be alone again."""
@@ -56,15 +59,28 @@ NOTE = """(() => {
   };
 })()"""
 
+# How many frames a second the page comes to where each one is wanted, as while robots drive.
+FRAMES = """new Promise((resolve) => {
+  const begin = performance.now();
+  let frames = 0;
+  const next = (now) => {
+    swarmView.map.draw(now);
+    if (now > begin + 2000) resolve((1000 * frames) / (now - begin));
+    frames += 1;
+    requestAnimationFrame(next);
+  };
+  requestAnimationFrame(next);
+})"""
+
 
 @dataclass
 class Seen:
     """What the turns with a page found."""
 
     frames: list[float] = field(default_factory=list)
-    """A second."""
+    """A second, where all are wanted."""
     drawn: list[float] = field(default_factory=list)
-    """Of them those that had to be drawn."""
+    """Those that had to be drawn."""
     browser: list[float] = field(default_factory=list)
     """Cores."""
     server: list[float] = field(default_factory=list)
@@ -74,28 +90,19 @@ class Seen:
 
 def rows() -> Iterator[Row]:
     """Measure; yields rows as they are there."""
-    seen, alone, watched = Seen(), list[tuple[float, float]](), list[tuple[float, float]]()
-    with Simulation("consensus", "--robots", "6", "--seconds", "3600") as simulation:
-        simulation.wait_for("r0", 60, timeout_s=120.0)
-        for _ in range(TURNS):
-            asyncio.run(asyncio.sleep(SETTLE_S))
-            begin = clock.now()
-            asyncio.run(asyncio.sleep(TURN_S))
-            alone.append((begin, clock.now()))
-            watched.append(_turn(["--run-dir", str(simulation.run_dir)], TURN_S, seen))
-        iterations = [_iterations(simulation.records, windows) for windows in (alone, watched)]
-        lateness = [_lateness(simulation.records, windows) for windows in (alone, watched)]
+    seen = Seen()
     middle = statistics.median
+    pairs = _pairs("watched", seen)
     yield Row("6 robots, a frame of the page", 1 / middle(seen.frames), "s", FRAME_S, 1.0)
     yield Row("6 robots, frames that had to be drawn", middle(seen.drawn), "1/s", 60.0, None)
     yield Row("6 robots, browser", middle(seen.browser), "cores", BROWSER, 1.0)
     yield Row("6 robots, server", middle(seen.server), "cores", SERVER, 1.0)
     yield Row("robot to screen, half of them", middle(seen.ages), "s", SCREEN_S, 1.0)
     yield Row("robot to screen, 99 %", sorted(seen.ages)[int(0.99 * len(seen.ages))], "s", SCREEN_S, 1.0)
-    for name, (left, looked) in (("a lockstep iteration", iterations), ("lateness of balancers, p99", lateness)):
-        noise = (max(left) - min(left)) / middle(left)
-        yield Row(f"{name}: unwatched, spread of the turns", noise, "1", 1.0, None)
-        yield Row(f"{name}: watched beside unwatched", middle(looked), "s", middle(left), 1.0 + max(0.05, noise))
+    yield from pairs
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) > 1:
+        yield from _pairs("watched from a core of its own", Seen(), (cores[0], cores[-1]))
     with tempfile.TemporaryDirectory(prefix="swarm-") as folder:
         options = ["--virtual", "--robots", str(CROWD), "--seconds", str(CROWD_S + 2 * SETTLE_S), "--record", folder]
         command = [sys.executable, "-m", "swarm.cli", "sim", "consensus", *options]
@@ -105,6 +112,35 @@ def rows() -> Iterator[Row]:
     yield Row(f"{CROWD} robots of a recording, a frame", 1 / crowd.frames[0], "s", CROWD_FRAME_S, 1.0)
     yield Row(f"{CROWD} robots of a recording, browser", crowd.browser[0], "cores", 1.0, None)
     yield Row(f"{CROWD} robots of a recording, server", crowd.server[0], "cores", SERVER, None)
+
+
+def _pairs(how: str, seen: Seen, cores: tuple[int, int] | None = None) -> list[Row]:
+    """Six robots, watched and left alone by turns. With `cores` the robots have the first, who watches the second."""
+    alone, watched = list[tuple[float, float]](), list[tuple[float, float]]()
+    free = os.sched_getaffinity(0)
+    try:
+        if cores is not None:
+            os.sched_setaffinity(0, cores[:1])  # for all that is started from now on
+        with Simulation("consensus", "--robots", "6", "--seconds", "3600") as simulation:
+            if cores is not None:
+                os.sched_setaffinity(0, cores[1:])
+            simulation.wait_for("r0", 60, timeout_s=120.0)
+            for _ in range(TURNS):
+                asyncio.run(asyncio.sleep(SETTLE_S))
+                begin = clock.now()
+                asyncio.run(asyncio.sleep(TURN_S))
+                alone.append((begin, clock.now()))
+                watched.append(_turn(["--run-dir", str(simulation.run_dir)], TURN_S, seen))
+            iterations = [_iterations(simulation.records, windows) for windows in (alone, watched)]
+            lateness = [_lateness(simulation.records, windows) for windows in (alone, watched)]
+    finally:
+        os.sched_setaffinity(0, free)
+    rows, middle = [], statistics.median
+    for name, (left, looked) in (("a lockstep iteration", iterations), ("lateness of balancers, p99", lateness)):
+        noise = (max(left) - min(left)) / middle(left)
+        rows.append(Row(f"{name}: unwatched, spread of the turns", noise, "1", 1.0, None))
+        rows.append(Row(f"{name}: {how} beside unwatched", middle(looked), "s", middle(left), 1.0 + max(0.05, noise)))
+    return rows
 
 
 def _turn(arguments: list[str], seconds: float, seen: Seen) -> tuple[float, float]:
@@ -131,8 +167,8 @@ async def _watch(address: str, server: int, seconds: float, seen: Seen) -> tuple
         begin, first = clock.now(), await _counts(page, server)
         await asyncio.sleep(seconds)
         end, last = clock.now(), await _counts(page, server)
-        frames, drawn, browser, served = ((b - a) / (end - begin) for a, b in zip(first, last, strict=True))
-        seen.frames.append(frames)
+        drawn, browser, served = ((b - a) / (end - begin) for a, b in zip(first, last, strict=True))
+        seen.frames.append(await page.evaluate(FRAMES))
         seen.drawn.append(drawn)
         seen.browser.append(browser)
         seen.server.append(served)
@@ -140,10 +176,9 @@ async def _watch(address: str, server: int, seconds: float, seen: Seen) -> tuple
         return begin, end
 
 
-async def _counts(page: chromium.Page, server: int) -> tuple[float, float, float, float]:
-    """Frames, those drawn, CPU time of browser and server, s."""
-    frames, drawn = await page.evaluate("[swarmView.map.frames, swarmView.map.drawn]")
-    return frames, drawn, sum(map(cpu_s, _group(page.pid))), cpu_s(server)
+async def _counts(page: chromium.Page, server: int) -> tuple[float, float, float]:
+    """Frames drawn, CPU time of browser and server, s."""
+    return await page.evaluate("swarmView.map.drawn"), sum(map(cpu_s, _group(page.pid))), cpu_s(server)
 
 
 def _group(leader: int) -> list[int]:

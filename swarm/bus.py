@@ -8,6 +8,7 @@ waits for a router that is not there yet, and survives its restart. Never fork w
 child everything hangs.
 """
 
+import contextlib
 import ctypes
 import logging
 import os
@@ -72,6 +73,39 @@ class Router:
         self.close()
 
 
+class Subscription:
+    """What a client has asked to hear; until closed."""
+
+    def __init__(self, kept: "set[Subscription]") -> None:
+        """`kept`: where it is held until then; what nobody holds, Zenoh undeclares."""
+        kept.add(self)
+        self._kept = kept
+        self._lock = threading.Lock()
+        self._closed = False
+        self._subscribers: list[zenoh.Subscriber[None]] = []
+
+    def declare(self, session: zenoh.Session, key: str, handle: Callable[[zenoh.Sample], None]) -> None:
+        """Begin to hear a key, unless it has been closed meanwhile."""
+        if self._closed:
+            return
+        subscriber = session.declare_subscriber(key, _direct(handle), allowed_origin=zenoh.Locality.REMOTE)
+        with self._lock:
+            if not self._closed:
+                self._subscribers.append(subscriber)
+                return
+        subscriber.undeclare()
+
+    def close(self) -> None:
+        """Hear no more; safe to call twice, not from within a callback."""
+        with self._lock:
+            self._closed = True
+            subscribers, self._subscribers = self._subscribers, []
+        self._kept.discard(self)
+        for subscriber in subscribers:
+            with contextlib.suppress(zenoh.ZError):  # with its session, or before it
+                subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
 class Bus:
     """A client session of one robot's router.
 
@@ -87,6 +121,7 @@ class Bus:
         self._lock = threading.Lock()
         self._pending: list[Callable[[zenoh.Session], object]] = []
         self._kept: list[object] = []
+        self._subscriptions: set[Subscription] = set()
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
@@ -154,18 +189,17 @@ class Bus:
             )
         return publisher
 
-    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> None:
-        """Call `callback(key, payload)` for every sample of other sessions; see above for callbacks."""
+    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
+        """Call `callback(key, payload)` for every sample of other sessions, until what is returned, or this client, is
+        closed; see above for callbacks."""
+        subscription = Subscription(self._subscriptions)
 
         def handle(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.payload.to_bytes())
 
         for key in map(_checked_key, (keys,) if isinstance(keys, str) else keys):
-            self._declare(
-                lambda session, key=key: session.declare_subscriber(  # type: ignore[misc]
-                    key, _direct(handle), allowed_origin=zenoh.Locality.REMOTE
-                )
-            )
+            self._declare(lambda session, key=key: subscription.declare(session, key, handle))  # type: ignore[misc]
+        return subscription
 
     def serve(self, key: str, answer: OnQuery) -> None:
         """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""
@@ -231,6 +265,7 @@ class Bus:
             # where it harms nobody.
             self._opener.join(_OPENING)
         self._kept.clear()
+        self._subscriptions.clear()
 
     def __enter__(self) -> "Bus":
         return self
@@ -249,7 +284,8 @@ class Bus:
 
     def _keep(self, session: zenoh.Session, declaration: Callable[[zenoh.Session], object]) -> None:
         try:
-            self._kept.append(declaration(session))
+            if (declared := declaration(session)) is not None:
+                self._kept.append(declared)
         except zenoh.ZError as error:
             if not self._closed:
                 _log.error("the bus refused a declaration: %s", _text(error))
@@ -345,4 +381,4 @@ def _text(error: Exception) -> str:
     return str(error).partition(" at /")[0]
 
 
-__all__ = ["BINARY", "MSGPACK", "Bus", "Router", "client_config", "router_config"]
+__all__ = ["BINARY", "MSGPACK", "Bus", "Router", "Subscription", "client_config", "router_config"]

@@ -27,7 +27,7 @@ class BusLike(Protocol):
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """Send a message dataclass or raw bytes; silently lost while the router is away."""
 
-    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> None:
+    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> object:
         """Call `callback(key, payload)` for every sample of other sessions."""
 
     def serve(self, key: str, answer: OnQuery) -> None:

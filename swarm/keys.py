@@ -59,6 +59,18 @@ def parse(text: str) -> Key:
     return Key(parts[1], parts[2], "/".join(parts[3:]))
 
 
+def whose_token(text: str) -> tuple[str, str]:
+    """Robot and service of a liveliness token, e.g. ("r0", "app/consensus") of `swarm/r0/app/consensus/alive`.
+
+    Raises `PayloadError` for a key that is no such token's.
+    """
+    robot, service, topic = parse(text)
+    *more, last = topic.split("/")
+    if last != "alive":
+        raise PayloadError(f"key {text!r}: expected swarm/<robot>/<service>/alive")
+    return robot, "/".join((service, *more))
+
+
 def is_name(text: str) -> bool:
     """Whether `text` may name a robot or an app: a lower-case letter, then up to 15 of a-z, 0-9, _ and -."""
     return _NAME.fullmatch(text) is not None

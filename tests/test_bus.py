@@ -73,6 +73,22 @@ def test_own_messages_do_not_come_back(open_bus: Open) -> None:
 
 
 @pytest.mark.usefixtures("router")
+def test_what_is_heard_no_more(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    once, on = Samples(), Samples()
+    unused = bob.subscribe("swarm/r0/test/y", once)
+    unused.close()  # declared or not yet
+    subscription = bob.subscribe(["swarm/r0/test/x", "swarm/r0/test/y"], once)
+    talk(alice, "swarm/r0/test/x", once)
+    subscription.close()
+    subscription.close()
+    bob.subscribe("swarm/r0/test/x", on)
+    heard = len(once)
+    talk(alice, "swarm/r0/test/x", on, b"later")
+    assert len(once) == heard
+
+
+@pytest.mark.usefixtures("router")
 def test_several_keys_one_callback(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()

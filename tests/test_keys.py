@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from swarm import paths
 from swarm.errors import BusError, LocalError, PayloadError
-from swarm.keys import MAX_KEY_LENGTH, Key, is_name, key, parse
+from swarm.keys import MAX_KEY_LENGTH, Key, is_name, key, parse, whose_token
 
 CHUNK = st.from_regex(r"[A-Za-z0-9_.:-]{1,12}", fullmatch=True)
 
@@ -42,6 +42,14 @@ def test_foreign_keys_are_refused(text: str) -> None:
     with pytest.raises(PayloadError) as caught:
         parse(text)
     assert len(str(caught.value)) < 400
+
+
+def test_a_token_names_its_service() -> None:
+    assert whose_token("swarm/r0/mesh/alive") == ("r0", "mesh")
+    assert whose_token("swarm/r0/app/consensus/alive") == ("r0", "app/consensus")
+    for text in ("swarm/r0/mesh/links", "swarm/r0/alive", "swarm/r0/alive/mesh", "swarm/r0/mesh/*/alive"):
+        with pytest.raises(PayloadError):
+            whose_token(text)
 
 
 def test_the_longest_key() -> None:

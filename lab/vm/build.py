@@ -11,6 +11,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,7 @@ TOOLS = {
     "depmod": "kmod",
     "mke2fs": "e2fsprogs",
     "xz": "xz-utils",
+    "objcopy": "binutils",
     "ssh-keygen": "openssh-client",
 }
 """Programs that the lab needs, and the Debian packages that have them."""
@@ -70,9 +72,13 @@ def image() -> Image:
         raise LocalError(f"this host cannot run the lab: {lacking}")
     mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
     of = [Path(recipe.__file__), Path(debian.__file__), recipe.GUEST / "boot"]
-    base = _kept("base-" + recipe.digest(mirror, *map(Path.read_bytes, of)), lambda folder: debian.make(folder, mirror))
+    system = "base-" + recipe.digest(mirror, *map(Path.read_bytes, of))
     parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]
-    made = _kept("image-" + recipe.digest(base.name, *map(_content, parts)), lambda folder: _image(folder, base))
+    name = "image-" + recipe.digest(system, *map(_content, parts))
+    with ThreadPoolExecutor() as pool:
+        root = pool.submit(_kept, system, lambda folder: debian.make(folder, mirror))
+        made = _kept(name, lambda folder: _image(folder, root))
+        base = root.result()
     return Image(made / "disk.ext4", base / "vmlinuz", base / "initrd.gz", made / "ssh_key")
 
 
@@ -93,7 +99,8 @@ def _kept(name: str, make: Callable[[Path], None]) -> Path:
     folder = cache()
     folder.mkdir(parents=True, exist_ok=True)
     wanted = folder / name
-    with _locked(folder / "lock"):
+    kind = name.split("-")[0]
+    with _locked(folder / f"{kind}.lock"):
         if not wanted.is_dir():
             with tempfile.TemporaryDirectory(dir=folder, prefix="making-") as work:
                 made = Path(work) / "made"
@@ -102,7 +109,7 @@ def _kept(name: str, make: Callable[[Path], None]) -> Path:
                 made.rename(wanted)
         os.utime(wanted)
         newest = wanted.stat().st_mtime
-        for old in folder.glob(f"{name.split('-')[0]}-*"):
+        for old in folder.glob(f"{kind}-*"):
             if old.stat().st_mtime < newest - 86400:
                 shutil.rmtree(old)
     return wanted
@@ -130,7 +137,8 @@ rm /etc/systemd/system/swarm-balancer.service.d/90-lab.conf /etc/swarm/swarm.tom
 """The release's own installation, which looks whether all services run; then no robot is made of it yet: a test that
 wants one runs /opt/release/install again, which finds the release unpacked."""
 
-CONFIG = """network = "lab"
+NO_MODULE = "/dev/ttyS9"
+CONFIG = f"""network = "lab"
 [topology]
 edges = []
 [[robots]]
@@ -139,20 +147,22 @@ link = "tcp:127.0.0.1:5501"
 [mesh]
 listen = "127.0.0.1:5501"
 [dwm]
-source = "serial:/dev/ttyS9"
+source = "serial:{NO_MODULE}"
 """
+"""Of a robot alone."""
 
 
-def _image(folder: Path, base: Path) -> None:
-    """disk.ext4: the root with the release installed, by its own `install` under systemd in a container."""
+def _image(folder: Path, base: Future[Path]) -> None:
+    """disk.ext4: the root with the release installed, by its own `install` under systemd in a container. The release is
+    made while the base may still be on its way."""
+    artefact = sh(ROOT / "deploy/release", "--machine", recipe.MACHINE, "--python", recipe.PYTHON, folder).split()[-1]
+    sh("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "lab", "-f", folder / "ssh_key")
     root = folder / "root"
     root.mkdir()
-    sh("tar", "-C", root, "-xf", base / "root.tar")
-    sh("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "lab", "-f", folder / "ssh_key")
+    sh("tar", "-C", root, "-xf", base.result() / "root.tar")
     _furnish(root, (folder / "ssh_key.pub").read_text())
     unpacked = root / "opt/release"
     unpacked.mkdir(parents=True)
-    artefact = sh(ROOT / "deploy/release", "--machine", recipe.MACHINE, "--python", recipe.PYTHON, folder).split()[-1]
     sh("tar", "-C", unpacked, "--strip-components=1", "-xf", artefact)
     Path(artefact).unlink()
     (unpacked / "lab.toml").write_text(CONFIG)

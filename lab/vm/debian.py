@@ -4,6 +4,7 @@ import gzip
 import os
 import shutil
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from lab.vm import recipe
@@ -23,22 +24,31 @@ def sh(*words: object, **more: str) -> str:
 def make(folder: Path, mirror: str) -> None:
     """root.tar with the kernel's modules in it, vmlinuz, initrd.gz, and `packages` with what they are made of."""
     kernel, root = folder / "kernel", folder / "root"
-    sh("mmdebstrap", "--quiet", "--variant=extract", "--include=linux-image-amd64", recipe.SUITE, kernel, mirror)
-    drop = [f"--dpkgopt=path-exclude=/usr/share/{name}/*" for name in ("doc", "man", "locale")]
-    include = f"--include={','.join(recipe.PACKAGES)}"
-    options = ["--quiet", "--variant=minbase", include, *drop, "--aptopt=Acquire::Languages none"]
-    sh("mmdebstrap", *options, recipe.SUITE, root, mirror, SOURCE_DATE_EPOCH=recipe.EPOCH)
-    (version,) = [path.name for path in (kernel / "usr/lib/modules").iterdir()]
-    if not (kernel / "lib").exists():
-        (kernel / "lib").symlink_to("usr/lib")
+    with ThreadPoolExecutor() as pool:
+        made = pool.submit(_kernel, kernel, mirror)
+        drop = [f"--dpkgopt=path-exclude=/usr/share/{name}/*" for name in ("doc", "man", "locale")]
+        include = f"--include={','.join(recipe.PACKAGES)}"
+        options = ["--quiet", "--variant=minbase", include, *drop, "--dpkgopt=force-unsafe-io"]
+        languages = "--aptopt=Acquire::Languages none"
+        sh("mmdebstrap", *options, languages, recipe.SUITE, root, mirror, SOURCE_DATE_EPOCH=recipe.EPOCH)
+        version = made.result()
     shutil.copy(kernel / f"boot/vmlinuz-{version}", folder / "vmlinuz")
-    sh("depmod", "-b", kernel, version)
     _modules(kernel, root, version)
     _ramdisk(folder, kernel, version)
     (folder / "packages").write_text(sh("dpkg-query", f"--admindir={root}/var/lib/dpkg", "--show") + version + "\n")
     sh("tar", "-C", root, "--sort=name", f"--mtime=@{recipe.EPOCH}", "--numeric-owner", "-cf", folder / "root.tar", ".")
     shutil.rmtree(kernel)
     shutil.rmtree(root)
+
+
+def _kernel(folder: Path, mirror: str) -> str:
+    """The kernel's package unpacked in that folder, its modules' dependencies worked out; its version."""
+    sh("mmdebstrap", "--quiet", "--variant=extract", "--include=linux-image-amd64", recipe.SUITE, folder, mirror)
+    if not (folder / "lib").exists():
+        (folder / "lib").symlink_to("usr/lib")
+    (version,) = [path.name for path in (folder / "usr/lib/modules").iterdir()]
+    sh("depmod", "-b", folder, version)
+    return version
 
 
 def _closure(kernel: Path, version: str, modules: tuple[str, ...]) -> list[Path]:
@@ -53,13 +63,15 @@ def _closure(kernel: Path, version: str, modules: tuple[str, ...]) -> list[Path]
 
 
 def _unpacked(file: Path, to: Path) -> None:
-    """A module, stored unpacked: unpacking is slow in an emulated machine."""
+    """A module, stored unpacked and without signature and types, each of which takes seconds in an emulated machine."""
     to.parent.mkdir(parents=True, exist_ok=True)
     if file.suffix == ".xz":
-        with to.with_suffix("").open("wb") as out:
+        to = to.with_suffix("")
+        with to.open("wb") as out:
             subprocess.run(["xz", "-dc", str(file)], stdout=out, check=True)
     else:
         shutil.copy(file, to)
+    sh("objcopy", "--strip-debug", "--remove-section=.BTF", to)
 
 
 def _modules(kernel: Path, root: Path, version: str) -> None:

@@ -37,6 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
 
+def announce(address: str, *, browse: bool) -> None:
+    """Tell the user where the page is, and open it."""
+    print(f"{address}\nend with Ctrl-C", flush=True)
+    if browse:
+        webbrowser.open(address)
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     try:
@@ -83,9 +90,7 @@ def run(args: argparse.Namespace) -> int:
                 print(args.screenshot)
                 ended.set()
                 return
-            print(f"{address}\nend with Ctrl-C", flush=True)
-            if not args.no_open:
-                webbrowser.open(address)
+            announce(address, browse=not args.no_open)
 
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ended.set)

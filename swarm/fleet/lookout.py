@@ -6,7 +6,8 @@ and no queue:
     ["bus", there]               whether there is a bus, at first and when that changes
     ["key", key, payload]        a message
     ["alive", key, there]        a service's token
-    ["passed", robot, count]     messages of that robot's synchronous or asynchronous apps that its mesh brought here
+    ["passed", robot, count]     messages of that robot's synchronous or asynchronous apps that the mesh brought here,
+                                 as long as they are few (`swarm.fleet.traffic`)
 
 In come arrays `[key, payload]`, to be published. It ends when its input does, so nothing stays behind on a robot.
 """
@@ -20,9 +21,11 @@ from collections.abc import Callable
 
 import msgpack
 
+from swarm import clock
 from swarm.bus import Bus
 from swarm.errors import LocalError, PayloadError
-from swarm.keys import EVERYTHING, STOP, key, parse
+from swarm.fleet.traffic import Traffic
+from swarm.keys import STOP, key, parse
 from swarm.paths import runtime_dir
 
 RATE = 10.0
@@ -36,39 +39,41 @@ TOLD_ONCE = (
 )  # fmt: skip
 """Keys below a robot's name that are told on change and answer questions: who comes late asks."""
 
+TOLD = (
+    "*/*", "*/set/*", "app/*/*", "app/*/set/*", "app/*/*/state", "app/*/*/progress", "app/*/*/epoch", "app/*/out/**",
+)  # fmt: skip
+"""Keys below a robot's name that are for people too: all but what apps send to each other, which would cost the bus
+more than the rest together (`swarm.fleet.traffic`)."""
+
 _ANSWER_S = 2.0
-_BETWEEN_APPS = ("flood", "send")
-_COUNTED = ("sync", "latest")
 
 
 class Lookout:
     """What is new since it was told last."""
 
-    def __init__(self, robot: str) -> None:
-        self._robot = robot
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._keys: dict[str, bytes] = {}
         self._alive: dict[str, bool] = {}
         self._passed: dict[str, int] = {}
-        self._changed: set[str] = set()
         self._bus: bool | None = None
 
     def take(self, name: str, payload: bytes) -> None:
         """A sample of the bus."""
         try:
-            robot, service, topic = parse(name)
+            _, service, topic = parse(name)
         except PayloadError:
             return
-        kind = topic.split("/")[1:2]
+        if service == "app" and topic.endswith("/flood"):
+            return
         with self._lock:
-            if service == "app" and kind and kind[0] in _COUNTED:
-                if robot != self._robot and (robot in self._passed or len(self._passed) < MAX_KEYS):
-                    self._passed[robot] = self._passed.get(robot, 0) + 1
-                    self._changed.add(robot)
-            elif service == "app" and kind and kind[0] in _BETWEEN_APPS:
-                return
-            elif name in self._keys or len(self._keys) < MAX_KEYS:
+            if name in self._keys or len(self._keys) < MAX_KEYS:
                 self._keys[name] = payload
+
+    def passed(self, sender: str, count: int) -> None:
+        """So many messages of that robot's apps have come so far."""
+        with self._lock:
+            self._passed[sender] = count
 
     def alive(self, name: str, there: bool) -> None:
         """A service's process has come or gone."""
@@ -86,22 +91,22 @@ class Lookout:
             said: list[list[object]] = [] if self._bus is None else [["bus", self._bus]]
             said += (["alive", name, there] for name, there in self._alive.items())
             said += (["key", name, payload] for name, payload in self._keys.items())
-            said += (["passed", robot, self._passed[robot]] for robot in self._changed)
+            said += (["passed", robot, count] for robot, count in self._passed.items())
             self._bus = None
             self._alive.clear()
             self._keys.clear()
-            self._changed.clear()
+            self._passed.clear()
         return b"".join(msgpack.packb(each) for each in said)
 
 
 def watch(bus: Bus, robot: str, take: Callable[[str, bytes], None], alive: Callable[[str, bool], None]) -> None:
-    """Hear all of a robot's bus from now on, and what was said before and still holds."""
+    """Hear what is said on a robot's bus from now on, and what was said before and still holds."""
 
     def ask(connected: bool) -> None:
         for topic in TOLD_ONCE if connected else ():
             bus.ask(key(robot, *topic.split("/")), take, timeout_s=_ANSWER_S)
 
-    bus.subscribe(EVERYTHING, take)
+    bus.subscribe([key("*", *topic.split("/")) for topic in TOLD], take)
     bus.watch(key("*", "**", "alive"), alive)
     bus.on_change(ask)
 
@@ -117,14 +122,16 @@ def publish(bus: Bus, command: object) -> None:
 def main() -> None:
     """For the robot that this is."""
     robot = sys.argv[1]
-    lookout = Lookout(robot)
+    lookout = Lookout()
     commands = msgpack.Unpacker(max_buffer_size=16 * MAX_COMMAND)
     with Bus.of(runtime_dir()) as bus:
         lookout.bus(bus.wait_connected(1.0))
         bus.on_change(lookout.bus)
         watch(bus, robot, lookout.take, lookout.alive)
+        traffic = Traffic(bus, robot, lookout.passed)
         with contextlib.suppress(BrokenPipeError):
             while True:
+                traffic.look(clock.now())
                 if select.select([sys.stdin], [], [], 1.0 / RATE)[0]:
                     data = os.read(sys.stdin.fileno(), MAX_COMMAND)
                     if not data:

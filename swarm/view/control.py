@@ -18,6 +18,8 @@ from swarm.view.feed import Live, Publisher, Simulation
 REASON = "the page of swarm view"
 PRESS_S = 0.3
 MAX_CUT_S = 600.0
+ANSWER_S = 5.0
+"""s for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
 
 
 class Control:
@@ -27,6 +29,8 @@ class Control:
         self._feed = feed
         self.allowed = allowed
         self._wanted: bool | None = None
+        self._asked: dict[tuple[str, str], tuple[SetAppParameters, float]] = {}
+        """What apps have not answered yet: by robot and app, and until when they are asked."""
         self._acts: dict[str, Callable[[Mapping[str, Any]], str]] = {
             "stop": lambda _: self._halt(stop=True),
             "arm": lambda _: self._halt(stop=False),
@@ -54,7 +58,8 @@ class Control:
             raise LocalError(f"{asked.get('act')}: {error.strerror or error}") from None
 
     def repeat(self) -> None:
-        """Give a stop, or its end, again to robots that have not confirmed it: a bus may lose it."""
+        """Say again what robots have not confirmed, a stop or its end or parameters: a bus may lose it."""
+        self._ask_again()
         if self._wanted is None:
             return
         with self._feed.lock:
@@ -110,12 +115,34 @@ class Control:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
         if not is_name(app) or not isinstance(value, bool | int | float | str):
             raise LocalError("set: expected the name of an app and a number, a text, true or false")
-        robots = self._robots(asked)
+        robots = [robot for robot in self._robots(asked) if self._feed.buses[robot].connected]
+        if not robots:
+            raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
         values: dict[str, Value] = {name: value}
         for robot in robots:
             request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
-            self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
-        return f"{app}: {name}={value} asked of {' '.join(robots)}"
+            self._asked[robot, app] = request, clock.now() + ANSWER_S
+            self._ask(robot, app, request)
+        config = self._feed.config
+        others = [robot for robot in config.names if robot not in robots] if config and not asked.get("robot") else []
+        alone = f", not of {' '.join(others)}: they are not reached" if others else ""
+        return f"{app}: {name}={value} asked of {' '.join(robots)}{alone}"
+
+    def _ask(self, robot: str, app: str, request: SetAppParameters) -> None:
+        self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
+
+    def _ask_again(self) -> None:
+        for (robot, app), (request, until) in list(self._asked.items()):
+            with self._feed.lock:
+                answer = self._feed.picture.newest(robot, f"app/{app}/parameters_set")
+                answered = isinstance(answer, dict) and answer.get("ticket") == request.ticket
+                if late := not answered and clock.now() > until:
+                    said = ", ".join(f"{name}={value}" for name, value in request.parameters.items())
+                    self._feed.picture.note(self._feed.now(), robot, "warning", f"app/{app} has not answered: {said}")
+            if not answered and not late:
+                self._ask(robot, app, request)
+            elif self._asked.get((robot, app), (None,))[0] is request:  # none newer came meanwhile
+                del self._asked[robot, app]
 
     def _order(self, act: str, asked: Mapping[str, Any]) -> str:
         return orders.give(self._run_dir(), act, str(asked["app"]), self._robots(asked))

@@ -11,6 +11,8 @@ from swarm.config import parse
 from swarm.config.types import Config
 from swarm.errors import LocalError, SwarmError
 from swarm.fleet.lookout import watch
+from swarm.fleet.traffic import Traffic
+from swarm.keys import whose_token
 from swarm.paths import bus_endpoint
 from swarm.simulations import CONFIG, is_live, robots
 from swarm.view.picture import Picture
@@ -21,6 +23,10 @@ _LOOK_EVERY = 0.5
 
 class Publisher(Protocol):
     """The way to a robot's bus."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether it is there at this moment."""
 
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """Send a message dataclass or raw bytes; silently lost while the bus is away."""
@@ -108,6 +114,7 @@ class Simulation(RealTime):
         """The swarm's configuration; None as long as it is not there."""
         self.buses: dict[str, Bus] = {}
         """Of each robot."""
+        self._traffic: list[Traffic] = []
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="feed", daemon=True)
         self._thread.start()
@@ -129,11 +136,19 @@ class Simulation(RealTime):
             self.live = is_live(self.directory)
             if self.config is None:
                 self.config = config_of(self.directory)
-            for name, runtime in robots(self.directory).items():
-                if name not in self.buses:
-                    bus = Bus(bus_endpoint(runtime))
-                    self.buses = {**self.buses, name: bus}  # others may be going through it
-                    watch(bus, name, self._taker(name), self._alive)
+            if self.config is None or not self.buses.keys() >= set(self.config.names):
+                self._join()
+            for each in self._traffic:
+                each.look(self.now())
+
+    def _join(self) -> None:
+        """Watch the buses that have come."""
+        for name, runtime in robots(self.directory).items():
+            if name not in self.buses:
+                bus = Bus(bus_endpoint(runtime))
+                self.buses = {**self.buses, name: bus}  # others may be going through it
+                watch(bus, name, self._taker(name), self._alive)
+                self._traffic.append(Traffic(bus, name, self._counter(name)))
 
     def _taker(self, robot: str) -> Callable[[str, bytes], None]:
         def take(key: str, payload: bytes) -> None:
@@ -142,10 +157,17 @@ class Simulation(RealTime):
 
         return take
 
+    def _counter(self, robot: str) -> Callable[[str, int], None]:
+        def passed(sender: str, count: int) -> None:
+            with self.lock:
+                self.picture.passed(sender, robot, count)
+
+        return passed
+
     def _alive(self, key: str, there: bool) -> None:
-        _, robot, *service, _ = key.split("/")
+        robot, service = whose_token(key)
         with self.lock:
-            self.picture.alive(robot, "/".join(service), there, self.now())
+            self.picture.alive(robot, service, there, self.now())
 
 
 def config_of(directory: Path) -> Config | None:

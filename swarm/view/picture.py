@@ -33,6 +33,10 @@ TRAIL_S = 30.0
 """How much of its way a robot draws behind it, s."""
 
 
+AT_ONCE = frozenset(("sim/truth", "sim/leds", "balancer/leds"))
+"""Topics of what moves on the map: a page is told of them as often as it can draw them. Where no true pose is known
+`dwm/pose` is one of them."""
+
 REACH = "view/reach"
 """What this side says of a real robot: `by` ssh, the mesh or nothing, and `why`."""
 
@@ -46,6 +50,24 @@ class Event(NamedTuple):
     level: str
     """`info`, `warning` or `error`."""
     text: str
+
+
+_NOTHING = object()
+"""In place of what could not be decoded."""
+
+_TOLD = frozenset(("mesh/links", "mesh/stopped", "balancer/fault", REACH))
+_TOLD_OF_ALL = ("/status", "/progress")
+"""Topics, and the ends of others, that events come from."""
+
+
+class _Packed:
+    """A sample as it came, and what it says once somebody has asked."""
+
+    __slots__ = ("payload", "value")
+
+    def __init__(self, payload: bytes) -> None:
+        self.payload = payload
+        self.value: object = None
 
 
 class Picture:
@@ -64,27 +86,21 @@ class Picture:
         self._told: dict[tuple[str, str], object] = {}
 
     def take(self, bus: str, key: str, payload: bytes, now: float) -> None:
-        """A sample seen on a robot's bus (`bus` = "" for the only one). What another robot's key brings there counts as
-        a message between the two."""
+        """A sample seen on a robot's bus (`bus` = "": on any one). There no other robot speaks for itself."""
         try:
             robot, service, topic = parse(key)
         except PayloadError:
             self.refused += 1
             return
-        chunks = topic.split("/")
-        if service == "app" and len(chunks) > 1 and chunks[1] in ("sync", "latest"):
-            if bus not in ("", robot):
-                edge = f"{robot}>{bus}"
-                self._hops[edge] = self._hops.get(edge, 0) + 1
-            return
         if bus not in ("", robot):
             return
-        try:
-            value = plain(unpack(payload), MAX_BYTES)
-        except PayloadError:
-            self.refused += 1
-            return
-        self.put(robot, f"{service}/{topic}", value, now)
+        name, packed = f"{service}/{topic}", _Packed(payload)
+        if name in _TOLD or name.endswith(_TOLD_OF_ALL):
+            value = self._open(packed)
+            if value is not _NOTHING:
+                self.put(robot, name, value, now)
+        else:
+            self._keep(robot, name, packed, now)
 
     def passed(self, sender: str, receiver: str, count: int) -> None:
         """How many messages have passed between the two so far, from whoever counts them."""
@@ -92,10 +108,15 @@ class Picture:
 
     def put(self, robot: str, topic: str, value: object, now: float) -> None:
         """A decoded sample."""
+        if self._keep(robot, topic, value, now):
+            self._read(robot, topic, value, now)
+
+    def _keep(self, robot: str, topic: str, value: object, now: float) -> bool:
+        """Whether it is kept."""
         topics = self._topics.setdefault(robot, {})
         if topic not in topics and len(topics) >= MAX_TOPICS:
             self.refused += 1
-            return
+            return False
         self.version += 1
         topics[topic] = self.version, value
         history = self._history.setdefault((robot, topic), deque())
@@ -103,12 +124,29 @@ class Picture:
             history.append((now, value))
             while history[0][0] < now - HISTORY_S:
                 history.popleft()
+        return True
+
+    def _open(self, value: object) -> object:
+        """What a sample says, `_NOTHING` where it is no message: most are followed by the next one before somebody
+        looks."""
+        if not isinstance(value, _Packed):
+            return value
+        if value.value is None:
+            try:
+                value.value = plain(unpack(value.payload), MAX_BYTES)
+            except PayloadError:
+                self.refused += 1
+                value.value = _NOTHING
+        return value.value
+
+    def _read(self, robot: str, topic: str, value: object, now: float) -> None:
+        """Note what a person should read."""
         for level, text, subject in _news(topic, value):
             if self._told.get((robot, subject)) != text:
                 before = self._told.get((robot, subject))
                 self._told[robot, subject] = text
                 if before is not None or level != "info":
-                    self._tell(now, robot, level, text)
+                    self.note(now, robot, level, text)
 
     def alive(self, robot: str, service: str, there: bool, now: float) -> None:
         """A service's process has come or gone."""
@@ -119,7 +157,7 @@ class Picture:
         services[service] = there
         self.version += 1
         if before is not None:
-            self._tell(now, robot, "info" if there else "error", f"{service} is {'back' if there else 'gone'}")
+            self.note(now, robot, "info" if there else "error", f"{service} is {'back' if there else 'gone'}")
 
     def services(self) -> dict[str, dict[str, bool]]:
         """Which services have been there, by robot, and whether they are now."""
@@ -127,13 +165,21 @@ class Picture:
 
     def newest(self, robot: str, topic: str) -> object:
         """The newest value of a key; None where there is none."""
-        return self._topics.get(robot, {}).get(topic, (0, None))[1]
+        value = self._open(self._topics.get(robot, {}).get(topic, (0, None))[1])
+        return None if value is _NOTHING else value
 
-    def since(self, version: int) -> dict[str, dict[str, object]]:
-        """Samples newer than a version, by robot and topic."""
+    def since(self, moved: int, rest: int | None) -> dict[str, dict[str, object]]:
+        """Samples by robot and topic: those of what moves (`AT_ONCE`) newer than the version `moved`, all others newer
+        than `rest` (None: none of them)."""
         found: dict[str, dict[str, object]] = {}
         for robot, topics in self._topics.items():
-            new = {topic: value for topic, (number, value) in topics.items() if number > version}
+            at_once = AT_ONCE if "sim/truth" in topics else AT_ONCE | {"dwm/pose"}
+            entries = topics if rest is not None else {topic: topics[topic] for topic in at_once if topic in topics}
+            new = {
+                topic: value
+                for topic, (number, packed) in entries.items()
+                if number > (moved if topic in at_once else rest or 0) and (value := self._open(packed)) is not _NOTHING
+            }
             if new:
                 found[robot] = new
         return found
@@ -148,13 +194,15 @@ class Picture:
 
     def history(self, robot: str, topic: str) -> list[tuple[float, object]]:
         """What a key held in the last two minutes, oldest first."""
-        return list(self._history.get((robot, topic), ()))
+        rows = ((t, self._open(packed)) for t, packed in self._history.get((robot, topic), ()))
+        return [(t, value) for t, value in rows if value is not _NOTHING]
 
     def trail(self, robot: str, topic: str, seconds: float, now: float) -> list[tuple[float, float]]:
         """The way that a robot has come, m."""
         return list(places(self.history(robot, topic), now - seconds))
 
-    def _tell(self, now: float, robot: str, level: str, text: str) -> None:
+    def note(self, now: float, robot: str, level: str, text: str) -> None:
+        """Add a line to what has happened."""
         self._numbered += 1
         self.version += 1
         self.events.append(Event(self._numbered, now, robot, level, text))

@@ -9,7 +9,7 @@ from swarm.codec import decode
 from swarm.config.types import Config
 from swarm.errors import LocalError, PayloadError
 from swarm.fleet.ssh import Host, HostError, Ssh
-from swarm.keys import key, parse
+from swarm.keys import key, parse, whose_token
 from swarm.messages import View, Watch
 from swarm.view.feed import RealTime
 from swarm.view.picture import REACH, Picture
@@ -202,10 +202,10 @@ class Robots(RealTime):
 
     def _alive(self, bus: str, name: str, there: bool, now: float) -> None:
         try:
-            robot, service, topic = parse(name)
+            robot, service = whose_token(name)
         except PayloadError:
             return
         if robot != bus:
             self._stranger[bus] = robot
-        elif topic.split("/")[-1] == "alive":
-            self.picture.alive(robot, "/".join((service, *topic.split("/")[:-1])), there, now - self.began)
+        else:
+            self.picture.alive(robot, service, there, now - self.began)

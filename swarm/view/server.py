@@ -1,13 +1,14 @@
 """The page and its WebSocket, on this machine only.
 
 Who has the address has the page: it carries a token, made anew for each start. Pages of other origins are refused: a
-browser would send the token along. Each page is told of changes at most `RATE` times a second, and only when it has
-taken the last ones.
+browser would send the token along. Each page is told of what moves at most `RATE` times a second and of all else some
+times, and only when it has taken the last ones.
 """
 
 import asyncio
 import contextlib
 import hmac
+import itertools
 import json
 import secrets
 from collections.abc import Awaitable, Callable
@@ -20,15 +21,18 @@ from swarm.config.types import Config
 from swarm.errors import LocalError
 from swarm.view.control import Control
 from swarm.view.feed import Live
-from swarm.view.picture import TRAIL_S
+from swarm.view.picture import TRAIL_S, Picture
 from swarm.view.recording import Recording
 
 HOST = "127.0.0.1"
 RATE = 25.0
-"""Steps a second that a page gets at most: bodies are told of at 25 Hz; the page draws the way between."""
+"""Steps a second that a page gets at most: places are told of at 10 Hz; the page draws the way between."""
+
+FULL = 5
+"""Steps of which one has all keys, events and services: nobody reads numbers that change more often."""
 
 CROWD = 50
-"""Robots from which on a page gets a fifth as many steps."""
+"""Robots from which on a page gets the full steps only."""
 
 HEARTBEAT_S = 10.0
 """s between two pings; a page that takes half of it to answer is let go of, and connects again when it can."""
@@ -109,34 +113,41 @@ async def _live(request: web.Request) -> web.StreamResponse:
 async def _steps(feed: Live, control: Control | None, socket: web.WebSocketResponse) -> None:
     """Tell a page what there is, then what changes."""
     known: dict[str, Any] = {}
-    version = number = 0
-    while not socket.closed:
+    moved = rest = number = 0
+    for count in itertools.count():
+        if socket.closed:
+            return
         now = feed.now()
         step: dict[str, Any] = {"t": now, "live": feed.live}
-        swarm = _swarm(feed, control)
+        parts: dict[str, Any] = {}
+        crowd = feed.config is not None and len(feed.config.names) >= CROWD
+        full = crowd or count % FULL == 0
         with feed.lock:
             picture = feed.picture
-            robots = picture.since(version)
-            events = picture.events_since(number)
-            services = {robot: dict(each) for robot, each in picture.services().items()}
-            hops = picture.hops()
-            if version == 0:
-                trails = ((name, "sim/truth", "dwm/pose") for name in robots)
-                step["trails"] = {
-                    name: picture.trail(name, true, TRAIL_S, now) or picture.trail(name, pose, TRAIL_S, now)
-                    for name, true, pose in trails
-                }
-            version = picture.version
+            robots = picture.since(moved, rest if full else None)
+            parts["hops"] = picture.hops()
+            moved = picture.version
+            if full:
+                if events := picture.events_since(number):
+                    step["events"] = [event._asdict() for event in events]
+                    number = events[-1].number
+                parts["services"] = {robot: dict(each) for robot, each in picture.services().items()}
+                if rest == 0:
+                    step["trails"] = {name: _trail(picture, name, now) for name in robots}
+                rest = picture.version
         if robots:
             step["robots"] = robots
-        if events:
-            step["events"] = [event._asdict() for event in events]
-            number = events[-1].number
-        for name, value in (("swarm", swarm), ("services", services), ("hops", hops), ("pace", feed.pace())):
+        if full:
+            parts |= {"swarm": _swarm(feed, control), "pace": feed.pace()}
+        for name, value in parts.items():
             if known.get(name) != value:
                 step[name] = known[name] = value
         await socket.send_str(json.dumps(step, allow_nan=False, separators=(",", ":")))
-        await asyncio.sleep((5.0 if len(services) >= CROWD else 1.0) / RATE)
+        await asyncio.sleep((FULL if crowd else 1) / RATE)
+
+
+def _trail(picture: Picture, robot: str, now: float) -> list[tuple[float, float]]:
+    return picture.trail(robot, "sim/truth", TRAIL_S, now) or picture.trail(robot, "dwm/pose", TRAIL_S, now)
 
 
 async def _play(recording: Recording, socket: web.WebSocketResponse) -> None:

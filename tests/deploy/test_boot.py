@@ -21,6 +21,7 @@ from pathlib import Path
 import debian
 import pytest
 from neighbour import Neighbour
+from room import ANCHORS
 
 from bench import restless_rule
 from swarm.core.graph import Graph
@@ -48,27 +49,7 @@ listen = "127.0.0.1:{own}"
 key = "{key}"
 [dwm]
 source = "serial:/run/rig/r0/dwm.tty"
-[[anchors]]
-address = "C933"
-x = 0.0
-y = 0.0
-z = 0.0
-[[anchors]]
-address = "C584"
-x = 3.0
-y = 0.0
-z = 0.0
-[[anchors]]
-address = "D32F"
-x = 0.0
-y = 3.0
-z = 0.0
-[[anchors]]
-address = "0C1D"
-x = 3.0
-y = 3.0
-z = 0.0
-[apps.restless.robots.r1]
+{anchors}[apps.restless.robots.r1]
 value = 0.5
 phase = 1.0
 """
@@ -149,8 +130,8 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     new_key_file(inside / "swarm.key", int(time.time()))
     shutil.copy(inside / "swarm.key", work / "swarm.key")
     ports = free_ports()
-    (inside / "r0.toml").write_text(CONFIG.format(**ports, own=ports["r0"], key="/etc/swarm/key"))
-    (work / "r1.toml").write_text(CONFIG.format(**ports, own=ports["r1"], key=work / "swarm.key"))
+    (inside / "r0.toml").write_text(CONFIG.format(**ports, own=ports["r0"], key="/etc/swarm/key", anchors=ANCHORS))
+    (work / "r1.toml").write_text(CONFIG.format(**ports, own=ports["r1"], key=work / "swarm.key", anchors=ANCHORS))
     units = root / "etc/systemd/system"
     (units / "ssh.service").symlink_to("/dev/null")  # the container shares this machine's network
     (units / "multi-user.target.wants/rig.service").symlink_to("/etc/systemd/system/rig.service")

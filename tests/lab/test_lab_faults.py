@@ -11,7 +11,8 @@ pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(600)]
 
 
-def test_links_over_real_sockets(machine: Callable[..., Machine]) -> None:
+@pytest.mark.parametrize("words", ["-k 'not thousand'", "-k thousand"], ids=["each fault", "a thousand connections"])
+def test_links_over_real_sockets(machine: Callable[..., Machine], words: str) -> None:
     robot = machine("r0", init=PLAIN, cores=2)
     robot.start()
-    run_tests(robot, "tests/lab/inside_faults.py", 500)
+    run_tests(robot, f"tests/lab/inside_faults.py {words}", 500)

@@ -49,10 +49,10 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
         yield made
 
 
-def test_six_robots_compute_what_the_simulation_computes(robots: Machine) -> None:
-    for shape in SHAPES:
-        simulate(shape, robots.share)
-    run_tests(robots, "tests/lab/inside_consensus.py -k simulation", 500)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_six_robots_compute_what_the_simulation_computes(robots: Machine, shape: str) -> None:
+    simulate(shape, robots.share)
+    run_tests(robots, f"tests/lab/inside_consensus.py -k 'simulation and {shape}'", 500)
 
 
 def test_nothing_is_lost_or_doubled_by_faults_in_mid_run(robots: Machine) -> None:

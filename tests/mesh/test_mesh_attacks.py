@@ -573,4 +573,4 @@ def test_siege() -> None:
 
 @pytest.mark.slow
 def test_long_siege() -> None:
-    run_state_machine_as_test(Siege, settings=settings(max_examples=600, stateful_step_count=50, deadline=None))
+    run_state_machine_as_test(Siege, settings=settings(max_examples=300, stateful_step_count=50, deadline=None))

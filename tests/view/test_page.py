@@ -71,6 +71,7 @@ def test_it_shows_six_robots_that_converge(page: Any) -> None:
         expect(row(page, robot)).to_contain_text("balancing", timeout=PATIENCE_MS)
         expect(row(page, robot)).to_contain_text("2/2", timeout=PATIENCE_MS)
         expect(row(page, robot)).to_contain_text("consensus running", timeout=PATIENCE_MS)
+        expect(row(page, robot)).to_contain_text(re.compile(r"\d ok.*\d\.\d\d V \d+ min.* ±\d+\.\d ms by r0"))
     row(page, "r2").click()
     expect(page.locator("#keys h2")).to_have_text("swarm/r2")
     value = page.locator("#keys button", has_text=re.compile(r"^state\.value=2\.58"))
@@ -125,6 +126,7 @@ def test_hands_are_laid_on_a_robot(page: Any) -> None:
     expect(page.locator("#said")).to_contain_text("r3: pushed", timeout=PATIENCE_MS)
     page.get_by_role("button", name="lay on back").click()
     expect(page.locator("#events li", has_text="r3 fault fell").first).to_be_visible(timeout=PATIENCE_MS)
+    expect(row(page, "r3").locator("td").last).to_contain_text("fell", timeout=PATIENCE_MS)
 
 
 @pytest.mark.parametrize("page", [("--control",)], indirect=True)

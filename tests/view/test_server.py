@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgpack
@@ -19,7 +20,7 @@ from swarm.errors import LocalError
 from swarm.messages import Status
 from swarm.simulations import claim
 from swarm.view import server
-from swarm.view.control import Control
+from swarm.view.control import ANSWER_S, Control
 from swarm.view.feed import Simulation
 from swarm.view.server import application
 
@@ -28,6 +29,8 @@ TOKEN = "a-token"
 
 class Bus:
     """What is published ends here."""
+
+    connected = True
 
     def __init__(self) -> None:
         self.published: list[tuple[str, object]] = []
@@ -202,6 +205,37 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
     key, message = feed.buses["r1"].published[0]
     assert key == "swarm/r1/app/x/set/parameters"
     assert message.parameters == {"gain": 0.5}
+
+
+def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: Simulation) -> None:
+    control, asked = Control(feed, allowed=True), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
+    feed.config = SimpleNamespace(names=("r0", "r1", "r2"))
+    assert control.do(asked) == "x: gain=0.5 asked of r0 r1, not of r2: they are not reached"
+    feed.buses["r0"].connected = False
+    assert control.do(asked).endswith("asked of r1, not of r0 r2: they are not reached")
+    assert not feed.buses["r0"].published[1:]
+    with pytest.raises(LocalError, match="r0 is not reached"):
+        control.do(asked | {"robot": "r0"})
+
+
+def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
+    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("swarm.view.control.clock.now", lambda: now[0])
+    control = Control(feed, allowed=True)
+    control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
+    control.repeat()
+    first, again = feed.buses["r0"].published
+    assert first == again
+    feed.picture.put("r0", "app/x/parameters_set", {"ticket": first[1].ticket, "problem": ""}, 0.0)
+    control.repeat()
+    assert [len(bus.published) for bus in feed.buses.values()] == [2, 3]
+    now[0] += ANSWER_S + 0.1
+    control.repeat()
+    control.repeat()
+    assert [len(bus.published) for bus in feed.buses.values()] == [2, 3]
+    assert [(event.robot, event.text) for event in feed.picture.events] == [("r1", "app/x has not answered: gain=0.5")]
 
 
 def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:

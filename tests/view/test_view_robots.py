@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -12,14 +11,11 @@ import pytest
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from conftest import Processes, wait_until
+from far_swarm import Swarm
 
-from bench.fake_robots import FakeRobots
-from swarm.bus import Bus, Router
-from swarm.config import load
 from swarm.errors import LocalError
-from swarm.fleet.ssh import HostError, Ssh, hosts
+from swarm.fleet.ssh import HostError
 from swarm.messages import Leds, Pose, Stop, read
-from swarm.paths import bus_endpoint
 from swarm.view.control import Control
 from swarm.view.picture import REACH
 from swarm.view.robots import Robots
@@ -28,76 +24,9 @@ pytestmark = pytest.mark.skipif(
     not os.environ.get("CI") and not Path("/usr/sbin/sshd").exists(), reason="needs an ssh server"
 )
 
-FAR = """shift; shift; echo $$ >> $HOME/started
-SWARM_RUNTIME={runtime} exec {python} "$@"
-"""
 RED = Leds(1.0, red=True, yellow=False, green=False)
-MESH = "[mesh]\ninsecure = true\nheartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n"
 wait = partial(wait_until, timeout=40.0)
 """For many processes on a busy machine."""
-LINE = '[topology]\nshape = "line"\n'
-
-
-class Swarm:
-    """Robots with a bus each, and meshes where a test wants them; ssh leads to those that it names."""
-
-    def __init__(self, processes: Processes, folder: Path) -> None:
-        self.processes = processes
-        self.runtime = processes.runtime
-        self.far = FakeRobots(folder)
-        self.routers: dict[str, Router] = {}
-        self.buses: dict[str, Bus] = {}
-        self.meshes: dict[str, Any] = {}
-        self._views: list[Robots] = []
-
-    def add(self, name: str, *, ssh: bool = True, bus: bool = True, **options: Any) -> None:
-        (self.runtime / name).mkdir()
-        hook = f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}"  # noqa: PTH109
-        home = self.far.add(name, hook=hook, up=ssh, **options)
-        self.far.script(name, "sudo", FAR.format(python=sys.executable, runtime=self.runtime / name))
-        if bus:
-            self.start_bus(name)
-        self.home = home
-
-    def start_bus(self, name: str) -> None:
-        self.routers[name] = Router(bus_endpoint(self.runtime / name))
-        if name not in self.buses:
-            self.buses[name] = Bus.of(self.runtime / name)
-
-    def lookout(self) -> int:
-        """The process that tells what the last robot's bus says."""
-        return int((self.home / "started").read_text().split()[-1])
-
-    def stop_bus(self, name: str) -> None:
-        self.routers.pop(name).close()
-
-    def start_meshes(self) -> None:
-        names = list(self.buses)
-        text = "".join(f'[[robots]]\nname = "{name}"\nlink = "sim:{self.runtime}/{name}/mesh.sock"\n' for name in names)
-        config = self.runtime / "robots.toml"
-        config.write_text(f'network = "test"\n{LINE}{text}{MESH}')
-        for name in names:
-            self.meshes[name] = self.processes.start(
-                "-m",
-                "services.mesh",
-                SWARM_ROBOT=name,
-                SWARM_RUNTIME=str(self.runtime / name),
-                SWARM_CONFIG=str(config),
-            )
-
-    def view(self, *names: str) -> Robots:
-        self.far.ready()
-        config = load(self.far.config)
-        self._views.append(Robots(config, hosts(config, ",".join(names)), Ssh(self.far.ssh_config)))
-        return self._views[-1]
-
-    def close(self) -> None:
-        for view in self._views:
-            view.close()
-        self.far.close()
-        self.processes.end()
-        for each in (*self.buses.values(), *self.routers.values()):
-            each.close()
 
 
 @pytest.fixture
@@ -135,12 +64,11 @@ def test_one_robot_shows_all_of_them(swarm: Swarm) -> None:
 
     def all_seen() -> bool:
         swarm.buses["r2"].publish("swarm/r2/dwm/pose", pose)
-        return newest(view, "r2", "dwm/pose") is not None and reach(view, "r1") == "mesh"
+        return newest(view, "r2", "dwm/pose") is not None and {reach(view, name) for name in ("r1", "r2")} == {"mesh"}
 
     wait(all_seen, what="r2 is seen two links away")
     assert newest(view, "r2", "dwm/pose")["x"] == 1.25
     assert "raw_x" not in newest(view, "r2", "dwm/pose")
-    assert {reach(view, name) for name in ("r1", "r2")} == {"mesh"}
     wait(lambda: reach(view, "r0") == "ssh")
     wait(lambda: newest(view, "r1", "mesh/links"))
     assert [link["peer"] for link in newest(view, "r1", "mesh/links")["links"]] == ["r0", "r2"]
@@ -179,7 +107,7 @@ def test_what_breaks_is_said_and_mended_and_nothing_stays_behind(swarm: Swarm) -
     swarm.start_bus("r0")
     wait_until(seen_again, what="it is seen again")
 
-    os.kill(swarm.lookout(), signal.SIGKILL)
+    os.kill(swarm.lookout("r0"), signal.SIGKILL)
     wait_until(lambda: reach(view, "r0") is None, what="it is out of reach")
     assert any(text.startswith("r0 out of reach") for text in events(view))
     wait_until(seen_again, what="it is seen again")
@@ -191,7 +119,7 @@ def test_what_breaks_is_said_and_mended_and_nothing_stays_behind(swarm: Swarm) -
     # As the server does: nobody has confirmed it, and the subscription is younger than the first one.
     wait_until(lambda: heard or control.repeat(), what="the stop is on the robot's bus")
     assert isinstance(heard[0], Stop)
-    pid = swarm.lookout()
+    pid = swarm.lookout("r0")
     view.close()
     wait_until(lambda: not Path(f"/proc/{pid}/cwd").exists(), what="its lookout has ended")
 

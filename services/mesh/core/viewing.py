@@ -14,7 +14,7 @@ import msgpack
 
 from swarm.codec import decode, encode, unpack
 from swarm.errors import PayloadError
-from swarm.keys import parse
+from swarm.keys import whose_token
 from swarm.messages import Status, View, Watch
 
 LONGEST_S = 60.0
@@ -122,11 +122,11 @@ class Viewing:
     def alive(self, key: str, there: bool) -> None:
         """A service's process of this robot has come or gone."""
         try:
-            robot, service, topic = parse(key)
+            robot, service = whose_token(key)
         except PayloadError:
             return
         if f"swarm/{robot}/" == self._prefix:
-            self._there["/".join((service, *topic.split("/")[:-1]))] = there
+            self._there[service] = there
 
     def due(self, now: float) -> tuple[tuple[str, ...], bytes] | None:
         """To whom a view is to be sent now, and what; None where nothing is due."""

@@ -3,7 +3,6 @@
 import asyncio
 import signal
 import sys
-import webbrowser
 from collections.abc import Callable
 
 from services.sim.options import Options
@@ -11,6 +10,7 @@ from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.virtual.live import Live
 from services.sim.virtual.run import Run
+from swarm.cli.view import announce
 from swarm.errors import LocalError
 
 
@@ -47,9 +47,7 @@ def watched(run: Run, plan: Scenario, options: Options, tell: Callable[[Outcome]
         running: list[asyncio.Task[None]] = []
 
         async def ready(address: str) -> None:
-            print(f"{address}\nend with Ctrl-C", flush=True)
-            if not options.no_open:
-                webbrowser.open(address)
+            announce(address, browse=not options.no_open)
             running.append(asyncio.create_task(simulate()))
 
         try:

@@ -13,6 +13,10 @@ export class Charts {
     this.ask = ask;
     this.charts = new Map();
     this.drawn = 0;
+    this.sight = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) this.outside[isIntersecting ? "delete" : "add"](target);
+    });
+    this.outside = new Set(); // elements that the window does not show
   }
 
   open(topic, path) {
@@ -26,6 +30,8 @@ export class Charts {
     close.addEventListener("click", () => {
       this.charts.get(name).plot?.destroy();
       this.charts.delete(name);
+      this.sight.unobserve(element);
+      this.outside.delete(element);
       element.remove();
     });
     const over = document.createElement("button");
@@ -38,6 +44,7 @@ export class Charts {
     });
     element.append(over, close);
     this.section.append(element);
+    this.sight.observe(element);
     const chart = { topic, path, name, element, button: over, over: topic.startsWith("app/") ? "k" : "t", points: new Map(), plot: null, lines: [], stale: true };
     this.charts.set(name, chart);
     for (const robot of this.store.names) this.ask({ history: { robot, topic } });
@@ -71,12 +78,16 @@ export class Charts {
   draw(now) {
     if (now < this.drawn + REDRAW_MS) return;
     this.drawn = now;
-    for (const chart of this.charts.values()) if (chart.stale || !chart.lines.length || chart.plot?.width !== this.width()) this.redraw(chart);
+    for (const chart of this.charts.values()) {
+      if (chart.plot && this.outside.has(chart.element)) continue;
+      if (chart.stale || !chart.lines.length || chart.plot?.width !== this.width()) this.redraw(chart);
+    }
   }
 
   // At once, whatever has been drawn when.
   flush() {
     this.drawn = -Infinity;
+    this.outside.clear();
     this.draw(0);
   }
 

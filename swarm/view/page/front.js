@@ -6,7 +6,7 @@
 import { sharp, theme } from "./theme.js";
 
 const STILL_S = 0.5; // a robot that has done no iteration for so long stands still
-const LAG_S = 0.25; // live states come ten times a second: the front is shown as it was when all of them were there
+const LAG_S = 0.45; // live states come five times a second: the front is shown as it was when all of them were there
 const KEPT = 16; // states of a robot, for the way between them
 const LEVELS = 4; // iterations that the picture shows at least
 const NAMED = 6;

@@ -53,19 +53,22 @@ export class Hands {
     const text = stopped.length ? `STOPPED ${stopped.length}/${names.length}` : "STOP";
     if (this.stop.textContent !== text) this.stop.textContent = text;
     this.drawApps(control);
-    this.panel.hidden = !control || !robot || this.store.swarm.kind !== "simulation";
+    const simulated = this.store.swarm?.kind === "simulation", parameters = robot ? this.parameters(robot) : [];
+    this.panel.hidden = !control || !robot || !(simulated || parameters.length);
     if (this.panel.hidden) return;
     const peers = (this.store.get(robot, "mesh/links")?.links ?? []).map((each) => each.peer);
     const services = Object.keys(this.store.services[robot] ?? {}).sort();
-    const parameters = [...(this.store.robots.get(robot) ?? [])].flatMap(([topic, value]) => {
-      const found = /^app\/([^/]+)\/parameters$/.exec(topic);
-      return found ? Object.entries(value.parameters ?? {}).filter(([, each]) => each.live).map(([name, each]) => [found[1], name, each.value]) : [];
-    });
     const apps = this.running([robot]);
     const shown = JSON.stringify([robot, peers, services, apps, parameters]);
     if (shown === this.shown || this.panel.contains(document.activeElement) && document.activeElement.tagName === "INPUT") return;
     this.shown = shown;
-    this.panel.replaceChildren(
+    const laid = simulated ? this.laid(robot, peers, apps, services) : [];
+    this.panel.replaceChildren(...laid, ...parameters.map(([app, name, value]) => this.parameter(app, name, value)));
+  }
+
+  // What can be done to a simulated robot.
+  laid(robot, peers, apps, services) {
+    return [
       ...["A", "B", "C"].map((each) => button(`press ${each}`, () => this.act({ act: "press", robot, button: each }))),
       button("push", () => this.act({ act: "push", robot, impulse: 0.1 })),
       ...["front", "back"].map((side) => button(`lay on ${side}`, () => this.act({ act: "lay", robot, side }))),
@@ -75,8 +78,15 @@ export class Hands {
       ]),
       ...apps.map(([app, runs]) => this.app(app, runs, robot)),
       ...services.map((service) => button(`kill ${service}`, () => this.act({ act: "kill", robot, service }))),
-      ...parameters.map(([app, name, value]) => this.parameter(app, name, value)),
-    );
+    ];
+  }
+
+  // Parameters of a robot's apps that may change while these run: [[app, name, value], ...].
+  parameters(robot) {
+    return [...(this.store.robots.get(robot) ?? [])].flatMap(([topic, value]) => {
+      const found = /^app\/([^/]+)\/parameters$/.exec(topic);
+      return found ? Object.entries(value?.parameters ?? {}).filter(([, each]) => each?.live).map(([name, each]) => [found[1], name, each.value]) : [];
+    });
   }
 
   // Apps that have been on these robots, and whether one of them runs: [[name, runs], ...].
@@ -103,7 +113,7 @@ export class Hands {
     this.apps.querySelector("span").replaceChildren(...apps.map(([app, runs]) => this.app(app, runs)));
   }
 
-  // Of all robots: an algorithm's parameters differ between robots by intention only, and then by `swarm param`.
+  // Of all robots that are reached: an algorithm's parameters differ between robots by intention only, and then by `swarm param`.
   parameter(app, name, value) {
     const label = document.createElement("label"), input = document.createElement("input");
     input.value = String(value);

@@ -143,10 +143,10 @@ export class Pen {
   }
 
   // From above: the wheels' axle, the body that leans ahead or back, where it looks, its LEDs, its name.
-  robot({ name, x, y, heading, tilt, colour, leds, gone, fault, selected, named }) {
-    const { c, ratio } = this, size = this.size();
+  robot({ name, at, heading, tilt, colour, leds, gone, fault, selected, named }) {
+    const { c, ratio } = this, size = bodySize(this.scale, ratio);
     c.save();
-    c.translate(x, y);
+    c.translate(...at);
     c.globalAlpha = gone ? 0.3 : 1;
     if (selected || fault) {
       c.strokeStyle = theme.colour(selected ? "--accent" : "--bad");
@@ -183,8 +183,13 @@ export class Pen {
     }
     c.restore();
   }
+}
 
-  size() {
-    return Math.max(8 * this.ratio, BODY * this.scale);
-  }
+// Half a robot's width, and how far what turns and leans with it reaches, in pixels.
+function bodySize(scale, ratio) {
+  return Math.max(8 * ratio, BODY * scale);
+}
+
+export function reach(scale, ratio) {
+  return (bodySize(scale, ratio) * HEIGHT) / BODY;
 }

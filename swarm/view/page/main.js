@@ -12,7 +12,8 @@ import { theme } from "./theme.js";
 
 const SILENCE_MS = 1500; // the server speaks 25 times a second, 5 for a crowd
 const RETRY_MS = 500;
-const PANELS_MS = 100;
+const PLAYER_MS = 100;
+const PANELS_MS = 200; // as often as the server tells what they show
 
 const find = (selector) => document.querySelector(selector);
 const store = new Store();
@@ -67,6 +68,7 @@ function connect() {
     if (first || replaced) charts.refill();
     first = false;
     player.taken();
+    if (!directed) map.wake();
   };
   socket.onclose = () => setTimeout(connect, RETRY_MS);
 }
@@ -111,10 +113,10 @@ for (const chart of wanted.getAll("chart")) {
 }
 if (directed) document.body.classList.add("directed");
 else {
-  map.run();
   // In its own rhythm: the table need not be drawn as often as the map.
   setInterval(() => {
     panels(performance.now());
-    player.draw(performance.now());
+    map.wake();
   }, PANELS_MS);
+  setInterval(() => player.draw(performance.now()), PLAYER_MS);
 }

@@ -1,7 +1,7 @@
-// The map: metres, anchors, robots, links, targets. Looked at for each frame of the screen, drawn where something that can
-// be seen has changed. What seldom changes (grid, anchors, trails) is a picture of its own below the rest.
+// The map: metres, anchors, robots, links, targets. Looked at for each frame of the screen as long as something moves,
+// drawn where something that can be seen has changed. What seldom changes (grid, anchors, trails) is a picture of its own below the rest.
 
-import { Pen } from "./ink.js";
+import { Pen, reach } from "./ink.js";
 import { sharp, theme } from "./theme.js";
 
 const CROWD = 60; // robots above which links are thin, and trails and crowded names are left out
@@ -10,7 +10,6 @@ const BUSY = 10; // messages a second above which a link no longer flashes
 const FLASH_MS = 160;
 const MARGIN = 0.3; // m around everything
 const LOOSE = 1.4; // times as large as it might be, and it is fitted anew
-const FINE = 2; // parts of a pixel that count as a change
 const FAR = 1e4; // m; what is further away is no place
 
 export class SwarmMap {
@@ -21,21 +20,41 @@ export class SwarmMap {
     this.selected = null;
     this.view = null; // {x, y, scale}; null = fit
     this.box = null; // [left, bottom, right, top]: what is fitted
-    this.frames = 0; // frames of the screen at which it was up to date
-    this.drawn = 0; // of them those for which it had to be drawn
-    this.marks = [];
+    this.frames = 0; // frames of the screen at which it was looked at
+    this.moved = 0; // of them those behind which it went on to move
+    this.drawn = 0; // how often it had to be drawn
+    this.marks = []; // what is drawn
+    this.spare = [];
     this.context = canvas.getContext("2d", { alpha: false });
     this.below = document.createElement("canvas");
     this.belowMarks = [];
     this.listen();
   }
 
-  // With each frame of the screen, from now on.
-  run() {
+  // Something may have changed: with the next frame of the screen, and with each one as long as something moves. A frame
+  // that is asked for costs the browser as much as all that is done in it.
+  wake() {
+    if (this.awake) return;
+    this.awake = true;
     requestAnimationFrame((now) => {
+      this.awake = false;
+      this.frames += 1;
       this.draw(now);
-      this.run();
+      if (this.moves(now)) {
+        this.wake();
+        this.moved += 1;
+      }
     });
+  }
+
+  // Whether the next frame will differ by more than half a pixel, if nothing new is told.
+  moves(now) {
+    const { scale } = this.shown ?? { scale: 0 }, far = 0.5 / scale, turn = 0.5 / reach(scale, this.ratio);
+    for (const [name, { to, at, span }] of this.store.places) {
+      const is = now < at + span && this.placed?.get(name);
+      if (is && (Math.hypot(to.x - is.x, to.y - is.y) > far || Math.abs(to.heading - is.heading) > turn || Math.abs(to.tilt - is.tilt) > turn)) return true;
+    }
+    return [...this.store.flashes.values()].some(({ at, rate }) => now < at + FLASH_MS && rate <= BUSY);
   }
 
   // A robot without a pose yet has its place on a circle, so that its links can be seen.
@@ -95,62 +114,91 @@ export class SwarmMap {
   draw(now) {
     const ratio = sharp(this.canvas);
     if (!ratio) return;
-    this.frames += 1;
     const { width, height } = this.canvas, store = this.store;
     const places = this.places(now), targets = this.targets();
     const view = this.view ?? this.fit(places, targets, width, height);
     [this.shown, this.ratio, this.placed] = [view, ratio, places];
-    const pen = new Pen(this.context, ratio, view, width, height);
     const below = this.drawBelow(view, ratio, width, height);
+    const at = ({ x, y }) => [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
 
-    const marks = [below, width, height, theme.version, this.selected];
-    const fine = (x, y) => [Math.round(x * FINE) / FINE, Math.round(y * FINE) / FINE];
+    // What can be seen, in whole pixels: most frames of robots that only balance look like the one before.
+    const marks = this.spare, tip = reach(view.scale, ratio);
+    marks.length = 0;
+    marks.push(below, width, height, theme.version, this.selected);
+    const mark = (place) => at(place).forEach((each) => marks.push(Math.round(each)));
+    for (const [name, place] of places) {
+      const leds = this.leds(name), known = this.known(name);
+      mark(place);
+      marks.push(Math.round((place.heading ?? 9) * tip), Math.round((place.tilt ?? 0) * tip));
+      marks.push(leds.red, leds.yellow, leds.green, this.gone(name), store.get(name, "balancer/state")?.mode === "fault");
+      if (!known) continue;
+      mark(known);
+      marks.push(Math.round(known.deviation_x * view.scale), Math.round((known.deviation_y ?? 0) * view.scale));
+    }
+    for (const target of targets) {
+      mark(target);
+      marks.push(target.known && Math.round(Math.sqrt(target.known.xx) * view.scale));
+    }
+    for (const [a, b] of store.edges) {
+      const link = store.link(a, b);
+      marks.push(link?.state, link?.slow, thickness(link));
+    }
+    for (const [edge, { at: began, rate }] of store.flashes) {
+      if (now < began + FLASH_MS && rate <= BUSY) marks.push(edge, now);
+    }
+    if (same(marks, this.marks)) return;
+    [this.marks, this.spare] = [marks, this.marks];
+    this.drawn += 1;
+    this.paint(new Pen(this.context, ratio, view, width, height), places, targets, now);
+  }
+
+  paint(pen, places, targets, now) {
+    const store = this.store, crowd = store.names.length > CROWD, named = !crowd || this.room(places) > ROOM * this.ratio;
     const links = [];
     for (const [a, b] of store.edges) {
       const from = places.get(a), to = places.get(b);
       if (!from || !to) continue;
       const link = store.link(a, b), look = link?.state === "up" && link.slow ? "slow" : link?.state;
-      const width = Math.round(10 * (1.2 + Math.min(4, Math.log10(1 + (link?.rate ?? 0) / 50)))) / 10;
-      const ends = [fine(...pen.at(from.x, from.y)), fine(...pen.at(to.x, to.y))], messages = [];
-      for (const [edge, [x0, y0], [x1, y1]] of [[`${a}>${b}`, ...ends], [`${b}>${a}`, ends[1], ends[0]]]) {
-        const flash = store.flashes.get(edge), share = flash ? (now - flash.at) / FLASH_MS : 2;
-        if (share > 1 || flash.rate > BUSY) continue;
-        messages.push([x0 + share * (x1 - x0), y0 + share * (y1 - y0)]);
-      }
-      links.push({ ends, look, width, messages });
-      marks.push(ends[0][0], ends[0][1], ends[1][0], ends[1][1], look, width, ...messages.flat());
+      links.push({ ends: [pen.at(from.x, from.y), pen.at(to.x, to.y)], look, width: thickness(link), edges: [`${a}>${b}`, `${b}>${a}`] });
     }
-    const ellipses = [], crowd = store.names.length > CROWD, named = !crowd || this.room(places) > ROOM * ratio;
-    for (const target of targets) {
-      if (target.known) ellipses.push({ ...target, ...target.known });
-      marks.push(...fine(...pen.at(target.x, target.y)), target.known?.xx);
-    }
-    const robots = [];
-    for (const [name, place] of places) {
-      const leds = store.get(name, "sim/leds") ?? store.get(name, "balancer/leds") ?? {};
-      const services = Object.values(store.services[name] ?? {}), colour = store.colour(name);
-      const [x, y] = fine(...pen.at(place.x, place.y)), known = store.get(name, "dwm/pose");
-      const heading = place.heading === null ? null : Math.round(place.heading * 90) / 90, tilt = Math.round((place.tilt ?? 0) * 30) / 30;
-      const gone = (services.length > 0 && services.every((there) => !there)) || store.get(name, "view/reach")?.by === null;
-      const fault = store.get(name, "balancer/state")?.mode === "fault";
-      robots.push({ name, x, y, heading, tilt, colour, leds, gone, fault, selected: name === this.selected, named });
-      marks.push(x, y, heading, tilt, leds.red, leds.yellow, leds.green, gone, fault);
-      if (typeof known?.deviation_x === "number" && Math.abs(known.x) < FAR && Math.abs(known.y) < FAR) {
-        const sx = known.deviation_x, sy = known.deviation_y ?? sx;
-        ellipses.push({ x: known.x, y: known.y, xx: sx * sx, xy: (known.correlation ?? 0) * sx * sy, yy: sy * sy, colour });
-        marks.push(...fine(...pen.at(known.x, known.y)), Math.round(sx * view.scale * FINE), Math.round(sy * view.scale * FINE));
-      }
-    }
-    if (same(marks, this.marks)) return;
-    this.marks = marks;
-    this.drawn += 1;
     this.context.drawImage(this.below, 0, 0);
     if (crowd) pen.crowd(links);
     else for (const link of links) pen.link(...link.ends, link);
-    for (const link of links) link.messages.forEach((place) => pen.message(place));
-    for (const ellipse of ellipses) pen.ellipse(ellipse);
+    for (const { ends, edges } of links) {
+      edges.forEach((edge, index) => {
+        const flash = store.flashes.get(edge), share = flash ? (now - flash.at) / FLASH_MS : 2;
+        const [[x0, y0], [x1, y1]] = index ? [ends[1], ends[0]] : ends;
+        if (share <= 1 && flash.rate <= BUSY) pen.message([x0 + share * (x1 - x0), y0 + share * (y1 - y0)]);
+      });
+    }
+    for (const target of targets) if (target.known) pen.ellipse({ ...target, ...target.known });
+    for (const name of places.keys()) {
+      const known = this.known(name);
+      if (!known) continue;
+      const sx = known.deviation_x, sy = known.deviation_y ?? sx;
+      pen.ellipse({ x: known.x, y: known.y, xx: sx * sx, xy: (known.correlation ?? 0) * sx * sy, yy: sy * sy, colour: store.colour(name) });
+    }
     for (const target of targets) pen.cross(target);
-    for (const robot of robots) pen.robot(robot);
+    for (const [name, { x, y, heading, tilt }] of places) {
+      const fault = store.get(name, "balancer/state")?.mode === "fault", selected = name === this.selected;
+      pen.robot({ name, at: pen.at(x, y), heading, tilt: tilt ?? 0, colour: store.colour(name), leds: this.leds(name), gone: this.gone(name), fault, selected, named });
+    }
+  }
+
+  leds(name) {
+    return this.store.get(name, "sim/leds") ?? this.store.get(name, "balancer/leds") ?? {};
+  }
+
+  // A robot's estimate of its own place, where it says how sure it is.
+  known(name) {
+    const pose = this.store.get(name, "dwm/pose");
+    return typeof pose?.deviation_x === "number" && Math.abs(pose.x) < FAR && Math.abs(pose.y) < FAR ? pose : null;
+  }
+
+  // Whether nothing of a robot is there.
+  gone(name) {
+    const services = Object.values(this.store.services[name] ?? {});
+    return (services.length > 0 && services.every((there) => !there)) || this.store.get(name, "view/reach")?.by === null;
   }
 
   // How far robots are apart, in pixels, were they spread evenly.
@@ -180,6 +228,7 @@ export class SwarmMap {
 
   listen() {
     const canvas = this.canvas;
+    for (const each of ["wheel", "pointermove", "pointerup", "dblclick", "keydown"]) canvas.addEventListener(each, () => this.wake());
     let from = null;
     const metres = (event) => {
       const box = canvas.getBoundingClientRect(), { x, y, scale } = this.shown;
@@ -237,6 +286,11 @@ export class SwarmMap {
       event.preventDefault();
     });
   }
+}
+
+// Of a line: by its traffic, bytes/s.
+function thickness(link) {
+  return Math.round(2 * (1.2 + Math.min(4, Math.log10(1 + (link?.rate ?? 0) / 50)))) / 2;
 }
 
 function same(a, b) {

@@ -4,9 +4,10 @@ const COLUMNS = 9; // behind the name
 
 // Clocks are apart by a few milliseconds (one machine) or by the time between two boots.
 // What a robot says may lack anything, and hold what is no number.
-const fixed = (value, digits, unit) => (typeof value === "number" ? `${value.toFixed(digits)}${unit}` : "-");
+const rounded = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits); // without "-0.0"
+const fixed = (value, digits, unit) => (typeof value === "number" ? `${rounded(value, digits)}${unit}` : "-");
 const list = (value) => (Array.isArray(value) ? value : []);
-const seconds = (value) => (Math.abs(value) < 1 ? `${(value * 1000).toFixed(1)} ms` : `${value.toFixed(3)} s`);
+const seconds = (value) => (Math.abs(value) < 1 ? `${rounded(value * 1000, 1)} ms` : `${value.toFixed(3)} s`);
 
 export class Robots {
   constructor(body, store, select) {
@@ -192,7 +193,7 @@ function flat(value, path = []) {
 
 // Parts of a list are called by what tells them apart (links by their peer), which their place does not.
 function called(list, item) {
-  return Array.isArray(list) ? item?.peer ?? item?.anchor ?? item?.robot : undefined;
+  return Array.isArray(list) && item instanceof Object ? item.peer ?? item.anchor ?? item.robot : undefined;
 }
 
 // What `flat` has called by this path.

@@ -2,7 +2,9 @@
 
 export const PALETTE = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b58900", "#56b4e9", "#8a5ad6", "#7a7a7a"]; // told apart by the colour-blind too (Okabe, Ito 2008)
 const TRAIL = 300; // places
-const STEP_MS = [40, 500]; // the way between two samples takes as long as they are apart, within this
+const STEP_MS = [40, 500]; // the way between two samples takes nearly as long as they are apart as a rule, within this
+const NEARLY = 0.8; // else a late one would be waited for twice
+const RULE = 0.2; // share of the newest one in what is the rule
 const BADNESS = ["up", "suspect", "connecting", "down"];
 const SLOWER = 3; // times its shortest round trip of the last minute
 const SLOWER_S = 0.02;
@@ -126,11 +128,12 @@ export class Store {
     const pose = this.pose(name);
     if (!pose) return;
     const before = this.place(name, now);
-    const span = Math.min(STEP_MS[1], Math.max(STEP_MS[0], now - (this.places.get(name)?.at ?? now)));
-    this.places.set(name, { from: before ?? pose, to: pose, at: now, span });
-    const trail = this.trails.get(name) ?? [];
-    const last = trail[trail.length - 1];
-    if (!last || Math.hypot(last[0] - pose.x, last[1] - pose.y) > 0.01) {
+    const last = this.places.get(name), apart = last ? Math.min(STEP_MS[1], now - last.at) : 0;
+    const rule = last?.rule ? last.rule + RULE * (apart - last.rule) : apart;
+    const span = Math.min(STEP_MS[1], Math.max(STEP_MS[0], NEARLY * rule));
+    this.places.set(name, { from: before ?? pose, to: pose, at: now, span, rule });
+    const trail = this.trails.get(name) ?? [], newest = trail[trail.length - 1];
+    if (!newest || Math.hypot(newest[0] - pose.x, newest[1] - pose.y) > 0.01) {
       trail.push([pose.x, pose.y]);
       this.trailed += 1;
     }
@@ -138,17 +141,15 @@ export class Store {
     this.trails.set(name, trail);
   }
 
-  // Where to draw a robot now: samples come ten times a second (of a crowd, five), the screen has sixty pictures.
+  // Where to draw a robot now: samples come ten times a second (of a crowd five), the screen has sixty pictures.
   place(name, now) {
     const place = this.places.get(name);
     if (!place) return null;
     const share = Math.min(1, (now - place.at) / place.span);
-    const mix = (key) => (place.from[key] ?? 0) + share * ((place.to[key] ?? 0) - (place.from[key] ?? 0));
-    const turn = Math.atan2(
-      Math.sin((place.to.heading ?? 0) - (place.from.heading ?? 0)),
-      Math.cos((place.to.heading ?? 0) - (place.from.heading ?? 0)),
-    );
-    const heading = typeof place.to.heading === "number" ? (place.from.heading ?? 0) + share * turn : null;
+    const ends = (key) => [place.from[key], place.to[key]].map((each) => (Number.isFinite(each) ? each : 0));
+    const mix = (key, [from, to] = ends(key)) => from + share * (to - from);
+    const [before, after] = ends("heading"), turn = Math.atan2(Math.sin(after - before), Math.cos(after - before));
+    const heading = Number.isFinite(place.to.heading) ? before + share * turn : null;
     return { x: mix("x"), y: mix("y"), heading, tilt: mix("tilt") };
   }
 

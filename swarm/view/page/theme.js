@@ -22,10 +22,19 @@ export const theme = {
   },
 };
 
+const sizes = new WeakMap(); // of canvases, as the browser has laid them out: to ask for it anew would cost a layout
+const laid = new ResizeObserver((entries) => {
+  for (const { target, contentRect } of entries) sizes.set(target, [contentRect.width, contentRect.height]);
+});
+
 // Gives a canvas the pixels of its place on the screen; pixels for one of the page's, 0 where it cannot be seen.
 export function sharp(canvas) {
+  if (!sizes.has(canvas)) {
+    sizes.set(canvas, [canvas.clientWidth, canvas.clientHeight]);
+    laid.observe(canvas);
+  }
   const ratio = window.devicePixelRatio || 1;
-  const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+  const [width, height] = sizes.get(canvas).map((each) => Math.round(each * ratio));
   if (!width || !height) return 0;
   if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
   return ratio;
