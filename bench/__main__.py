@@ -23,6 +23,7 @@ AREAS = {
     "teamwork": "apps that blink, stand and drive together: LED phases, stand-up, formation, crossings",
     "deploy": "a release to 8 robots beside one, and the second time; over real ssh servers",
     "steady": "CPU time of each process of a robot, for a second of a run",
+    "lab": "an iteration over a real kernel's RFCOMM beside plain sockets on the same links (boots a machine)",
     "view": "the live page: frames, CPU of browser and server, robot to screen; what watching costs the swarm",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took; 1000 random faults",
 }

@@ -22,7 +22,7 @@ NEIGHBOURS_MS, ALL_MS, TOGETHER_S = 10.0, 20.0, 30.0
 """Goals: 95 % of the differences between LEDs, and from the command until they blink together."""
 FREQUENCIES = {"r0": 1.8, "r1": 2.0, "r2": 2.1, "r3": 2.2, "r4": 2.3, "r5": 2.2}
 """Hz, at first."""
-LED_SEEDS = 20
+LED_SEEDS = 10
 THESIS_TOGETHER_S = 40.0
 """Figure 4.6: 40 s and 160 s."""
 

@@ -7,12 +7,13 @@ from typing import Any
 
 from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY, App, Config
-from swarm.core import tomltext
 from swarm.errors import LocalError
 
 
 def dump(config: Config) -> str:
     """The text that `swarm.config.parse` reads as `config`."""
+    import tomli_w  # only where one is written
+
     rules = config.relay[len(DEFAULT_RELAY) :]
     if config.relay != DEFAULT_RELAY + rules:
         raise LocalError("a config whose relay rules do not begin with the default ones cannot be written")
@@ -24,7 +25,8 @@ def dump(config: Config) -> str:
         document[name] = {**_plain(getattr(config, name)), "robots": _plain(robots)}
     document["relay"] = _plain(rules)
     document["apps"] = {name: _app(app) for name, app in config.apps.items()}
-    return tomltext.dump(document)
+    text: str = tomli_w.dumps(document)
+    return text
 
 
 def _app(app: App) -> dict[str, Any]:

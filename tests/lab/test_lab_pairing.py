@@ -1,0 +1,247 @@
+"""Two whole machines with bluetoothd: `swarm pair` by ssh, encrypted links, strangers refused, PyBluez, the mesh's own
+units over it, and a bluetoothd that is restarted in mid-run.
+
+One after the other, each from where the one before has left the two.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lab.inside import command, furnish
+from lab.radio.remote import Radio
+from lab.vm.build import Image
+from lab.vm.machine import Machine
+from swarm.keyfile import new_key_file
+from swarm.recording.run import Run
+
+pytest_plugins = ("lab_fixtures",)
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(600)]
+
+COMPATIBLE = """mkdir -p /run/systemd/system/bluetooth.service.d
+printf '[Service]\\nExecStart=\\nExecStart=/usr/libexec/bluetooth/bluetoothd -C\\n' \
+    >/run/systemd/system/bluetooth.service.d/lab.conf
+systemctl daemon-reload
+systemctl restart bluetooth
+for i in $(seq 200); do timeout 10 bluetoothctl show | grep -q 'Powered: yes' && exit 0; sleep 0.3; done; exit 1
+"""
+"""Service records need bluetoothd's old door."""
+
+PEER = "tests/lab/inside_peer.py"
+ITERATIONS = 400
+
+CONFIG = """network = "lab"
+[[robots]]
+name = "r0"
+host = "lab-r0"
+bluetooth = "{}"
+[[robots]]
+name = "r1"
+host = "lab-r1"
+bluetooth = "{}"
+[topology]
+edges = [["r0", "r1"]]
+[mesh]
+{}
+[apps.consensus.robots.r0]
+value = 0.3
+[apps.consensus.robots.r1]
+value = 1.7
+"""
+MESH = 'key = "/etc/swarm/key"\nrfcomm_encrypt = true\nheartbeat = 1.0\nsuspect = 10.0\ndead = 30.0'
+
+
+class Robots:
+    """Both machines, their radio, and the host's view of them."""
+
+    def __init__(self, folder: Path, radio: Radio, machines: list[Machine]) -> None:
+        self.folder = folder
+        self.radio = radio
+        self.machines = machines
+        self.first, self.second = machines
+        self.config = folder / "swarm.toml"
+        self.config.write_text(CONFIG.format(*radio.addresses, MESH))
+        (folder / "ssh_config").write_text(
+            "".join(
+                f"Host lab-{robot.name}\n HostName 127.0.0.1\n Port {robot.port}\n User root\n"
+                f" IdentityFile {robot.ssh_words()[2]}\n StrictHostKeyChecking no\n UserKnownHostsFile /dev/null\n"
+                for robot in machines
+            )
+        )
+
+    def pair(self, *words: str) -> str:
+        """`swarm pair` of the host: what it says of the link."""
+        asked = ["--config", str(self.config), "--ssh-config", str(self.folder / "ssh_config"), "--json"]
+        words = ("pair", *asked, "--timeout", "200", *words)
+        done = subprocess.run([sys.executable, "-m", "swarm.cli", *words], capture_output=True, text=True, check=False)
+        assert done.stdout, done.stderr
+        answer = json.loads(done.stdout.splitlines()[-1])
+        assert all(each["ok"] for each in answer["robots"].values()), answer
+        return str(answer["links"]["r0 r1"])
+
+    def scans(self) -> list[bool]:
+        """Whether each listens to calls."""
+        return ["PSCAN" in robot.run("hciconfig hci0") for robot in self.machines]
+
+    def talk(self) -> tuple[int, str, str]:
+        """The first calls the second over an encrypted link: its exit code, what it said, what the second said."""
+        a, b = self.radio.addresses
+        self.second.run("rm -f /tmp/said")
+        number = self.second.spawn(command(f"{PEER} listen {b} {a} >/tmp/said 2>&1"), 300)
+        self.second.run("until grep -q listening /tmp/said; do sleep 0.2; done", 120)
+        result = self.first.wait(self.first.spawn(command(f"{PEER} dial {a} {b}"), 150), 180)
+        if result.code:
+            self.second.run("kill $(cat /tmp/peer)", code=None)
+        self.second.wait(number, 180)
+        return result.code, result.output, self.second.run("cat /tmp/said")
+
+
+@pytest.fixture(scope="module")
+def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robots]:
+    """Booted both, powered, paired with nobody."""
+    folder = tmp_path_factory.mktemp("pair")
+    with Radio(folder, 2, machines=True) as radio:
+        machines = [
+            Machine(lab_image, folder / name, name, memory_mb=384, radio=folder / f"radio-{number}")
+            for number, name in enumerate(("r0", "r1"))
+        ]
+
+        def prepare(machine: Machine) -> None:
+            machine.wait_booted()
+            furnish(machine)
+            machine.run(COMPATIBLE, 180)
+
+        try:
+            for machine in machines:
+                machine.switch_on()
+            with ThreadPoolExecutor() as pool:
+                list(pool.map(prepare, machines))
+            yield Robots(folder, radio, machines)
+        finally:
+            for machine in machines:
+                machine.kill()
+            counts = radio.order("look")["counts"]
+    assert not [name for name in counts if name.startswith("unknown")], counts
+
+
+def until(condition: Callable[[], object], seconds: float, what: Callable[[], str]) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, what()
+        time.sleep(0.3)
+
+
+def test_an_adapter_that_is_paired_with_nobody_is_deaf(robots: Robots) -> None:
+    assert robots.scans() == [False, False]
+    code, said, _ = robots.talk()
+    assert code == 1
+    assert "deaf to robots it is not paired with (swarm pair)" in said
+
+
+def test_swarm_pair_pairs_them(robots: Robots) -> None:
+    assert robots.pair("--check") == "not paired at r0, not paired at r1"
+    assert robots.pair() == "paired"
+    assert robots.pair("--check") == "paired"
+    until(lambda: robots.scans() == [True, True], 30, lambda: "paired, and still deaf")
+
+
+def test_links_are_encrypted_when_asked_for(robots: Robots) -> None:
+    robots.radio.order("drop", one=robots.radio.addresses[0], other=robots.radio.addresses[1])
+    before = robots.radio.order("look")["counts"]["encrypted"]
+    code, said, heard = robots.talk()
+    assert code == 0, said + heard
+    assert said.startswith("b'and back' level 2")
+    assert "b'encrypted' level 2 robot r0" in heard
+    # Not only the socket says so: the controllers were told to.
+    assert robots.radio.order("look")["counts"]["encrypted"] == before + 1
+
+
+def test_pybluez_finds_the_robot_and_its_mesh(robots: Robots) -> None:
+    a, b = robots.radio.addresses
+    # PyBluez makes a record only while the adapter can be found.
+    robots.second.run("bluetoothctl discoverable on; until hciconfig hci0 | grep -q ISCAN; do sleep 0.2; done", 60)
+    number = robots.second.spawn(command(f"{PEER} advertise {b} {a}"), 300)
+    rows: list[dict[str, Any]] = []
+
+    def found() -> bool:
+        said = robots.first.run(command("-m services.mesh.discover --seconds 2.56 --services --json"), 180)
+        rows[:] = map(json.loads, said.splitlines())
+        return {row["address"]: row["channel"] for row in rows} == {b: 4}
+
+    until(found, 120, lambda: f"{rows}")
+    code = robots.first.wait(robots.first.spawn(command(f"{PEER} dial {a} {b}"), 150), 180).code
+    assert code == 0
+    assert robots.second.wait(number, 120).code == 0
+
+
+def test_who_was_forgotten_is_refused_and_may_be_paired_again(robots: Robots) -> None:
+    a = robots.radio.addresses[0]
+    robots.second.run(f"bluetoothctl remove {a}; bluetoothctl pairable off")
+    until(lambda: not robots.radio.order("look")["links"], 30, lambda: "the link stays")
+    robots.second.run("hciconfig hci0 pscan")  # deaf otherwise; a paired third robot makes it hear
+    code, said, heard = robots.talk()
+    assert code == 1, said + heard
+    assert "it has lost the key of the pairing" in said
+    assert not robots.radio.order("look")["encrypted"]
+    assert "not paired at r1" in robots.pair("--check")
+    assert robots.pair() == "paired"
+    code, said, heard = robots.talk()
+    assert code == 0, said + heard
+
+
+def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
+    """The mesh's units over encrypted links with a key; bluetoothd switches the adapter off and on under them."""
+    key = robots.folder / "swarm.key"
+    new_key_file(key, int(time.time()))
+    own = robots.folder / "own.toml"
+    own.write_text(CONFIG.format(*robots.radio.addresses, "insecure = true"))
+    words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
+    record = ["--record", str(robots.folder / "simulated")]
+    subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
+    robots.radio.order("medium", latency=0.05)
+    for robot in robots.machines:
+        (robot.share / "swarm.toml").write_text(robots.config.read_text())
+        (robot.share / "swarm.key").write_bytes(key.read_bytes())
+        robot.run(
+            "install -m 644 /share/swarm.toml /etc/swarm/swarm.toml;"
+            "install -m 600 -o swarm-mesh /share/swarm.key /etc/swarm/key; mkdir -p /etc/swarm/apps;"
+            f"printf 'ARGUMENTS=--iterations {ITERATIONS} --run 1ab --record\\n'"
+            " >/etc/swarm/apps/consensus.env; systemctl start swarm-bus"
+        )
+        robot.spawn(f"/opt/swarm/current/bin/z_sub --json 'swarm/{robot.name}/app/consensus/state' >/tmp/states", 400)
+        robot.run("systemctl start --no-block swarm-mesh swarm-app@consensus")
+
+    def reached() -> list[int]:
+        """The latest iteration of each."""
+        said = [robot.run("tail -n 1 /tmp/states", 60) for robot in robots.machines]
+        return [json.loads(each)["value"]["k"] if each else -1 for each in said]
+
+    until(lambda: min(reached()) >= 5, 120, lambda: journals(robots))
+    for robot in robots.machines:
+        before = max(reached())
+        robot.run("systemctl restart bluetooth", 90)
+        assert before < ITERATIONS - 20
+        until(lambda before=before: min(reached()) >= before + 5, 150, lambda: journals(robots))  # type: ignore[misc]
+    assert [tuple(each) for each in robots.radio.order("look")["encrypted"]] == [tuple(robots.radio.addresses)]
+    until(lambda: min(reached()) >= ITERATIONS, 150, lambda: journals(robots))
+    simulated = Run(robots.folder / "simulated").trajectories("consensus")
+    for robot in robots.machines:
+        robot.run("systemctl stop swarm-app@consensus swarm-mesh swarm-bus; cp -r /var/lib/swarm/runs /share/runs")
+        (folder,) = (robot.share / "runs").iterdir()
+        rows = Run(folder).trajectories("consensus")[robot.name].rows
+        for k in range(ITERATIONS + 1):
+            assert rows[k] == simulated[robot.name].rows[k], f"{robot.name}, iteration {k}"
+
+
+def journals(robots: Robots) -> str:
+    return "\n".join(
+        robot.run("journalctl -b -u swarm-mesh -u swarm-app@consensus -u bluetooth --no-pager -n 30", code=None)
+        for robot in robots.machines
+    )
