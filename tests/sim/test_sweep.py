@@ -171,7 +171,12 @@ def test_a_dask_cluster_gives_the_same():
         assert figures(run(jobs, lambda: done.append(1))) == expected
     assert len(done) == len(jobs)
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",
+            worker_dashboard_address="127.0.0.1:0",
+        ) as cluster,
         engines.dask(2, cluster.scheduler_address) as run,
     ):
         assert figures(run(jobs, lambda: None)) == expected

@@ -42,7 +42,13 @@ def dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
         raise LocalError('--engine dask needs Dask: pip install "balboa-swarm[dask]"') from None
     with contextlib.ExitStack() as held:
         if scheduler is None:
-            cluster = distributed.LocalCluster(n_workers=processes, threads_per_worker=1, dashboard_address=None)
+            cluster = distributed.LocalCluster(
+                n_workers=processes,
+                threads_per_worker=1,
+                # Its pages cannot be left out, and would be there for the whole network.
+                dashboard_address="127.0.0.1:0",
+                worker_dashboard_address="127.0.0.1:0",
+            )
             scheduler = held.enter_context(cluster)
         client = held.enter_context(distributed.Client(scheduler))
         # Pure by name a run would be computed once for all sweeps of the cluster; each sweep is to compute its own.

@@ -50,6 +50,19 @@ class VirtualRouter:
             session.targets.clear()
 
 
+class Subscription:
+    """What a session has asked to hear; until closed."""
+
+    def __init__(self, router: VirtualRouter, entries: list[_Subscription]) -> None:
+        self._router, self._entries = router, entries
+
+    def close(self) -> None:
+        """Hear no more; safe to call twice."""
+        gone = set(map(id, self._entries))
+        self._router.subscriptions = [each for each in self._router.subscriptions if id(each) not in gone]
+        self._router.changed()
+
+
 class VirtualBus:
     """One session of a robot's bus."""
 
@@ -98,12 +111,15 @@ class VirtualBus:
         for callback in targets:
             soon(callback, key, payload)
 
-    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> None:
-        """Call `callback(key, payload)` for every sample of other sessions."""
-        for key in (keys,) if isinstance(keys, str) else keys:
-            compiled = _pattern(key) if "*" in key else None
-            self._router.subscriptions.append(_Subscription(key, compiled, self, callback))
+    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
+        """Call `callback(key, payload)` for every sample of other sessions, until what is returned is closed."""
+        entries = [
+            _Subscription(key, _pattern(key) if "*" in key else None, self, callback)
+            for key in ((keys,) if isinstance(keys, str) else keys)
+        ]
+        self._router.subscriptions += entries
         self._router.changed()
+        return Subscription(self._router, entries)
 
     def serve(self, key: str, answer: OnQuery) -> None:
         """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""
