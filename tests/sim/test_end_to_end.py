@@ -203,8 +203,11 @@ def test_localization_finds_the_target():
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_six_balancing_robots_cross_without_contact():
-    """Each to the opposite side, as the app has it where no waypoints are given. The balancer, the body that falls if it
-    is late, odometry, UWB, EKF and mesh of each robot: 36 processes. (`./run bench teamwork` does so with a formation.)"""
+    """Each to the opposite side, as the app has it where no waypoints are given.
+
+    The balancer, the body that falls if it is late, odometry, UWB, EKF and mesh of each robot: 36 processes.
+    (`./run bench teamwork` does so with a formation.)
+    """
     report = simulate("goto", "--robots", "6", "--topology", "line", "--jitter", "10ms", "--seconds", "75")
     assert report["problems"] == []
     assert report["scene"]["closest_m"] > 0.15
