@@ -13,6 +13,7 @@ from pathlib import Path
 
 from swarm.errors import BusError, LocalError
 from swarm.keys import is_name
+from swarm.locks import is_held
 from swarm.paths import BUS_SOCKET
 
 LOCK = "sim.lock"
@@ -84,17 +85,9 @@ def _lock(descriptor: int) -> bool:
 def is_live(directory: Path) -> bool:
     """Whether a simulation runs in `directory` at this moment."""
     try:
-        descriptor = os.open(directory / LOCK, os.O_RDONLY | os.O_CLOEXEC)
+        return is_held(directory / LOCK)
     except OSError:
         return False
-    try:
-        # A shared lock, so that two who look at the same time do not take each other for a simulation.
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
 
 
 def robots(directory: Path) -> dict[str, Path]:

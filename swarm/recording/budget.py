@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from swarm.locks import is_held
 from swarm.recording.reader import SUFFIX
 
 RESTING_S = 120.0
@@ -111,7 +112,7 @@ def _look(folder: Path) -> Kept:
             about = path.stat(follow_symlinks=False)
             size += about.st_blocks * _BLOCK
             changed = max(changed, about.st_mtime)
-            held = held or (path.suffix == SUFFIX and _is_held(path))
+            held = held or (path.suffix == SUFFIX and is_held(path))
     return Kept(folder, size, changed, held)
 
 
@@ -122,14 +123,3 @@ def _delete(folder: Path) -> None:
             path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
     with contextlib.suppress(FileNotFoundError):
         folder.rmdir()
-
-
-def _is_held(path: Path) -> bool:
-    file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(file)
-    return False
