@@ -30,8 +30,9 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
     figure.set_size_inches(7.2, max(2.9, 2.3 * len(panels)))
     grid = figure.add_gridspec(len(panels), 2)
     for row, (label, column, paths) in enumerate(panels):
+        title = (labels or {}).get(label, label)
         if _is_truth(column, paths):
-            _truth(figure.add_subplot(grid[row, :]), (labels or {}).get(label, label), column, paths)
+            _truth(figure.add_subplot(grid[row, :]), title, column, paths)
             continue
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
@@ -41,7 +42,7 @@ def states(figure: Any, run: Run, columns: Sequence[str] = (), labels: Mapping[s
             look = _look(index, len(paths), len(ks))
             left.plot(ks, values, label=name, **look)
             right.plot([path.times[k] for k in ks], values, **look)
-        left.set(xlabel="iteration", ylabel=(labels or {}).get(label, label))
+        left.set(xlabel="iteration", ylabel=title)
         right.set(xlabel="time / s")
         style.whole(left.xaxis)
         right.tick_params(labelleft=False)

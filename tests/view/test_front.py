@@ -1,17 +1,17 @@
 """The lockstep front, in a real browser: a link of a loop is cut, and robots wait for each other."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, chromium, seek, shown, until
+from browsing import PATIENCE_MS, seek, shown, until
 from virtual_run import recorded
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
+pytest_plugins = ("view_fixtures",)
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(120),
@@ -27,12 +27,6 @@ PICTURE = """(() => {
   return red;
 })()"""
 """How many pixels are in the colour of what is bad."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

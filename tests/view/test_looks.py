@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, chromium, seek, shown, until
+from browsing import PATIENCE_MS, seek, shown, until
 from virtual_run import recorded
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
+pytest_plugins = ("view_fixtures",)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(120), pytest.mark.filterwarnings("ignore::ResourceWarning")]
 
 AT = 5.0
@@ -37,12 +38,6 @@ NEAR = """([x, y, radius]) => {
 
 GOOD, FAIR, WARN, BAD = "#00795b", "#7a8a00", "#9a5b00", "#c22f2f"
 """The page's colours of links, in light."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, View, chromium, seek, shown, until, visit
+from browsing import PATIENCE_MS, View, seek, shown, until, visit
 from virtual_run import recorded
 
 from bench.simulation import Simulation
@@ -19,6 +19,7 @@ expect = sync_api.expect
 
 LOST_WITHIN_MS = 2_000
 
+pytest_plugins = ("view_fixtures",)
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(300),
@@ -31,12 +32,6 @@ def simulation() -> Iterator[Simulation]:
     with Simulation("consensus", "--robots", "6", "--topology", "loop", "--seconds", "600") as simulation:
         simulation.wait_for("r0", 3)
         yield simulation
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

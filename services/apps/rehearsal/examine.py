@@ -191,7 +191,7 @@ def _sync(task: Task, finding: Finding) -> None:
         )
     finding.warnings += [
         f"{file}, line {line}: sum() of floats may have another last bit from Python 3.12 on, math.fsum never"
-        for file, line in sums
+        for file, line in sorted(sums)
     ]
 
 

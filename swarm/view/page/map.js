@@ -130,7 +130,7 @@ export class SwarmMap {
       const leds = this.leds(name), known = this.known(name);
       mark(place);
       marks.push(Math.round((place.heading ?? 9) * tip), Math.round((place.tilt ?? 0) * tip));
-      marks.push(leds.red, leds.yellow, leds.green, this.gone(name), store.get(name, "balancer/state")?.mode === "fault");
+      marks.push(leds.red, leds.yellow, leds.green, this.gone(name), this.failed(name));
       if (!known) continue;
       mark(known);
       marks.push(Math.round(known.deviation_x * view.scale), Math.round((known.deviation_y ?? 0) * view.scale));
@@ -180,7 +180,7 @@ export class SwarmMap {
     }
     for (const target of targets) pen.cross(target);
     for (const [name, { x, y, heading, tilt }] of places) {
-      const fault = store.get(name, "balancer/state")?.mode === "fault", selected = name === this.selected;
+      const fault = this.failed(name), selected = name === this.selected;
       pen.robot({ name, at: pen.at(x, y), heading, tilt: tilt ?? 0, colour: store.colour(name), leds: this.leds(name), gone: this.gone(name), fault, selected, named });
     }
   }
@@ -193,6 +193,11 @@ export class SwarmMap {
   known(name) {
     const pose = this.store.get(name, "dwm/pose");
     return typeof pose?.deviation_x === "number" && Math.abs(pose.x) < FAR && Math.abs(pose.y) < FAR ? pose : null;
+  }
+
+  // Whether its balancer has given up.
+  failed(name) {
+    return this.store.get(name, "balancer/state")?.mode === "fault";
   }
 
   // Whether nothing of a robot is there.
