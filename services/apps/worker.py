@@ -228,7 +228,7 @@ class Worker:
             if saved:
                 self._service.log.info("goes on at iteration %d", self._strand.k)
             elif self._strand.lost:
-                self._service.log.warning("%s", self._strand.obstacle)
+                self._service.log.warning("this robot has lost its state of the run and waits for the next epoch")
             self._perform()
         return True
 

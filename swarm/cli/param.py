@@ -59,19 +59,22 @@ def run(args: argparse.Namespace) -> int:
     with opened(found) as there:
         hosts = Hosts(there, args.app)
         problems = hosts.change(wanted) if wanted else {}
-        hosts.look()
+        later = hosts.look(hosts.changed)
     if not hosts.known:
         raise LocalError(f"no app {args.app} answers on {', '.join(there)}: does it run? (swarm status)")
     silent = [robot for robot in there if robot not in hosts.known]
     if args.json:
         values = {robot: {name: p.value for name, p in known.items()} for robot, known in hosts.known.items()}
-        print(json.dumps({"app": args.app, "parameters": values, "silent": silent, "problems": problems}))
+        lists = {"later": later, "silent": silent, "problems": problems}
+        print(json.dumps({"app": args.app, "parameters": values, **lists}))
     else:
         print("\n".join(table(hosts.known)))
         for robot in silent:
             print(f"{robot}: no answer")
         for problem in problems.values():
             print(problem)
+        for robot in later:
+            print(f"{robot}: taken, and holds from the app's next step on")
     return 1 if silent or problems else 0
 
 
@@ -84,19 +87,32 @@ class Hosts:
         self._changed = threading.Condition()
         self.known: dict[str, dict[str, AppParameter]] = {}
         """Parameters by robot and name: of the robots that have answered."""
+        self.changed: dict[str, dict[str, Value]] = {}
+        """What has been set and taken, by robot."""
 
-    def look(self) -> None:
-        """Ask for the parameters as they are now."""
+    def look(self, expected: Mapping[str, Mapping[str, Value]]) -> list[str]:
+        """Ask for the parameters as they are now, and again until they are as `expected`: an app takes others between
+        two steps. Given back are the robots that have not by then."""
         self.known.clear()
 
-        def ask() -> None:
-            for robot, bus in self._there.items():
-                if robot not in self.known:
-                    take = _taker(AppParameters, lambda found, robot=robot: self._take(robot, found))
-                    bus.ask(key(robot, self._service, "parameters"), take)
+        def later() -> list[str]:
+            return [
+                robot
+                for robot, values in sorted(expected.items())
+                if robot in self.known and any(self.known[robot][name].value != values[name] for name in values)
+            ]
 
-        self._until(lambda: len(self.known) == len(self._there), ask)
-        self.known = {robot: self.known[robot] for robot in sorted(self.known)}
+        def ask() -> None:
+            with self._changed:
+                missing = (self._there.keys() - self.known.keys()) | set(later())
+            for robot in missing:
+                take = _taker(AppParameters, lambda found, robot=robot: self._take(robot, found))
+                self._there[robot].ask(key(robot, self._service, "parameters"), take)
+
+        self._until(lambda: len(self.known) == len(self._there) and not later(), ask)
+        with self._changed:
+            self.known = {robot: self.known[robot] for robot in sorted(self.known)}
+            return later()
 
     def change(self, wanted: Mapping[str, Mapping[str, Value]]) -> dict[str, str]:
         """Set values, those under "" on all robots; why not, by robot."""
@@ -122,6 +138,7 @@ class Hosts:
                     self._there[robot].publish(key(robot, self._service, "set", "parameters"), request, urgent=True)
 
         self._until(lambda: len(answers) == len(requests), ask)
+        self.changed = {robot: requests[robot].parameters for robot, problem in answers.items() if not problem}
         return {robot: answers[robot] for robot in sorted(answers) if answers[robot]}
 
     def _take(self, robot: str, found: AppParameters) -> None:

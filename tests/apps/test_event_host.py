@@ -1,6 +1,7 @@
 """Event-driven and periodic apps as processes on real buses: barrier, restart, faults, parameters, devices."""
 
 import json
+import os
 import queue
 import re
 from collections.abc import Callable, Iterator
@@ -219,6 +220,41 @@ def test_the_command_shows_and_changes_parameters(
     rig.stop("r0")
     monkeypatch.setattr(swarm_param, "ANSWER", 0.5)
     assert param("hands") == (2, "swarm: no app hands answers on r0: does it run? (swarm status)\n")
+
+
+def test_a_change_that_waits_for_a_running_handler_is_told_as_such(
+    make_rig: MakeRig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, app = make_rig("busy", HANDS)
+    gate = rig.directory / "gate"
+    os.mkfifo(gate)
+    text = Path(app).read_text().replace('if button == "b":', f'open("{gate}").close()\n        if button == "b":')
+    Path(app).write_text(text.replace("Hands", "Busy"))
+    rig.start("r0", "apps", app)
+    rig.until_phase("running", "r0")
+    out = Watch(rig, "r0", "swarm/r0/app/busy/out/pressed", AppOutput)
+    for presses in (0, 1):
+        rig.buses["r0"].publish("swarm/r0/balancer/buttons", Buttons(0.0, False, False, False, presses, 0, 0))
+    assert out.next().values == {"value": "a"}
+    monkeypatch.setenv("SWARM_CONFIG", str(rig.directory / "swarm.toml"))
+    monkeypatch.setenv("SWARM_ROBOT", "r0")
+    monkeypatch.setenv("SWARM_RUNTIME", str(rig.directory / "r0"))
+    monkeypatch.setattr(swarm_param, "ANSWER", 0.7)
+
+    def param(*arguments: str) -> str:
+        with pytest.raises(SystemExit) as end:
+            main(["param", "busy", *arguments])
+        assert end.value.code == 0
+        return capsys.readouterr().out
+
+    text = param("gain=0.75")
+    assert "gain           0.5 " in text
+    assert text.endswith("r0: taken, and holds from the app's next step on\n")
+    gate.write_text("")  # returns when the handler reads it
+    monkeypatch.setattr(swarm_param, "ANSWER", 20.0)
+    text = param("gain=0.875")
+    assert "gain           0.875 " in text
+    assert "taken" not in text
 
 
 def test_a_wrong_state_is_named_and_sigterm_gives_back_what_was_taken(make_rig: MakeRig) -> None:
