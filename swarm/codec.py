@@ -54,6 +54,8 @@ def decode(kind: type[T], payload: bytes, key: str) -> T:
 
 def as_value(value: object) -> Value:
     """What an author gives, as a free-form map carries it: lists as tuples of floats. `LocalError` where it cannot."""
+    if type(value) is float and math.isfinite(value):
+        return value
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int) and -(1 << 63) <= value < 1 << 63:

@@ -47,6 +47,37 @@ STAGGER = 0.3
 class Epochs:
     """The membership of one run, as one robot knows it."""
 
+    __slots__ = (
+        "_actions",
+        "_answered_at",
+        "_answers",
+        "_bound",
+        "_cause_at",
+        "_deaf",
+        "_edges",
+        "_mine",
+        "_names",
+        "_of",
+        "_offered_at",
+        "_order",
+        "_relink",
+        "_reminded_at",
+        "_roster",
+        "_round",
+        "_settled",
+        "_tell_at",
+        "_told_at",
+        "auto",
+        "counters",
+        "frozen",
+        "k",
+        "me",
+        "member",
+        "number",
+        "stalled",
+        "well",
+    )
+
     def __init__(
         self,
         me: str,
@@ -133,6 +164,8 @@ class Epochs:
 
     def next_deadline(self, now: float) -> float | None:
         """When `handle_timer` wants to be called; None: no timer runs."""
+        if not (self.auto or self.frozen or self.k < 0 or self._order is not None or self._mine.offer is not None):
+            return None  # asked after each message, and nearly always so
         times = [self._tell_at] if self._busy else []
         if self._mine.offer is not None and self._mine.offer.epoch is None and now < self._collected_at:
             times.append(self._collected_at)

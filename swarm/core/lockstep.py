@@ -62,6 +62,31 @@ class Lockstep:
     Make it, call `start()` or `resume()` once, then feed it. `counters` tells what was dropped and asked for.
     """
 
+    __slots__ = (
+        "_actions",
+        "_answered",
+        "_computing",
+        "_last",
+        "_leave_at",
+        "_linger",
+        "_name_at",
+        "_named",
+        "_patience",
+        "_peers",
+        "_previous",
+        "_size",
+        "_value",
+        "_want_at",
+        "_wanted_at",
+        "channel",
+        "counters",
+        "done",
+        "fault",
+        "k",
+        "me",
+        "rtt",
+    )
+
     def __init__(
         self,
         me: str,
@@ -118,12 +143,14 @@ class Lockstep:
         """When `handle_timer` wants to be called, on the clock of `now`; None: no timer runs."""
         if self.k < 0 or self.fault is not None or self.done:
             return None
+        if self._computing:
+            return None  # all values were there
         lacking = self._lacking()  # once: this is asked after each frame
         if self.k == self._last:
             return min(self._want_at, self._leave_at) if lacking else self._leave_at
         if not lacking:
             return None
-        return self._want_at if self._named else min(self._want_at, self._name_at)
+        return self._want_at if self._named or self._want_at < self._name_at else self._name_at
 
     # What the host tells
 
@@ -207,11 +234,12 @@ class Lockstep:
         """Take a frame of `sender` from `channel`. What is of no use is dropped and counted, never raised."""
         if self.k < 0:
             raise LocalError("lockstep: start() or resume() comes first")
-        if channel.run != self.channel.run:
+        own = self.channel
+        if channel.run != own.run:
             self.counters["other run"] += 1
-        elif channel.epoch != self.channel.epoch:
+        elif channel.epoch != own.epoch:
             self.counters["other epoch"] += 1
-        elif channel.schema != self.channel.schema:
+        elif channel.schema != own.schema:
             self.counters["other version"] += 1
         elif sender == self.me:
             self._receive_own(channel)
@@ -227,16 +255,17 @@ class Lockstep:
                 self.counters["old incarnation"] += 1
             elif self.fault is None:
                 self._accept(sender, peer, channel.incarnation, frame)
-            if isinstance(frame, Want) and frame.k < self.k - 1:
-                # A late copy, or a robot that lost its state and perhaps its incarnation with it. Our frame
-                # does nothing to the former and tells the latter that it is lost: so this one answer goes to
-                # an old incarnation too, and even after a fault.
-                self._answer(sender, frame.k, now)
-            elif isinstance(frame, Want) and self.fault is None and channel.incarnation == peer.incarnation:
-                if frame.k <= self.k:
+            if isinstance(frame, Want):
+                if frame.k < self.k - 1:
+                    # A late copy, or a robot that lost its state and perhaps its incarnation with it. Our frame
+                    # does nothing to the former and tells the latter that it is lost: so this one answer goes to
+                    # an old incarnation too, and even after a fault.
                     self._answer(sender, frame.k, now)
-                else:
-                    self.counters["want of the next"] += 1
+                elif self.fault is None and channel.incarnation == peer.incarnation:
+                    if frame.k <= self.k:
+                        self._answer(sender, frame.k, now)
+                    else:
+                        self.counters["want of the next"] += 1
             self._settle(now)
 
     # How it works
@@ -255,7 +284,8 @@ class Lockstep:
         """Learn from a frame of the newest incarnation (R3)."""
         restarted = incarnation > peer.incarnation
         peer.incarnation = incarnation
-        peer.reached = max(peer.reached, frame.k)
+        if frame.k > peer.reached:
+            peer.reached = frame.k
         if frame.k > self.k + 1:
             # To get there it must have had our x(k+1): we have forgotten that we sent it.
             self._fail(f"state lost at {self.me}: {sender} is at iteration {frame.k}, this robot at {self.k}")
@@ -307,7 +337,7 @@ class Lockstep:
 
     def _settle(self, now: float) -> None:
         """After any change: say that a wait is over or has fewer robots, compute, or be done."""
-        if self.fault is not None:
+        if self.fault is not None or self._computing:
             return
         lacking = self._lacking()
         if self.k == self._last:
@@ -316,7 +346,7 @@ class Lockstep:
             return
         if self._named:
             self._name(lacking)
-        if not lacking and not self._computing:
+        if not lacking:
             self._computing = True
             values = {name: peer.slots[self.k] for name, peer in self._peers.items()}
             self._actions.append(Compute(self.k, self._value, values))
@@ -325,8 +355,12 @@ class Lockstep:
         """Neighbours whose x(k) is missing; at the last iteration those not known to be there (R7)."""
         if self.k == self._last:
             return tuple(name for name, peer in self._peers.items() if peer.reached < self.k)
-        k = self.k  # of a list: after each frame, and a generator takes twice the time
-        return tuple([name for name, peer in self._peers.items() if k not in peer.slots])
+        k = self.k  # a loop: after each frame, and mostly of nobody
+        lacking: tuple[str, ...] = ()
+        for name, peer in self._peers.items():
+            if k not in peer.slots:
+                lacking += (name,)
+        return lacking
 
     def _ask(self, peers: tuple[str, ...], now: float) -> None:
         """Ask each of `peers` for its x(k); ask again later and later, for ever (R4)."""

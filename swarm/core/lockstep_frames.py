@@ -94,6 +94,9 @@ def decode_frame(data: bytes, size: int) -> Step | Want:
     if len(data) < _HEAD.size:
         raise FrameError(f"lockstep frame of {len(data)} bytes, at least {_HEAD.size} are needed")
     kind, k = _HEAD.unpack_from(data)
+    if kind == STEP and k and len(data) == _HEAD.size + 2 * size:  # nearly all are such
+        middle = _HEAD.size + size
+        return Step(k, bytes(data[_HEAD.size : middle]), bytes(data[middle:]))
     body = bytes(data[_HEAD.size :])
     if kind == WANT:
         if body:

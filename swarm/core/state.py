@@ -196,6 +196,7 @@ class Schema:
         self.hash = int.from_bytes(blake2b(text.encode(), digest_size=4).digest(), "little")
         """32 bits over class name, names, types and order."""
         self._is_flat = not any(field.kind in ("vector", "matrix", "enum") for field in self.fields)
+        self._are_floats = all(field.kind == "float" for field in self.fields)
 
     def check_size(self) -> None:
         """Raise `AppError` where there is nothing to share, or more than one frame holds."""
@@ -217,6 +218,10 @@ class Schema:
 
     def pack(self, values: Mapping[str, object]) -> bytes:
         """Check and pack the fields out of `values`."""
+        if self._are_floats:
+            found: list[Any] = [values[name] for name in self.names]
+            if set(map(type, found)) == {float} and all(map(math.isfinite, found)):
+                return self._struct.pack(*found)
         flat: list[object] = []
         for field, value in zip(self.fields, self.check(values).values(), strict=True):
             flat.extend(field.flat(value))
@@ -237,6 +242,8 @@ class Schema:
 
     def plain(self, values: Mapping[str, Any]) -> dict[str, Plain]:
         """Checked values for the bus and for recordings, by name."""
+        if self._are_floats:
+            return {name: values[name] for name in self.names}
         return {field.name: field.plain(values[field.name]) for field in self.fields}
 
 

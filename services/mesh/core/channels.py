@@ -20,6 +20,11 @@ class Channels:
     """Our handles for the keys we send on one connection; the least recently used one is bound anew when all
     are taken."""
 
+    __slots__ = (
+        "_handles",
+        "_size",
+    )
+
     def __init__(self, size: int = MAX_CHANNELS) -> None:
         self._size = size
         self._handles: OrderedDict[str, int] = OrderedDict()

@@ -12,7 +12,6 @@ half as soon as a link is busy, without a byte in any queue, and a window steere
 """
 
 import struct
-from collections import deque
 
 from services.mesh.core import fragments, frames
 from swarm.errors import FrameError
@@ -113,12 +112,30 @@ class Receipts:
 class Window:
     """The sending side of one connection."""
 
+    __slots__ = (
+        "_base",
+        "_base_until",
+        "_busy_until",
+        "_from",
+        "_marks",
+        "_next_trial",
+        "_rate",
+        "_relieved",
+        "_rest",
+        "_rtt",
+        "_since",
+        "_trial",
+        "acknowledged",
+        "limit",
+        "sent",
+    )
+
     def __init__(self) -> None:
         self.limit = float(FIRST_WINDOW)
         """Bytes that may be under way before bulk has to wait."""
         self.sent = 0
         self.acknowledged = 0
-        self._marks: deque[tuple[int, float]] = deque()
+        self._marks: list[tuple[int, float]] = []
         """Where writes with bulk in them ended, and when they were made."""
         self._rtt = 0.0
         self._base = [float("inf"), float("inf")]
@@ -171,7 +188,7 @@ class Window:
         self.acknowledged += new
         marked = None
         while self._marks and self._marks[0][0] <= self.acknowledged:
-            marked = self._marks.popleft()[1]
+            marked = self._marks.pop(0)[1]
         if marked is not None and new >= ACK_EVERY:
             # Fewer bytes are acknowledged only with a heartbeat: they say how long that took, not the link.
             self._on_round_trip(now - marked, now)

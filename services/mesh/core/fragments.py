@@ -92,6 +92,12 @@ class _Incomplete:
 class Reassembly:
     """The incomplete messages of one peer, on one connection."""
 
+    __slots__ = (
+        "_bytes",
+        "_counters",
+        "_messages",
+    )
+
     def __init__(self, counters: Counter[str]) -> None:
         """Counts in `incomplete` the messages it drops."""
         self._counters = counters

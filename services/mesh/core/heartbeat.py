@@ -17,6 +17,16 @@ _MAX_RTT = 60.0
 class Pulse:
     """One end of a connection, from heartbeat to heartbeat."""
 
+    __slots__ = (
+        "_peer_stamp",
+        "_peer_stamp_at",
+        "_rated",
+        "received_rate",
+        "rtt",
+        "rtts",
+        "sent_rate",
+    )
+
     def __init__(self, now: float) -> None:
         self.rtt: float | None = None
         """Smoothed round-trip time, s."""

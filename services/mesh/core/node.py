@@ -35,6 +35,25 @@ _MAX_NOTED = 256
 class Node:
     """The mesh of one robot. Calls with `now` must not go back in time; no call may overlap another."""
 
+    __slots__ = (
+        "_actions",
+        "_callers",
+        "_clock",
+        "_counters",
+        "_half_open",
+        "_links",
+        "_local",
+        "_nonce",
+        "_noted",
+        "_prober",
+        "_random",
+        "_ready",
+        "_relay",
+        "_session",
+        "_sessions",
+        "overlays",
+    )
+
     def __init__(
         self,
         local: Local,

@@ -11,7 +11,7 @@ where that is possible. A part of bulk's room is kept for latest values, which a
 out.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from typing import NamedTuple
 
 from services.mesh.core.flow import SYNC_EXTRA
@@ -72,13 +72,28 @@ class Part(NamedTuple):
 class Outbox:
     """The queue of one connection."""
 
+    __slots__ = (
+        "_begun",
+        "_bulk",
+        "_counters",
+        "_counts",
+        "_credit",
+        "_latest",
+        "_sizes",
+        "_turns",
+        "_urgent",
+        "dropped",
+        "waiting",
+    )
+
     def __init__(self, counters: Counter[str]) -> None:
         """Counts in `overflowed` what was dropped because its class was full, in `pushed_back` what was refused for
         that, in `replaced` what a newer value took the place of."""
         self._counters = counters
-        self._urgent: tuple[deque[Message], deque[Message]] = (deque(), deque())
-        self._bulk: dict[str, deque[Message]] = {}
-        self._turns: deque[str] = deque()
+        # Lists: they are short, and an empty deque takes 0.7 kB of a robot that has three on each link.
+        self._urgent: tuple[list[Message], list[Message]] = ([], [])
+        self._bulk: dict[str, list[Message]] = {}
+        self._turns: list[str] = []
         self._counts = [0, 0, 0]
         self._sizes = [0, 0, 0]
         self.waiting = 0
@@ -133,7 +148,7 @@ class Outbox:
         elif (queue := self._bulk.get(key)) is not None:
             queue.append(message)
         else:
-            self._bulk[key] = deque((message,))
+            self._bulk[key] = [message]
             self._turns.append(key)
         self._counts[priority] += 1
         self.waiting += 1
@@ -198,7 +213,7 @@ class Outbox:
             if whole or message.parts or self._begun < MAX_BEGUN:
                 break
             # One of those that have begun comes sooner or later, since they are fewer than the keys that wait.
-            self._turns.rotate(-1)
+            self._turns.append(self._turns.pop(0))
         if whole:
             self._leave(key, queue)
             return message
@@ -216,13 +231,13 @@ class Outbox:
             self._begun -= 1
             self._leave(key, queue)
         else:
-            self._turns.rotate(-1)
+            self._turns.append(self._turns.pop(0))
         return Part(message, number, data, last)
 
-    def _leave(self, key: str, queue: deque[Message]) -> None:
+    def _leave(self, key: str, queue: list[Message]) -> None:
         """The first message of the key whose turn it is has left wholly."""
         self._take(queue)
-        self._turns.popleft()
+        self._turns.pop(0)
         if queue:
             self._turns.append(key)
         else:
@@ -230,8 +245,8 @@ class Outbox:
             if not self._turns:
                 self._credit = 0.0
 
-    def _take(self, queue: deque[Message]) -> Message:
-        message = queue.popleft()
+    def _take(self, queue: list[Message]) -> Message:
+        message = queue.pop(0)
         self.waiting -= 1
         self._counts[message.priority] -= 1
         self._sizes[message.priority] -= len(message.key) + len(message.payload)

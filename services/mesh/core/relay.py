@@ -104,6 +104,17 @@ class _Rule:
 class Relay:
     """The rules of one robot."""
 
+    __slots__ = (
+        "_held",
+        "_me",
+        "_peers",
+        "_robots",
+        "_routes",
+        "_rules",
+        "_sources",
+        "subscriptions",
+    )
+
     def __init__(
         self, me: str, peers: Sequence[str], rules: Sequence[RelayRule], robots: Collection[str] | None = None
     ) -> None:

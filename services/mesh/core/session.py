@@ -49,6 +49,38 @@ SENT = ("sent_control", "sent_sync", "sent_bulk")
 class Session:
     """One connection. Calls with `now` must not go back in time."""
 
+    __slots__ = (
+        "_admit",
+        "_auth",
+        "_bound",
+        "_channels",
+        "_clock",
+        "_confirm",
+        "_counters",
+        "_deadline",
+        "_decoder",
+        "_events",
+        "_expected",
+        "_has_room",
+        "_heard",
+        "_heartbeat_at",
+        "_heartbeat_due",
+        "_hello",
+        "_incarnation",
+        "_local",
+        "_outbox",
+        "_reassembly",
+        "_receipts",
+        "_urgent",
+        "_window",
+        "dialled",
+        "peer",
+        "pulse",
+        "received",
+        "sent",
+        "state",
+    )
+
     def __init__(
         self,
         local: Local,

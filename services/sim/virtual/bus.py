@@ -66,6 +66,13 @@ class Subscription:
 class VirtualBus:
     """One session of a robot's bus."""
 
+    __slots__ = (
+        "_closed",
+        "_router",
+        "_time",
+        "targets",
+    )
+
     connected = True
 
     def __init__(self, router: VirtualRouter) -> None:

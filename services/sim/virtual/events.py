@@ -23,7 +23,8 @@ class EventQueue:
         self._stop = False
         # Large swarms do most things at once: a heap of times, each with its calls, is much smaller than one of calls.
         self._times: list[float] = []
-        self._calls: dict[float, deque[_Call]] = {}
+        # A moment of its own has its one call there without a queue, which takes 0.7 kB.
+        self._calls: dict[float, _Call | deque[_Call]] = {}
         self._present: deque[_Call] = deque()
         """What is planned for this moment."""
         self._soon: deque[_Call] = deque()
@@ -40,10 +41,12 @@ class EventQueue:
             return
         calls = self._calls.get(time)
         if calls is None:
-            self._calls[time] = deque(((call, arguments),))
+            self._calls[time] = call, arguments
             heapq.heappush(self._times, time)
-        else:
+        elif isinstance(calls, deque):
             calls.append((call, arguments))
+        else:
+            self._calls[time] = deque((calls, (call, arguments)))
 
     def soon(self, call: Callable[..., object], *arguments: Any) -> None:
         """Call at this moment, after what runs now and before anything that was planned by `at`."""
@@ -66,8 +69,11 @@ class EventQueue:
                     call, arguments = self._present.popleft()
                 elif times and times[0] <= until:
                     self.now = heapq.heappop(times)
-                    self._present = self._calls.pop(self.now)
-                    continue
+                    calls = self._calls.pop(self.now)
+                    if isinstance(calls, deque):
+                        self._present = calls
+                        continue
+                    call, arguments = calls
                 else:
                     if until != _NEVER:
                         self.now = max(self.now, until)

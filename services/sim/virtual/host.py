@@ -53,6 +53,19 @@ class Place(NamedTuple):
 class VirtualHost:
     """The lockstep channels of one app on one robot."""
 
+    __slots__ = (
+        "_by_schema",
+        "_closed",
+        "_connections",
+        "_edges",
+        "_notes",
+        "_place",
+        "_senders",
+        "app",
+        "robot",
+        "strands",
+    )
+
     def __init__(
         self,
         app: str,

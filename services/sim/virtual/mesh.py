@@ -64,6 +64,22 @@ class Common:
 class VirtualMesh:
     """One robot's mesh."""
 
+    __slots__ = (
+        "_air",
+        "_bus",
+        "_changed",
+        "_clock_key",
+        "_ends",
+        "_links_key",
+        "_time",
+        "_timer",
+        "_topology_key",
+        "counters",
+        "node",
+        "robot",
+        "running",
+    )
+
     def __init__(
         self,
         common: Common,

@@ -253,7 +253,7 @@ class Run:
 
     def _look_whether_over(self) -> None:
         """Robots that the others go on without are waited for no more."""
-        if not self._running & self._members and self._options.seconds is None:
+        if self._options.seconds is None and self._running.isdisjoint(self._members):
             self.world.time.stop()
 
     def _outcome(self, ended_at: float) -> Outcome:

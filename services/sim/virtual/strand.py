@@ -86,6 +86,35 @@ class Told(NamedTuple):
 class VirtualStrand:
     """One strand, from the first state to the last iteration."""
 
+    __slots__ = (
+        "_advanced",
+        "_bus",
+        "_channel",
+        "_closed",
+        "_ended",
+        "_epoch_key",
+        "_heard",
+        "_latest",
+        "_measured",
+        "_measurements",
+        "_notes",
+        "_prefix",
+        "_progress_key",
+        "_shown",
+        "_state_key",
+        "_switched",
+        "_sync",
+        "_time",
+        "_timer",
+        "_waits",
+        "app",
+        "kept",
+        "part",
+        "robot",
+        "runner",
+        "strand",
+    )
+
     def __init__(
         self,
         strand: Strand,

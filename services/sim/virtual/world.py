@@ -123,11 +123,9 @@ class World:
         self.robots = {name: self._robot(name) for name in config.names}
         if mesh == SETTLED:
             self._settle(air.latency)
-        for robot in self.robots.values():
-            if isinstance(robot.mesh, DelayMesh):
-                near = self._common.near[robot.name]
-                robot.mesh.buses = {peer: self.robots[peer].meshes_bus for peer in near}
-                robot.mesh.cuts = self.air.cuts
+        meshes = {name: robot.mesh for name, robot in self.robots.items() if isinstance(robot.mesh, DelayMesh)}
+        for each in meshes.values():
+            each.link(meshes, self.air.cuts)
 
     def cut(self, a: str, b: str, at: float, seconds: float) -> None:
         """Let nothing pass between two robots from `at` on."""
@@ -160,9 +158,6 @@ class World:
             )
         for launch, kept in begun:
             self._begin(robot, launch, kept)
-        for peer in self._common.near[robot]:
-            if isinstance(near := self.robots[peer].mesh, DelayMesh):
-                near.renewed(robot)
 
     def act(self, robot: str, at: float, act: Act) -> None:
         """Let a person do something to a robot."""
