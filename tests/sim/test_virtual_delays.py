@@ -2,7 +2,9 @@
 
 import pytest
 
-from services.sim.virtual.run import simulate
+from services.sim.options import parse
+from services.sim.scenario import build
+from services.sim.virtual.run import PLACE, Run, simulate
 from swarm.errors import ConfigError, LocalError
 
 ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterations", "60")
@@ -19,6 +21,20 @@ def test_states_are_bit_equal_and_times_alike(links):
     assert delays["iteration_s_median"] == pytest.approx(with_mesh["iteration_s_median"], rel=0.06)
     assert delays["seconds"] == pytest.approx(with_mesh["seconds"], rel=0.1)
     assert delays["messages"] == pytest.approx(with_mesh["messages"], rel=0.1)
+
+
+def test_what_comes_to_a_robot_in_one_moment_is_one_call_and_after_a_cut_each_message_is_one():
+    together, apart = (_calls(*more) for more in ((), ("--cut", "r1-r2@0.3s,0.1s")))
+    assert together < 6.5 < apart  # with 2 links a robot
+
+
+def _calls(*more: str) -> float:
+    """Of the event queue, for each iteration of a robot."""
+    options = parse(["consensus", "--virtual", "--robots", "30", "--topology", "loop", "--iterations", "100",
+                     "--mesh", "delay", *more])  # fmt: skip
+    run = Run(options, build(options, PLACE))
+    run.go()
+    return run.world.time.done / 3000
 
 
 def test_periodic_apps_and_devices_run_on_delays():
