@@ -50,7 +50,11 @@ BAD = {
     "no number": ("        self.value = float('nan') * mean\n", "value: nan is not a finite number", 8),
     "a wrong type": ("        self.value = 'much'\n", "value: expected a number, got 'much'", 8),
     "nothing declared": ("        self.speed = 3.0\n", "Bad declares no 'speed'", 8),
-    "hangs": ("        while True:\n            mean += 1.0\n", "it hangs: a step computed for more than 0.3 s", (8, 9)),
+    "hangs": (
+        "        while True:\n            mean += 1.0\n",
+        "it hangs: a step computed for more than 0.3 s",
+        (8, 9),
+    ),
     "is random": ("        self.value = random.random()\n", "the same step gave two results", 8),
     "counts its calls": (
         "        global COUNT\n        COUNT += 1\n        self.value += 1e-3 * COUNT\n",
