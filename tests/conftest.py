@@ -20,6 +20,8 @@ import pytest
 if TYPE_CHECKING:
     from xdist.scheduler import LoadScopeScheduling
 
+    from swarm.bus import Bus
+
 with contextlib.suppress(ImportError):  # a machine of the lab has none
     from hypothesis import settings
 
@@ -82,6 +84,22 @@ def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str
         if time.monotonic() > deadline:
             pytest.fail(f"not within {timeout} s: {what or condition}")
         time.sleep(0.01)
+
+
+def ask(bus: "Bus", key: str, **parameters: object) -> bytes:
+    """The answer to a question, which is repeated until one comes: who answers may just be starting."""
+    answers: list[bytes] = []
+    again = 0.0
+
+    def answered() -> bool:
+        nonlocal again
+        if not answers and time.monotonic() >= again:
+            again = time.monotonic() + 0.5
+            bus.ask(key, lambda _, payload: answers.append(payload), timeout_s=60.0, **parameters)
+        return bool(answers)
+
+    wait_until(answered, what=f"an answer to {key}")
+    return answers[0]
 
 
 class Processes:

@@ -4,13 +4,13 @@ import ctypes
 import math
 import os
 import platform
-import queue
 import random
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import conftest
 import pytest
 from apps_rig import NAMES, Rig, config_text
 from conftest import wait_until
@@ -74,9 +74,7 @@ def consensus(last: int) -> dict[str, list[str]]:
 
 
 def ask(rig: Rig, robot: str, topic: str, kind: type) -> Any:
-    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    rig.buses[robot].ask(f"swarm/{robot}/app/{topic}", lambda _, payload: answers.put(payload), timeout_s=60.0)
-    return decode(kind, answers.get(timeout=60), topic)
+    return decode(kind, conftest.ask(rig.buses[robot], f"swarm/{robot}/app/{topic}"), topic)
 
 
 def test_a_run_to_its_end_and_the_result_stays_to_be_read(make_rig: MakeRig) -> None:

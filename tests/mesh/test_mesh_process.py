@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgpack
 import pytest
-from conftest import Processes, stop, wait_until
+from conftest import Processes, ask, stop, wait_until
 
 from services.mesh.core import frames
 from services.mesh.core.frames import Hello
@@ -69,16 +69,8 @@ class Robot:
                 self.seen.append((link.peer, link.state))
 
     def status(self) -> Status:
-        answers: list[Status] = []
-
-        def asked() -> bool:
-            self.bus.ask(
-                f"swarm/{self.name}/mesh/status", lambda key, payload: answers.append(read(key, payload)), timeout_s=0.5
-            )
-            return bool(answers)
-
-        wait_until(asked, what=f"{self.name}'s mesh answers")
-        return answers[-1]
+        key = f"swarm/{self.name}/mesh/status"
+        return read(key, ask(self.bus, key))
 
     def close(self) -> None:
         self.bus.close()
