@@ -75,7 +75,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=allowed, reverse=True)
 
 
-def wait_until(condition: Callable[[], object], timeout: float = 40.0, what: str = "") -> None:
+def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str = "") -> None:
     """Poll until `condition()` is true; the deadline only bounds a failure."""
     deadline = time.monotonic() + timeout * PATIENCE
     while not condition():
@@ -178,7 +178,7 @@ def _no_swarm_variables(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name)
 
 
-def stop(process: subprocess.Popen[str], timeout: float = 10.0) -> int:
+def stop(process: subprocess.Popen[str], timeout: float = 60.0) -> int:
     """End a service as systemd does, by SIGTERM, and return its exit code."""
     process.send_signal(signal.SIGTERM)
     return process.wait(timeout)

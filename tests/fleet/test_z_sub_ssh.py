@@ -111,7 +111,7 @@ def test_nothing_stays_behind(robots: FakeRobots, add: Callable[[str], Path], nu
     bus.publish("swarm/r0/balancer/leds", RED)
     bus.close()
     process.send_signal(number)
-    _, errors = process.communicate(timeout=10)
+    _, errors = process.communicate(timeout=60)
     assert errors == ""
     wait_gone(home)
 

@@ -35,7 +35,7 @@ def wait_here(swarm: Swarm) -> None:
     def here() -> bool:
         return all(each.state == "here" for name in swarm.robots for each in members(swarm, name).values())
 
-    wait_until(here, timeout=20, what="all see all")
+    wait_until(here, what="all see all")
 
 
 def test_apps_flood_and_send_and_learn_what_became_of_it(build: Build) -> None:

@@ -108,16 +108,16 @@ def test_a_kill_in_the_middle_and_a_restart_of_all_keep_the_newest_topology(buil
         assert mesh is not None
         mesh.kill()
         mesh.wait()
-        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2"), timeout=20, what="the others go on")
+        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2"), what="the others go on")
         swarm["r3"].start()
-        wait_until(lambda: has(swarm, "r3", 1, "r0"), timeout=30, what="r3 has it, too")
+        wait_until(lambda: has(swarm, "r3", 1, "r0"), what="r3 has it, too")
         for robot in swarm.robots.values():
             assert robot.mesh is not None
             robot.mesh.kill()
             robot.mesh.wait()
         for robot in swarm.robots.values():
             robot.start()
-        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2", "r3"), timeout=20, what="all go on with it")
+        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2", "r3"), what="all go on with it")
         # A damaged file counts for nothing; the neighbours know.
         robot = swarm["r3"]
         assert robot.mesh is not None
@@ -127,7 +127,7 @@ def test_a_kill_in_the_middle_and_a_restart_of_all_keep_the_newest_topology(buil
         data[20] ^= 1
         path.write_bytes(data)
         robot.start()
-        wait_until(lambda: has(swarm, "r3", 1, "r0"), timeout=40, what="r3 is told")
+        wait_until(lambda: has(swarm, "r3", 1, "r0"), what="r3 is told")
         # An answer may come in the moment before the file is on disk.
         wait_until(lambda: path.read_bytes() != bytes(data), what="the file is whole again")
 
@@ -145,11 +145,11 @@ def test_robots_find_their_neighbours_and_mend_the_swarm(build: Build) -> None:
             and all(len(each.up) >= 2 and not each.kept for each in found)
         )
 
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), timeout=30, what="all have two neighbours")
+    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what="all have two neighbours")
     mesh = swarm["r1"].mesh
     assert mesh is not None
     mesh.kill()
     mesh.wait()
-    wait_until(lambda: whole("r0", "r2", "r3"), timeout=30, what="three have two neighbours each")
+    wait_until(lambda: whole("r0", "r2", "r3"), what="three have two neighbours each")
     swarm["r1"].start()
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), timeout=30, what="r1 is back")
+    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what="r1 is back")
