@@ -1,7 +1,8 @@
 """Inside a machine that is one robot: its bus, mesh and one app over its own adapter.
 
-`inside_robot_mesh.py NAME CONFIG APP [WORDS...]` says how far the app is, a line of JSON each time, until /share/go-on
-is removed. Recordings are in /share/records-CONFIG, also those of a machine that loses its power.
+`inside_robot_mesh.py NAME CONFIG[,CONFIG]... APP [WORDS...]`: a run for each configuration, one after the other, since
+starting Python is most of what it costs. It says how far the app is, a line of JSON each time, until the file
+/share/go-on-CONFIG is removed. Recordings are in /share/records-CONFIG, also those of a machine that loses its power.
 """
 
 import json
@@ -16,7 +17,6 @@ from inside_swarm import APPS, SHARE, Swarm
 
 from swarm.messages import AppEpoch, read
 
-GO_ON = SHARE / "go-on"
 STATE = Path("/var/lib/lab-robot")
 EVERY_S = 0.2
 
@@ -29,31 +29,40 @@ def bring_up() -> None:
 
 
 def main() -> None:
-    name, config, app, *words = sys.argv[1:]
+    name, configs, app, *words = sys.argv[1:]
     bring_up()
     with tempfile.TemporaryDirectory(prefix="sw", dir="/tmp") as folder:
-        processes = Processes(Path(folder))
-        swarm = Swarm(processes, config, [name], records=SHARE / f"records-{config}", state=STATE)
+        swarm = Swarm(Processes(Path(folder)), "", [name], state=STATE)
         epochs: list[AppEpoch] = []
         key = f"swarm/{name}/app/{Path(app).stem}/epoch"
         swarm.buses[name].subscribe(key, lambda key, payload: epochs.append(read(key, payload)))
-        pause, told = threading.Event(), None
         try:
-            swarm.start_meshes()
-            swarm.start(APPS, name, app, *words)
-            while GO_ON.exists():
-                epoch = epochs[-1] if epochs else None
-                number, members = (epoch.epoch, epoch.members) if epoch else (0, ())
-                now = {"k": swarm.reached[name], "epoch": number, "members": members}
-                if now != told:
-                    sys.stdout.write(json.dumps(now) + "\n")
-                    sys.stdout.flush()
-                told = now
-                pause.wait(EVERY_S)
+            for number, swarm.config in enumerate(configs.split(",")):
+                swarm.records = SHARE / f"records-{swarm.config}"
+                swarm.records.mkdir(exist_ok=True)
+                swarm.reached[name] = -1
+                epochs.clear()
+                swarm.start_meshes()
+                swarm.start(APPS, name, app, *words, "--run", f"{number}ab")
+                tell(swarm, name, epochs)
+                swarm.end_services()
             swarm.end()
         finally:
             sys.stderr.write(swarm.logs())
             swarm.close()
+
+
+def tell(swarm: Swarm, name: str, epochs: list[AppEpoch]) -> None:
+    """Say how far it is until this run shall end."""
+    pause, told = threading.Event(), None
+    while (SHARE / f"go-on-{swarm.config}").exists():
+        number, members = (epochs[-1].epoch, epochs[-1].members) if epochs else (0, ())
+        now = {"config": swarm.config, "k": swarm.reached[name], "epoch": number, "members": members}
+        if now != told:
+            sys.stdout.write(json.dumps(now) + "\n")
+            sys.stdout.flush()
+        told = now
+        pause.wait(EVERY_S)
 
 
 if __name__ == "__main__":

@@ -29,16 +29,15 @@ class Swarm:
         config: str,
         names: Sequence[str] = NAMES,
         *,
-        records: Path | None = None,
         state: Path | None = None,
     ) -> None:
-        """`config`: the name of its swarm.toml in the shared folder, without the suffix; `names`: those here;
-        `records`, `state`: folders that outlive this process, of recordings and of what survives a reboot."""
+        """`config`: the name of its swarm.toml in the shared folder, without the suffix; `names`: those here; `state`:
+        a folder for what survives a reboot."""
         self.processes = processes
         self.config = config
         self.names = names
-        self.records = records or processes.runtime / "records"
-        self.records.mkdir(parents=True, exist_ok=True)
+        self.records = processes.runtime / "records"
+        self.records.mkdir()
         self.state = state
         self.routers: list[Router] = []
         self.buses: dict[str, Bus] = {}
@@ -110,6 +109,13 @@ class Swarm:
         while not condition():
             assert time.monotonic() < deadline, f"{what()}\n{self.logs()}"
             time.sleep(0.05)
+
+    def end_services(self) -> None:
+        """Meshes and apps, not what has started them."""
+        running = [Path(f"/proc/{self.process(module, name)}") for module in (APPS, MESH) for name in self.names]
+        for process in running:
+            os.kill(int(process.name), signal.SIGTERM)
+        self.wait(lambda: not any(process.exists() for process in running), lambda: f"{running} do not end")
 
     def end(self) -> None:
         """All services end by SIGTERM, and well."""

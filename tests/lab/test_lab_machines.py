@@ -60,36 +60,39 @@ class Swarm:
         furnish(robot)
         shutil.copy(self.folder / "swarm.key", robot.share)
 
-    def begin(self, text: str, shape: str, words: str, *names: str) -> None:
-        """The app and its options on these robots, with that swarm.toml, which is called as the shape is."""
+    def begin(self, texts: dict[str, str], words: str, *names: str) -> None:
+        """The app and its options on these robots: a run with each swarm.toml, which is called as the shape is."""
         for name in names:
             robot = self.machines[name]
-            (robot.share / f"{shape}.toml").write_text(text)
-            (robot.share / "go-on").touch()
+            for shape, text in texts.items():
+                (robot.share / f"{shape}.toml").write_text(text)
+                (robot.share / f"go-on-{shape}").touch()
             said = "/share/said"
             (robot.share / "said").write_text("")
-            run = command(f"tests/lab/inside_robot_mesh.py {name} {shape} {words}")
+            run = command(f"tests/lab/inside_robot_mesh.py {name} {','.join(texts)} {words}")
             self._commands[name] = robot.spawn(f"({run}) >>{said} 2>&1; code=$?; echo ended >>{said}; exit $code")
 
-    def until(self, name: str, condition: Callable[[dict[str, Any]], object], what: str) -> dict[str, Any]:
-        """What the robot has said when that was so."""
+    def until(self, name: str, shape: str, condition: Callable[[dict[str, Any]], object], what: str) -> dict[str, Any]:
+        """What the robot has said in that run when that was so."""
         path = self.machines[name].share / "said"
         end = time.monotonic() + PATIENCE_S
         while True:
             text = path.read_text()
-            for each in (
-                json.loads(one) for one in text.splitlines(keepends=True) if one[:1] == "{" and one[-1:] == "\n"
-            ):
-                if condition(each):
-                    return dict(each)
+            whole, _, _ = text.rpartition("\n")
+            for said in (json.loads(one) for one in whole.splitlines() if one.startswith("{")):
+                if said["config"] == shape and condition(said):
+                    return dict(said)
             if "ended" in text.splitlines()[-1:] or time.monotonic() > end:
-                pytest.fail(f"{name}: not {what}: {text[-3000:]}")
+                pytest.fail(f"{name}, {shape}: not {what}: {text[-3000:]}")
             time.sleep(0.2)
 
-    def end(self) -> None:
-        """All apps end, and well."""
+    def end_run(self, shape: str) -> None:
+        """What follows may begin."""
         for robot in self.machines.values():
-            (robot.share / "go-on").unlink()
+            (robot.share / f"go-on-{shape}").unlink()
+
+    def end(self) -> None:
+        """All has ended, and well."""
         for name, number in self._commands.items():
             done = self.machines[name].wait(number, PATIENCE_S)
             assert done.code == 0, (self.machines[name].share / "said").read_text()[-3000:]
@@ -120,20 +123,23 @@ def simulate(folder: Path, shape: str) -> Run:
 
 def test_robots_in_machines_of_their_own_compute_what_the_simulation_computes(lab_image: Image, tmp_path: Path) -> None:
     with swarm_of(lab_image, tmp_path, ROBOTS) as (swarm, radio):
-        for number, (shape, pairs) in enumerate(SHAPES.items()):
-            swarm.begin(
-                config(shape, KEY), shape, f"consensus --iterations {ITERATIONS} --run {number}ab", *swarm.names
-            )
+        texts = {shape: config(shape, KEY) for shape in SHAPES}
+        swarm.begin(texts, f"consensus --iterations {ITERATIONS}", *swarm.names)
+        heard = {}
+        for shape in SHAPES:
             for name in swarm.names:
-                swarm.until(name, lambda said: said["k"] >= ITERATIONS, f"at iteration {ITERATIONS} of {shape}")
-            heard = {tuple(pair) for pair in radio.order("look")["links"]}
-            swarm.end()
-            assert heard == {(radio.addresses[i], radio.addresses[j]) for i, j in pairs}
-            simulated = simulate(tmp_path, shape).trajectories("consensus")
-            for name, robot in swarm.machines.items():
-                rows = Run(robot.share / f"records-{shape}").trajectories("consensus")[name].rows
-                for k in range(ITERATIONS + 1):
-                    assert rows[k] == simulated[name].rows[k], f"{shape}, {name}, iteration {k}"
+                swarm.until(name, shape, lambda said: said["k"] >= ITERATIONS, f"at iteration {ITERATIONS}")
+            heard[shape] = {tuple(pair) for pair in radio.order("look")["links"]}
+            swarm.end_run(shape)
+        swarm.end()
+        records = {name: robot.share for name, robot in swarm.machines.items()}
+    for shape, pairs in SHAPES.items():
+        assert heard[shape] == {(radio.addresses[i], radio.addresses[j]) for i, j in pairs}
+        simulated = simulate(tmp_path, shape).trajectories("consensus")
+        for name, share in records.items():
+            rows = Run(share / f"records-{shape}").trajectories("consensus")[name].rows
+            for k in range(ITERATIONS + 1):
+                assert rows[k] == simulated[name].rows[k], f"{shape}, {name}, iteration {k}"
 
 
 def test_a_machine_that_loses_its_power_boots_and_joins_again(lab_image: Image, tmp_path: Path) -> None:
@@ -143,22 +149,23 @@ def test_a_machine_that_loses_its_power_boots_and_joins_again(lab_image: Image, 
         f"[apps.restless.robots.{name}]\nvalue = {value!r}\nphase = {index}.0\n"
         for index, (name, value) in enumerate(starts.items())
     )
-    text = line(3, KEY, values)
-    words = f"/share/restless.py --run 2cd --absent drop --drop-after {DROP_AFTER_S}"
+    texts = {"line": line(3, KEY, values)}
+    words = f"/share/restless.py --absent drop --drop-after {DROP_AFTER_S}"
     with swarm_of(lab_image, tmp_path, 3) as (swarm, _):
         for robot in swarm.machines.values():
             shutil.copy(Path(restless_rule.__file__).with_name("restless.py"), robot.share)
-        swarm.begin(text, "line", words, *swarm.names)
+        swarm.begin(texts, words, *swarm.names)
         for name in swarm.names:
-            swarm.until(name, lambda said: said["k"] >= 30, "at iteration 30")
+            swarm.until(name, "line", lambda said: said["k"] >= 30, "at iteration 30")
         swarm.machines["r2"].kill()
-        two = swarm.until("r0", lambda said: set(said["members"]) == {"r0", "r1"}, "an epoch of two")
-        swarm.until("r0", lambda said: said["k"] >= two["k"] + 30, "30 iterations of two")
+        two = swarm.until("r0", "line", lambda said: set(said["members"]) == {"r0", "r1"}, "an epoch of two")
+        swarm.until("r0", "line", lambda said: said["k"] >= two["k"] + 30, "30 iterations of two")
         swarm.boot("r2")
-        swarm.begin(text, "line", words, "r2")
-        again = swarm.until("r2", lambda said: said["epoch"] > two["epoch"] and said["k"] > 0, "a member again")
+        swarm.begin(texts, words, "r2")
+        again = swarm.until("r2", "line", lambda said: said["epoch"] > two["epoch"] and said["k"] > 0, "a member again")
         assert set(again["members"]) == set(swarm.names)
-        swarm.until("r2", lambda said: said["k"] >= again["k"] + 30, "30 iterations of three")
+        swarm.until("r2", "line", lambda said: said["k"] >= again["k"] + 30, "30 iterations of three")
+        swarm.end_run("line")
         swarm.end()
         paths = {name: [robot.share / f"records-line/{name}.restless.mcap"] for name, robot in swarm.machines.items()}
     graph = Graph(tuple(swarm.names), [(f"r{i}", f"r{j}") for i, j in LINE[:2]])
