@@ -68,7 +68,7 @@ class FakeRobots:
 
     def add(self, name: str, *, hook: str = "", known: bool = True, up: bool = True) -> Path:
         """A robot; `hook` is shell code before each command (one
-        that hangs writes its pid to ./hung), `known` whether the user knows its host key. Its home."""
+        that hangs adds its pid to ./hung), `known` whether the user knows its host key. Its home."""
         home = self.folder / name
         (home / "bin").mkdir(parents=True)
         self._ports[name] = port = free_port()
@@ -111,8 +111,9 @@ class FakeRobots:
         for server in self._servers.values():
             server.wait()
         for hung in self.folder.glob("*/hung"):  # sshd leaves what it has started
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(int(hung.read_text()), signal.SIGKILL)
+            for pid in hung.read_text().split():
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(int(pid), signal.SIGKILL)
 
     def script(self, name: str, program: str, text: str) -> None:
         """Put a shell script into a robot's PATH."""
