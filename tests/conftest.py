@@ -20,6 +20,8 @@ import pytest
 if TYPE_CHECKING:
     from xdist.scheduler import LoadScopeScheduling
 
+    from swarm.bus import Bus
+
 with contextlib.suppress(ImportError):  # a machine of the lab has none
     from hypothesis import settings
 
@@ -75,13 +77,29 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=allowed, reverse=True)
 
 
-def wait_until(condition: Callable[[], object], timeout: float = 40.0, what: str = "") -> None:
+def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str = "") -> None:
     """Poll until `condition()` is true; the deadline only bounds a failure."""
     deadline = time.monotonic() + timeout * PATIENCE
     while not condition():
         if time.monotonic() > deadline:
             pytest.fail(f"not within {timeout} s: {what or condition}")
         time.sleep(0.01)
+
+
+def ask(bus: "Bus", key: str, **parameters: object) -> bytes:
+    """The answer to a question, which is repeated until one comes: who answers may just be starting."""
+    answers: list[bytes] = []
+    again = 0.0
+
+    def answered() -> bool:
+        nonlocal again
+        if not answers and time.monotonic() >= again:
+            again = time.monotonic() + 0.5
+            bus.ask(key, lambda _, payload: answers.append(payload), timeout_s=60.0, **parameters)
+        return bool(answers)
+
+    wait_until(answered, what=f"an answer to {key}")
+    return answers[0]
 
 
 class Processes:
@@ -178,7 +196,7 @@ def _no_swarm_variables(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name)
 
 
-def stop(process: subprocess.Popen[str], timeout: float = 10.0) -> int:
+def stop(process: subprocess.Popen[str], timeout: float = 60.0) -> int:
     """End a service as systemd does, by SIGTERM, and return its exit code."""
     process.send_signal(signal.SIGTERM)
     return process.wait(timeout)

@@ -19,7 +19,7 @@ from swarm.messages import AppEpoch, AppProgress, AppState, Topology
 from swarm.recording import trajectory
 
 NAMES = ("r0", "r1", "r2")
-PATIENCE = 40.0
+PATIENCE = 60.0
 
 
 def config_text(names: Sequence[str] = NAMES, more: str = "", shape: str = "line") -> str:

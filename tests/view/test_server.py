@@ -67,7 +67,7 @@ def talk(feed: Simulation, act: Any, *, allowed: bool = False) -> None:
 async def said(socket: Any, name: str) -> Any:
     """The next message that has this field."""
     while True:
-        message = await socket.receive_json(timeout=10)
+        message = await socket.receive_json(timeout=60)
         if name in message:
             return message[name]
 
@@ -254,10 +254,10 @@ def test_a_number_that_is_none_is_told_as_text(feed: Simulation) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
         text = ""
         while '"robots"' not in text:
-            text = await socket.receive_str(timeout=10)
+            text = await socket.receive_str(timeout=60)
         await socket.send_json({"history": {"robot": "r0", "topic": "dwm/pose"}})
         while '"history"' not in text:
-            text += await socket.receive_str(timeout=10)
+            text += await socket.receive_str(timeout=60)
         assert "NaN" not in text
         assert "Infinity" not in text
         assert '"x":"inf"' in text
@@ -279,7 +279,7 @@ def test_a_page_that_sleeps_costs_no_memory_and_is_up_to_date_when_it_returns(
             await asyncio.sleep(0.004)
         received = 0
         while True:
-            text = await socket.receive_str(timeout=10)
+            text = await socket.receive_str(timeout=60)
             received += len(text)
             step = json.loads(text)
             if step.get("robots", {}).get("r0", {}).get("app/x/state", {}).get("k") == steps - 1:
