@@ -23,7 +23,7 @@ from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
-from swarm.messages import EchoRequest, LinkState
+from swarm.messages import EchoRequest, HoldLink, LinkState
 
 _CHUNK = 4096
 """Bytes taken from a session at a time; what is taken can no longer be overtaken."""
@@ -110,6 +110,13 @@ class Runner:
         """Measure a link; what comes of it is delivered."""
         with self._lock:
             self._node.ping(request, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
+
+    def hold(self, request: HoldLink) -> None:
+        """Have no link with a neighbour for a while."""
+        with self._lock:
+            self._node.hold(request, clock.now())
             actions = self._carry_out()
         self._report(actions)
 

@@ -16,9 +16,9 @@ from conftest import Processes, ask, stop, wait_until
 from services.mesh.core import frames
 from services.mesh.core.frames import Hello
 from swarm.bus import Bus, Router
-from swarm.codec import MAX_BINARY
+from swarm.codec import MAX_BINARY, encode
 from swarm.keyfile import new_key_file, read_keys, rotate
-from swarm.messages import LinkState, Status, read
+from swarm.messages import HoldLink, LinkState, Status, read
 from swarm.paths import bus_endpoint
 
 SYNC = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
@@ -260,6 +260,20 @@ def test_a_cut_link_returns(build: Build) -> None:
     wait_until(lambda: swarm["r0"].links["r1"].reason == "unreachable")
     swarm.wait_up()
     assert swarm["r0"].links["r1"].connection == 2
+    swarm.talk("r0", "r1")
+
+
+def test_a_link_is_held_down_on_command_and_let_up(build: Build) -> None:
+    swarm = build(times=SHORT)
+    swarm.start()
+    wish = "swarm/r1/mesh/set/hold"
+    for wrong in (b"no message", encode(HoldLink("r9", 60.0))):
+        swarm["r1"].bus.publish(wish, wrong, urgent=True)
+    swarm["r1"].bus.publish(wish, HoldLink("r0", 60.0), urgent=True)
+    for robot, peer in (("r0", "r1"), ("r1", "r0")):
+        wait_until(lambda robot=robot, peer=peer: "held down on command" in swarm[robot].links[peer].reason)
+    swarm["r1"].bus.publish(wish, HoldLink("r0", 0.0), urgent=True)
+    swarm.wait_up()
     swarm.talk("r0", "r1")
 
 

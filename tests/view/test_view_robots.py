@@ -15,7 +15,6 @@ from far_swarm import Swarm
 from swarm.errors import LocalError
 from swarm.fleet.ssh import HostError
 from swarm.messages import Leds, Pose, Stop, read
-from swarm.view.control import Control
 from swarm.view.picture import REACH
 from swarm.view.robots import Robots
 
@@ -72,14 +71,15 @@ def test_one_robot_shows_all_of_them(swarm: Swarm) -> None:
     wait_until(lambda: view.picture.services().get("r2") == {"mesh": True})
 
     # A stop goes out on the one bus, and all say that they have obeyed; so it is taken back.
-    control = Control(view, allowed=True)
+    control = swarm.control(view)
     control.do({"act": "stop"})
     wait_until(lambda: all((newest(view, name, "mesh/stopped") or {}).get("stopped") for name in view.config.names))
     control.repeat()
     control.do({"act": "arm"})
     wait_until(lambda: not any(newest(view, name, "mesh/stopped")["stopped"] for name in view.config.names))
-    with pytest.raises(LocalError, match="simulated robots only"):
-        control.do({"act": "kill", "robot": "r0", "service": "mesh"})
+    for act in ("press", "push", "lay"):
+        with pytest.raises(LocalError, match="expected an act of stop, arm, set, start, end, kill, cut"):
+            control.do({"act": act, "robot": "r0"})
     with pytest.raises(LocalError, match="over the mesh alone"):
         control.do({"act": "set", "robot": "r2", "app": "x", "name": "gain", "value": 1})
 
@@ -111,7 +111,7 @@ def test_what_breaks_is_said_and_mended_and_nothing_stays_behind(swarm: Swarm) -
 
     heard: list[object] = []
     swarm.buses["r0"].subscribe("swarm/stop", lambda key, payload: heard.append(read(key, payload)))
-    control = Control(view, allowed=True)
+    control = swarm.control(view)
     control.do({"act": "stop"})
     # As the server does: nobody has confirmed it, and the subscription is younger than the first one.
     wait_until(lambda: heard or control.repeat(), what="the stop is on the robot's bus")

@@ -18,6 +18,7 @@ from services.mesh.core.counters import COUNTERS
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.gather import Gather
 from services.mesh.core.handshake import Local
+from services.mesh.core.holds import Holds
 from services.mesh.core.limits import longest
 from services.mesh.core.link import Link
 from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
@@ -27,7 +28,7 @@ from services.mesh.core.session import DOWN, Session
 from swarm.codec import encode
 from swarm.errors import FrameError
 from swarm.keys import key
-from swarm.messages import Echo, EchoRequest, LinkState
+from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
 
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
@@ -57,12 +58,14 @@ class Node:
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
         self._links: dict[str, Link] = {}
+        self._holds = Holds()
         self._prober = probe.Prober(local.robot, local.dials)
         self._gather = Gather()
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._session = partial(
             Session, local,
             admit=self._admit, clock=self._clock, counters=counters, has_room=overlays.linking.has_room,
+            is_held=self._holds.holds,
         )  # fmt: skip
         self._sessions: list[Session] = []
         self._callers = Callers()
@@ -126,6 +129,18 @@ class Node:
             self._tell_echo(refusal)
         if link is not None and link.session is not None:
             self._ready.append(link.session)
+
+    def hold(self, request: HoldLink, now: float) -> None:
+        """Have no link with a neighbour for a while, or let it come back."""
+        if request.peer not in self._local.dials:
+            self._note(f"hold {request.peer}", f"no link to hold: {request.peer[:80]!r}")
+            return
+        held = self._holds.take(request, now)
+        self._tell(f"link {'held down' if held else 'let up'} peer={request.peer} seconds={request.seconds:g}")
+        for session in tuple(self._sessions):
+            if held and session.peer == request.peer:
+                session.close(frames.HELD, frames.BYE_TEXT[frames.HELD])
+                self._digest(session, now)
 
     def handle_timer(self, now: float) -> None:
         """Whatever is due. Call it at `next_deadline` or any other time."""
