@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -67,8 +67,33 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> "LoadScop
     return Scheduling(config, log)
 
 
+_thorough = False
+"""Whether this is the run of the slow rigs."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before any test module is read."""
+    global _thorough
+    _thorough = config.option.markexpr == "slow"
+
+
+def costly(count: int) -> Callable[[Any], Any]:
+    """Decorates a property whose examples take long: a third of `count` in the suite, all of them among the slow rigs,
+    where it runs once more."""
+    return lambda test: pytest.mark.costly(settings(max_examples=examples(count))(test))
+
+
+def examples(count: int) -> int:
+    """How many of `count` costly examples this run has time for."""
+    return count if _thorough else count // 3
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests that may take longest begin first, or all would wait for them in the end."""
+    for item in items:
+        if _thorough and item.get_closest_marker("costly"):
+            item.add_marker("slow")
 
     def allowed(item: pytest.Item) -> float:
         mark = item.get_closest_marker("timeout")

@@ -21,6 +21,7 @@ from services.apps.host import schema_of
 from services.apps.runner import Runner
 from swarm.codec import decode, encode
 from swarm.config import load
+from swarm.core import together
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
 from swarm.recording.run import Run
 
@@ -164,16 +165,21 @@ def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
     rig.until_phase("waiting", "r0")
     app = loader.load("consensus")
     schema = f"{schema_of(Runner(app.make(config_of(2), 'r0'), app.source), '', app.digest):08x}"
-    publish = rig.buses["r0"].publish
-    publish(f"swarm/r1/app/consensus/sync/{0xA2:016x}-0-1-{schema}", b"a frame of another run")
-    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}", b"what is this")
-    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}/r7", b"not for us")
-    publish("swarm/r1/app/consensus/sync/no-channel", b"x")
+    channel = f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}"
+    other = f"swarm/r1/app/consensus/sync/{0xA2:016x}-0-1-{schema}"
+    frames = [
+        (other, b"a frame of another run"),
+        (channel, b"what is this"),
+        (f"{channel}/r7", b"not for us"),
+        ("swarm/r1/app/consensus/sync/no-channel", b"x"),
+    ]
+    for data in (together.pack(frames), b"no frames at all"):
+        rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", data)
     counters: dict[str, int] = {}
 
     def counted() -> bool:
         counters.update(ask(rig, "r0", "consensus/status", Status).counters)
-        return {"sync_other_run", "sync_malformed", "refused_keys"} <= set(counters)
+        return {"sync_other_run", "sync_malformed", "refused_keys", "refused_payloads"} <= set(counters)
 
     wait_until(counted)
     assert (counters["sync_other_run"], counters["sync_malformed"], counters["refused_keys"]) == (1, 1, 1)

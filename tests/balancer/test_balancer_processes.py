@@ -338,7 +338,7 @@ def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> Non
 
     wait_until(lambda: watcher.last("display") is not None and watcher.last("display").present)
     wait_until(lambda: watcher.last("display").lines[:2] == ("r0", "balancing       7.4 V"))
-    watcher.bus.publish("swarm/r0/app/consensus/state", AppState(1.0, 3, {"value": 2.5}, {}))
+    watcher.bus.publish("swarm/r0/app/consensus/state/slow", AppState(1.0, 3, {"value": 2.5}, {}))
     wait_until(lambda: watcher.last("display").lines[3:] == ("consensus k=3", "value 2.5"))
     watcher.command("display", SetDisplay("hello"))
     wait_until(lambda: watcher.last("display").lines[3:] == ("hello",))

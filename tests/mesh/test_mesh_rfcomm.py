@@ -273,7 +273,7 @@ class Mesh:
             node,
             listeners=self.network.listeners,
             dial=self.network.dial,
-            deliver=lambda key, payload, _: self.inbox.append((key, payload)),
+            deliver=lambda messages: self.inbox.extend((each.key, each.payload) for each in messages),
             changed=lambda: None,
             keep=lambda: None,
         )

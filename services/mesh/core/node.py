@@ -15,7 +15,8 @@ from services.mesh.core.callers import UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
 from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.counters import COUNTERS
-from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.gather import Gather
 from services.mesh.core.handshake import Local
 from services.mesh.core.holds import Holds
 from services.mesh.core.limits import longest
@@ -59,6 +60,7 @@ class Node:
         self._links: dict[str, Link] = {}
         self._holds = Holds()
         self._prober = probe.Prober(local.robot, local.dials)
+        self._gather = Gather()
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._session = partial(
             Session, local,
@@ -93,10 +95,7 @@ class Node:
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """The connection that we asked for could not be made."""
         if (link := self._links.get(peer)) is not None:
-            if link.dialler is not None:
-                link.dialler.ended(now)
-            link.attempt = False
-            link.reason = reason
+            link.failed(reason, now)
             self._actions.append(LinksChanged())
         self.overlays.dial_failed(peer, reason, now)
         self._serve_overlays()
@@ -154,9 +153,10 @@ class Node:
                 self._actions += (Dial(link.peer), LinksChanged())
         for send in self._relay.handle_timer(now):
             self._send(send, now)
+        self._actions += self._gather.handle_timer(now)
         for peer, link in self._links.items():
-            if link.session is not None and link.session.pulse.rtt is not None:
-                self.overlays.measured(peer, link.session.pulse.rtt, now)
+            if link.session is not None and (rtt := link.session.pulse.rtt) is not None:
+                self.overlays.measured(peer, rtt, now)
         self.overlays.handle_timer(now)
         self._serve_overlays()
 
@@ -186,7 +186,7 @@ class Node:
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
         # After each message, so without lists and generators: an idle link costs two calls.
-        earliest = self.overlays.next_deadline()
+        earliest = min(self.overlays.next_deadline(), self._gather.next_deadline())
         if (deadline := self._relay.next_deadline()) is not None and deadline < earliest:
             earliest = deadline
         for session in self._sessions:
@@ -199,8 +199,8 @@ class Node:
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
-        links = sorted(self._links.items())
-        return tuple(link.state() for _, link in links if link.lasting or link.session is not None)
+        links = [link for _, link in sorted(self._links.items()) if link.lasting or link.session is not None]
+        return tuple(link.state() for link in links)
 
     def clock(self, now: float) -> ClockState:
         """The mesh clock."""
@@ -271,11 +271,10 @@ class Node:
                 self._drop_link(peer, code)
             case Keep():
                 self._actions.append(Write())
-            case Report(text, problem):
-                if problem:
-                    self._note(text, text)
-                else:
-                    self._tell(text)
+            case Report(text, True):
+                self._note(text, text)
+            case Report(text):
+                self._tell(text)
 
     def _drop_link(self, peer: str, code: int) -> None:
         """Have no link with a robot any more."""
@@ -303,12 +302,14 @@ class Node:
         """Turn a session's events into actions and into states of links."""
         for event in session.events():
             if type(event) is Received:
+                assert session.peer is not None
                 if event.overlay != frames.NEIGHBOURS:
-                    assert session.peer is not None
                     self.overlays.receive(session.peer, event.overlay, event.key, event.payload, event.priority, now)
                     self._serve_overlays()
                 elif self._prober.sender(event.key) is not None:
                     self._on_probe(session, event, now)
+                elif event.priority == frames.SYNC:
+                    self._actions += self._gather.add(session.peer, event, now)
                 else:
                     self._actions.append(event)
             else:
@@ -334,12 +335,7 @@ class Node:
     def _tell_echo(self, echo: Echo) -> None:
         self._actions.append(Received(key(self._local.robot, "mesh", "echo"), encode(echo), frames.SYNC))
 
-    def _on_event(
-        self,
-        session: Session,
-        event: LinkUp | LinkSuspect | LinkRecovered | LinkDown | HandshakeFailed | Received,
-        now: float,
-    ) -> None:
+    def _on_event(self, session: Session, event: Event, now: float) -> None:
         peer = session.peer
         match event:
             case LinkUp(name):
@@ -398,6 +394,7 @@ class Node:
 
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
         self._clock.lost(link.peer)
+        self._actions += self._gather.lost(link.peer)
         link.detach(session, reason, now)
         self.overlays.link_down(link.peer, now)
         self._serve_overlays()
