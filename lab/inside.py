@@ -33,7 +33,7 @@ def furnish(machine: Machine) -> None:
 
 def command(words: str) -> str:
     """The shell command that runs the release's Python inside with these words."""
-    environment = f"PYTHONPATH=/share:/share/tests/lab LAB_PATIENCE={PATIENCE} PYTHONUNBUFFERED=1"
+    environment = f"PYTHONPATH=/share:/share/tests:/share/tests/lab LAB_PATIENCE={PATIENCE} PYTHONUNBUFFERED=1"
     return f"cd /share && {environment} PYTHONDONTWRITEBYTECODE=1 /opt/swarm/current/bin/python {words}"
 
 

@@ -23,8 +23,17 @@ TIMES = "heartbeat = 1.0\nsuspect = 10.0\ndead = 30.0\n"
 
 def config(shape: str, key: str, extra: str = "") -> str:
     """The swarm.toml of that shape; `key` is a line of [mesh], `extra` whole tables."""
-    robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "{address(i)}"\n' for i in range(ROBOTS))
-    values = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {(7 * i + 3) / 9!r}\n" for i in range(ROBOTS))
-    edges = [[f"r{i}", f"r{j}"] for i, j in SHAPES[shape]]
+    return _config(ROBOTS, SHAPES[shape], key) + extra
+
+
+def line(robots: int, key: str, extra: str = "") -> str:
+    """The swarm.toml of so many in line."""
+    return _config(robots, LINE[: robots - 1], key) + extra
+
+
+def _config(count: int, pairs: list[tuple[int, int]], key: str) -> str:
+    robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "{address(i)}"\n' for i in range(count))
+    values = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {(7 * i + 3) / 9!r}\n" for i in range(count))
+    edges = [[f"r{i}", f"r{j}"] for i, j in pairs]
     text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\n{key}\n{TIMES}{values}'
-    return text.replace("'", '"') + extra
+    return text.replace("'", '"')

@@ -13,12 +13,14 @@ import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from xdist.scheduler import LoadScopeScheduling
+
+    from swarm.bus import Bus
 
 with contextlib.suppress(ImportError):  # a machine of the lab has none
     from hypothesis import settings
@@ -65,8 +67,33 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> "LoadScop
     return Scheduling(config, log)
 
 
+_thorough = False
+"""Whether this is the run of the slow rigs."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before any test module is read."""
+    global _thorough
+    _thorough = config.option.markexpr == "slow"
+
+
+def costly(count: int) -> Callable[[Any], Any]:
+    """Decorates a property whose examples take long: a third of `count` in the suite, all of them among the slow rigs,
+    where it runs once more."""
+    return lambda test: pytest.mark.costly(settings(max_examples=examples(count))(test))
+
+
+def examples(count: int) -> int:
+    """How many of `count` costly examples this run has time for."""
+    return count if _thorough else count // 3
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests that may take longest begin first, or all would wait for them in the end."""
+    for item in items:
+        if _thorough and item.get_closest_marker("costly"):
+            item.add_marker("slow")
 
     def allowed(item: pytest.Item) -> float:
         mark = item.get_closest_marker("timeout")
@@ -75,13 +102,29 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=allowed, reverse=True)
 
 
-def wait_until(condition: Callable[[], object], timeout: float = 40.0, what: str = "") -> None:
+def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str = "") -> None:
     """Poll until `condition()` is true; the deadline only bounds a failure."""
     deadline = time.monotonic() + timeout * PATIENCE
     while not condition():
         if time.monotonic() > deadline:
             pytest.fail(f"not within {timeout} s: {what or condition}")
         time.sleep(0.01)
+
+
+def ask(bus: "Bus", key: str, **parameters: object) -> bytes:
+    """The answer to a question, which is repeated until one comes: who answers may just be starting."""
+    answers: list[bytes] = []
+    again = 0.0
+
+    def answered() -> bool:
+        nonlocal again
+        if not answers and time.monotonic() >= again:
+            again = time.monotonic() + 0.5
+            bus.ask(key, lambda _, payload: answers.append(payload), timeout_s=60.0, **parameters)
+        return bool(answers)
+
+    wait_until(answered, what=f"an answer to {key}")
+    return answers[0]
 
 
 class Processes:
@@ -178,7 +221,7 @@ def _no_swarm_variables(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name)
 
 
-def stop(process: subprocess.Popen[str], timeout: float = 10.0) -> int:
+def stop(process: subprocess.Popen[str], timeout: float = 60.0) -> int:
     """End a service as systemd does, by SIGTERM, and return its exit code."""
     process.send_signal(signal.SIGTERM)
     return process.wait(timeout)

@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 from asynchronous_world import SIZE, Process, World
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.core.asynchronous import (
@@ -346,7 +347,7 @@ def test_each_robot_has_its_own_period() -> None:
 fates = st.one_of(st.none(), st.floats(0.0, 2.0))
 
 
-@settings(deadline=None, max_examples=40)
+@costly(40)
 @given(st.data())
 def test_any_loss_delay_order_and_restart(data: st.DataObject) -> None:
     """For 10 s the air does what it likes; then it is well, and all is as it should be within seconds."""

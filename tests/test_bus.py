@@ -18,6 +18,9 @@ from swarm.paths import bus_endpoint
 
 Open = Callable[[], Bus]
 
+HELD_UP = 4.0
+"""s that a call takes which waits for Zenoh; else it takes as long as a busy machine lets it, which is far less."""
+
 
 @pytest.fixture
 def open_bus(runtime: Path) -> Iterator[Open]:
@@ -144,7 +147,7 @@ def test_declared_before_the_router_is_there(open_bus: Open, processes: Processe
     assert not alice.connected
     assert not alice.wait_connected(0.0)
     processes.router()
-    assert alice.wait_connected(10)
+    assert alice.wait_connected(60)
     talk(alice, "swarm/r0/test/x", samples)
 
 
@@ -168,12 +171,12 @@ def test_everything_works_again_after_the_router_was_killed(
 
         wait_until(answered)
         wait_until(lambda: tokens and tokens[-1][1], what="token")
-        assert changes[-1] is True
+        wait_until(lambda: changes and changes[-1], what="on_change")
         router.kill()
         router.wait()
         wait_until(lambda: not alice.connected and not bob.connected)
         wait_until(lambda: not tokens[-1][1], what="token gone")
-        assert changes[-1] is False
+        wait_until(lambda: not changes[-1], what="on_change")
         for _ in range(200):
             alice.publish("swarm/r0/test/lost", b"lost")
         samples.clear()
@@ -186,7 +189,7 @@ def test_everything_works_again_after_the_router_was_killed(
 
 def test_on_change_tells_the_present_state_once(open_bus: Open, router: subprocess.Popen[str]) -> None:
     bus = open_bus()
-    assert bus.wait_connected(10)
+    assert bus.wait_connected(60)
     changes: list[bool] = []
     bus.on_change(changes.append)
     assert changes == [True]
@@ -228,10 +231,10 @@ def test_a_stopped_subscriber_does_not_hold_up_the_others(open_bus: Open, proces
         if number % 100 == 0:
             talk(alice, "swarm/r0/test/x", samples, str(number).encode())
     talk(alice, "swarm/r0/test/x", samples, b"last")
-    # Blocking congestion control holds a publisher for 5 s and more here; the bound is far from both.
-    assert slowest < 1.0
+    # Blocking congestion control holds a publisher for 5 s and more here.
+    assert slowest < HELD_UP
     stopped.send_signal(signal.SIGCONT)
-    _, errors = stopped.communicate(timeout=10)
+    _, errors = stopped.communicate(timeout=60)
     assert (stopped.returncode, errors) == (0, "")
 
 
@@ -241,10 +244,10 @@ def test_a_stopped_router_does_not_hold_up_a_publisher(open_bus: Open, router: s
     bob.subscribe("swarm/**", samples)
     talk(alice, "swarm/r0/test/x", samples)
     router.send_signal(signal.SIGSTOP)
-    started = time.monotonic()
     for _ in range(300):
+        started = time.monotonic()
         alice.publish("swarm/r0/test/y", bytes(60000))
-    assert time.monotonic() - started < 3.0
+        assert time.monotonic() - started < HELD_UP
     router.send_signal(signal.SIGCONT)
     talk(alice, "swarm/r0/test/x", samples, b"again")
 
@@ -254,7 +257,7 @@ def test_close_without_a_router(runtime: Path) -> None:
         bus.subscribe("swarm/**", lambda *_: None)
         started = time.monotonic()
     bus.close()
-    assert time.monotonic() - started < 1.0
+    assert time.monotonic() - started < HELD_UP
     bus.publish("swarm/r0/test/x", b"after the end")
     bus.ask("swarm/r0/test/x", lambda *_: None)
 
@@ -262,7 +265,7 @@ def test_close_without_a_router(runtime: Path) -> None:
 def test_the_process_ends_while_no_router_is_there(processes: Processes, runtime: Path) -> None:
     code = "import sys; from swarm.bus import Bus; b = Bus(sys.argv[1]); b.announce('swarm/a/b/c'); b.close()"
     process = processes.start("-c", code, bus_endpoint(runtime))
-    _, errors = process.communicate(timeout=10)
+    _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")
 
 
@@ -342,7 +345,7 @@ def test_malformed_keys_are_refused_at_once(open_bus: Open, key: str) -> None:
 @pytest.mark.usefixtures("router")
 def test_publishing_under_a_malformed_key_is_logged(open_bus: Open, caplog: pytest.LogCaptureFixture) -> None:
     bus = open_bus()
-    assert bus.wait_connected(10)
+    assert bus.wait_connected(60)
     bus.publish("swarm//x", b"")
     assert "put failed key=swarm//x" in caplog.text
 

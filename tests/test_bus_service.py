@@ -18,7 +18,7 @@ from swarm.messages import Status
 def refused(processes: Processes, **environment: str) -> str:
     """What a bus that cannot start says: one line, exit code 2."""
     process = processes.start("-m", "services.bus", **environment)
-    _, errors = process.communicate(timeout=10)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 2, errors
     assert errors.startswith("bus: ")
     assert errors.count("\n") == 1
@@ -38,7 +38,7 @@ def inodes(pid: int) -> set[str]:
 
 def test_nothing_listens_on_the_network(router: subprocess.Popen[str], runtime: Path) -> None:
     with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
+        assert bus.wait_connected(60)
         for pid in (router.pid, os.getpid()):
             own = inodes(pid)
             for table in ("tcp", "tcp6", "udp", "udp6", "raw", "raw6"):
@@ -72,9 +72,9 @@ def test_it_is_a_service_of_its_own_bus(router: subprocess.Popen[str], runtime: 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_clean_stop_removes_the_socket(router: subprocess.Popen[str], runtime: Path, number: signal.Signals) -> None:
     with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
+        assert bus.wait_connected(60)
         router.send_signal(number)
-        assert router.wait(10) == 0
+        assert router.wait(60) == 0
     assert not (runtime / "bus.sock").exists()
 
 
@@ -84,7 +84,7 @@ def test_a_stale_socket_is_removed(processes: Processes, router: subprocess.Pope
     assert (runtime / "bus.sock").exists()
     processes.router()
     with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
+        assert bus.wait_connected(60)
 
 
 def test_a_stale_socket_without_any_lock_file_is_removed(processes: Processes, runtime: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_second_bus_is_refused_and_the_first_goes_on(
 ) -> None:
     assert f"another bus is running there (pid {router.pid})" in refused(processes)
     with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
+        assert bus.wait_connected(60)
     assert router.poll() is None
 
 
@@ -108,7 +108,7 @@ def test_of_several_started_at_once_one_wins(processes: Processes, runtime: Path
     wait_until(lambda: sum(process.poll() == 2 for process in several) == 3)
     winner = next(process for process in several if process.poll() is None)
     with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
+        assert bus.wait_connected(60)
     assert stop(winner) == 0
 
 

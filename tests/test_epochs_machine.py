@@ -109,7 +109,7 @@ class Swarm(RuleBasedStateMachine):
 
 
 EXAMPLES = settings(
-    max_examples=25,
+    max_examples=10,
     stateful_step_count=15,
     deadline=None,
     print_blob=True,

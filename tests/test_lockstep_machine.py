@@ -190,7 +190,7 @@ class Swarm(RuleBasedStateMachine):
 
 
 EXAMPLES = settings(
-    max_examples=75,
+    max_examples=25,
     stateful_step_count=30,
     deadline=None,
     print_blob=True,

@@ -43,8 +43,8 @@ def test_the_distance_to_a_robot_is_measured_by_either():
 
 def test_over_the_bus(router, runtime):
     with Bus.of(runtime) as bus, Bus.of(runtime) as service:
-        assert bus.wait_connected(10)
-        assert service.wait_connected(10)
+        assert bus.wait_connected(60)
+        assert service.wait_connected(60)
         robot = Robot("r0", Graph(("r0", "r1"), (("r0", "r1"),)), ranging=Ranging(bus, "r0"))
 
         def told():

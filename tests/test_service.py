@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -52,7 +51,7 @@ def systemd(runtime: Path) -> Iterator[socket.socket]:
     """The socket systemd listens on for sd_notify."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind(str(runtime / "systemd"))
-        sock.settimeout(10)
+        sock.settimeout(60)
         yield sock
 
 
@@ -68,7 +67,7 @@ def test_states_are_published_and_answered(bus: Bus, processes: Processes) -> No
     alive: list[bool] = []
     bus.subscribe("swarm/r0/test/status", lambda key, payload: seen.append(decode(Status, payload, key)))
     bus.watch("swarm/r0/test/alive", lambda _, up: alive.append(up))
-    assert bus.wait_connected(10)
+    assert bus.wait_connected(60)
     process = processes.start_ready("-c", SERVICE)
     answers: list[Status] = []
 
@@ -80,7 +79,7 @@ def test_states_are_published_and_answered(bus: Bus, processes: Processes) -> No
     assert answers[-1].pid == process.pid
     assert answers[-1].counters == {"dropped": 3}
     assert answers[-1].since <= answers[-1].t
-    assert alive == [True]
+    wait_until(lambda: alive == [True])
     tell(process, "degraded no peer")
     wait_until(lambda: seen and (seen[-1].state, seen[-1].reason) == ("degraded", "no peer"))
     wait_until(lambda: state() == "degraded")
@@ -97,7 +96,7 @@ def test_a_state_reached_before_the_bus_was_there_is_told(bus: Bus, processes: P
     """`ready()` comes within microseconds of the start, the connection to the bus later."""
     seen: list[str] = []
     bus.subscribe("swarm/r0/test/status", lambda key, payload: seen.append(decode(Status, payload, key).state))
-    assert bus.wait_connected(10)
+    assert bus.wait_connected(60)
     for _ in range(3):
         seen.clear()
         process = processes.start_ready("-c", SERVICE)
@@ -110,7 +109,7 @@ def test_a_state_reached_before_the_bus_was_there_is_told(bus: Bus, processes: P
 def test_signals_end_it_cleanly(processes: Processes, number: signal.Signals) -> None:
     process = processes.start_ready("-c", SERVICE)
     process.send_signal(number)
-    _, errors = process.communicate(timeout=10)
+    _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")
 
 
@@ -120,7 +119,7 @@ def test_many_signals_at_once_do_not_lock_it_up(processes: Processes) -> None:
         process = processes.start_ready("-c", busy)
         for _ in range(50):
             process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
+        assert process.wait(60) == 0
 
 
 def test_systemd_is_notified(runtime: Path, processes: Processes) -> None:
@@ -133,14 +132,14 @@ def test_systemd_is_notified(runtime: Path, processes: Processes) -> None:
         assert sock.recv(1024) == b"WATCHDOG=1"
         tell(process, "stop")
         assert sock.recv(1024) == b"STOPPING=1\nSTATUS=stopping"
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0
 
 
 def test_an_abstract_notify_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"swarm-test-{os.getpid()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind("\0" + name)
-        sock.settimeout(10)
+        sock.settimeout(60)
         monkeypatch.setenv("NOTIFY_SOCKET", "@" + name)
         notify("READY=1")
         assert sock.recv(100) == b"READY=1"
@@ -187,13 +186,13 @@ def is_running(pid: int) -> bool:
 
 def test_it_does_not_start_when_its_parent_is_gone_already(processes: Processes) -> None:
     process = processes.start("-c", SERVICE, SWARM_PARENT="1")
-    assert process.wait(10) == 1
+    assert process.wait(60) == 1
 
 
 def refused(processes: Processes, **environment: str) -> str:
     """The one line with which a service refuses to start."""
     process = processes.start("-c", SERVICE, **environment)
-    _, errors = process.communicate(timeout=10)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 2
     assert errors.count("\n") == 1
     assert "Traceback" not in errors
@@ -274,11 +273,8 @@ def test_no_thread_is_left(processes: Processes, runtime: Path) -> None:
     router = processes.router()
     before = threading.active_count()
     with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
+        assert bus.wait_connected(60)
         bus.subscribe("swarm/**", lambda *_: None)
-    deadline = time.monotonic() + 5
-    while threading.active_count() > before and time.monotonic() < deadline:
-        time.sleep(0.01)
-    names = [thread.name for thread in threading.enumerate() if not thread.name.startswith("Dummy")]
-    assert len(names) <= before
+    # A thread of Zenoh's that has called back stays known to Python, as a dummy.
+    wait_until(lambda: sum(not thread.name.startswith("Dummy") for thread in threading.enumerate()) <= before)
     assert stop(router) == 0

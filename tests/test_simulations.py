@@ -131,7 +131,7 @@ def call(run: Path, *arguments: str) -> int:
 def test_kill(processes: Processes, run: Path, service: str, capsys: pytest.CaptureFixture[str]) -> None:
     process = victim(processes, run, service)
     assert call(run, "r0", service) == 0
-    assert process.wait(10) == -signal.SIGKILL
+    assert process.wait(60) == -signal.SIGKILL
     assert capsys.readouterr().out == f"{service} of r0 (pid {process.pid}): SIGKILL\n"
     with pytest.raises(LocalError, match=f"{service} of r0 is not running at this moment"):
         call(run, "r0", service)
@@ -148,7 +148,7 @@ def test_stop_and_go_on(processes: Processes, run: Path) -> None:
     call(run, "r0", "app", "--signal", "CONT")
     wait_until(lambda: state(process.pid) != "T")
     call(run, "r0", "app", "--signal", "TERM")
-    assert process.wait(10) == -signal.SIGTERM
+    assert process.wait(60) == -signal.SIGTERM
 
 
 def test_a_pid_that_belongs_to_somebody_else_by_now_is_spared(processes: Processes, run: Path) -> None:

@@ -37,7 +37,7 @@ def lines_while_publishing(process: subprocess.Popen[str], bus: Bus, key: str, m
         bus.publish(key, message)
         return process.poll() is not None
 
-    wait_until(ended, timeout=20)
+    wait_until(ended)
     output, errors = process.communicate()
     assert (process.returncode, errors) == (0, "")
     return output.splitlines()
@@ -45,7 +45,7 @@ def lines_while_publishing(process: subprocess.Popen[str], bus: Bus, key: str, m
 
 def refused(processes: Processes, *arguments: str, **environment: str) -> str:
     process = processes.start(*Z_SUB, *arguments, **environment)
-    output, errors = process.communicate(timeout=10)
+    output, errors = process.communicate(timeout=60)
     assert (process.returncode, output) == (2, "")
     assert "Traceback" not in errors
     return errors
@@ -95,7 +95,7 @@ def test_bad_samples_do_not_end_it(processes: Processes, bus: Bus) -> None:
         sent += 1
         return process.poll() is not None
 
-    wait_until(ended, timeout=20)
+    wait_until(ended)
     output, errors = process.communicate()
     assert (process.returncode, errors) == (0, "")
     assert "\x1b" not in output
@@ -110,7 +110,7 @@ def test_ctrl_c_is_a_clean_end(processes: Processes, bus: Bus, number: signal.Si
     process = processes.start(*Z_SUB)
     wait_for_line(process, bus)
     process.send_signal(number)
-    _, errors = process.communicate(timeout=10)
+    _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0 if number == signal.SIGINT else -number, "")
 
 
@@ -191,7 +191,7 @@ def test_all_robots_of_a_simulation(processes: Processes, runtime: Path) -> None
         assert "no robot 'r7' in the simulation, there are r0, r1" in refused(
             processes, "--robot", "r7", SWARM_RUNTIME=""
         )
-    _, errors = several.communicate(timeout=10)
+    _, errors = several.communicate(timeout=60)
     assert several.returncode == 0
     assert "the simulation has ended" in errors
 

@@ -32,6 +32,7 @@ from swarm.keys import key
 from swarm.messages import AppProgress, AppState, Topology
 from swarm.overlays import Message, Overlays
 from swarm.service import Service
+from swarm.slow import APP_STATE_S, Slow
 
 TICK = 0.1
 """s between two looks of the ticker: state goes out at 10 Hz at most, for people and programs that watch."""
@@ -85,17 +86,15 @@ class EventHost:
         self._changed = threading.Condition()  # its lock is the core's
         self._app_lock = threading.Lock()
         self._todo: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
-        self._closing = False
+        self._closing = self._hung = False
         self._changed_at = clock.now()
         self._state: AppState | None = None
         self._recorder = recorder
         self._recorded = -1
         self._hold = Hold(devices)
-        self._hung = False
         self._edges = links.config.edges
-        kept = (service.runtime / f"app.{name}.parameters", run)
         record = None if recorder is None else recorder.parameters
-        bus, robot = service.bus, service.robot
+        bus, robot, kept = service.bus, service.robot, (service.runtime / f"app.{name}.parameters", run)
         self._changes = Changes(bus, robot, name, app, self._change, self._refuse, kept=kept, record=record)
         runner.change(self._changes.kept())
         app.robot.timers = self._after
@@ -143,6 +142,7 @@ class EventHost:
         # Of whomever the mesh brings: neighbours may change.
         bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
         bus.subscribe(key(robot, "mesh", "topology"), self._on_topology)
+        self._slow = Slow(bus, key(robot, f"app/{name}", "state"), APP_STATE_S)
         bus.serve(key(robot, f"app/{name}", "state"), self._answer)
         bus.serve(key(robot, f"app/{name}", "progress"), lambda *_: encode(self._progress()))
         if "on_button" in self._runner.handled:
@@ -331,6 +331,7 @@ class EventHost:
                 self._app_lock.release()
             self._state = state
             self._publish("state", state)
+            self._slow.publish(state, clock.now(), news=repeat)
 
     def _count(self) -> None:
         for name, count in {**self._core.counters, "unreadable": self._runner.unreadable}.items():
@@ -363,8 +364,7 @@ class EventHost:
             return AppProgress(now, phase, self._core.k, peers, reason)
 
     def _answer(self, *_: object) -> bytes | None:
-        state = self._state
-        return None if state is None else encode(state)
+        return None if (state := self._state) is None else encode(state)
 
     # Everywhere, with the core's lock held
 

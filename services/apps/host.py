@@ -24,6 +24,7 @@ from swarm import clock
 from swarm.app import SyncApp
 from swarm.codec import Value, decode
 from swarm.conduct import Conduct
+from swarm.core import together
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import key
@@ -90,7 +91,9 @@ class Host:
             if not part.channel:
                 self._let_change(name, runner, run, recorder)
             self._workers[part.channel] = self._by_schema[schema] = worker
-        service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
+        service.bus.subscribe(key(service.robot, "mesh", "frames", name), self._on_frames)
+        # What another process of this app on this robot says: there must not be one.
+        service.bus.subscribe(key(service.robot, f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
         service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
@@ -134,6 +137,14 @@ class Host:
             self._own_claim.close()
 
     # On Zenoh's thread
+
+    def _on_frames(self, name: str, payload: bytes) -> None:
+        """Neighbours' frames that came together."""
+        try:
+            for part, frame in together.unpack(payload):
+                self._on_sync(part, frame)
+        except PayloadError as error:
+            self._refuse(error)
 
     def _on_sync(self, name: str, payload: bytes) -> None:
         """A frame: `swarm/<sender>/app/<app>/sync/<channel>`, with `/<receiver>` behind it when it is for one

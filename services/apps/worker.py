@@ -22,6 +22,7 @@ from swarm.errors import AppError, SwarmError
 from swarm.keys import key
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement, SetAppEpoch, Topology
 from swarm.service import Service
+from swarm.slow import APP_STATE_S, Slow
 
 EVERY = 1.0
 """s between two messages of progress and state when nothing changes; a measurement that late is given as a
@@ -88,6 +89,7 @@ class Worker:
         self._measuring: float | None = None
         self._muted = False
         self._state: AppState | None = None
+        self._slow = Slow(service.bus, key(service.robot, self._keys, "state"), APP_STATE_S)
         self._told: tuple[object, ...] = ()
         self._told_at = 0.0
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
@@ -301,6 +303,7 @@ class Worker:
                 self._app_lock.release()
             self._state = state
             self._publish("state", state)
+            self._slow.publish(state, clock.now(), news=strand.phase == "done")
 
     def _report(self, now: float) -> tuple[str, tuple[str, ...], str]:
         """Phase, robots waited for, reason."""

@@ -36,6 +36,7 @@ from swarm.messages import (
     read,
 )
 from swarm.service import Service, run
+from swarm.slow import SLOW, Slow
 
 SILENCE_S = 1.0
 """A loop that said nothing for so long is stuck."""
@@ -46,6 +47,9 @@ _LOG_PERIOD_S = 5.0
 
 _NOTICES_A_SECOND = 10
 """About refused commands, at most."""
+
+SLOW_STATE_S = 0.2
+"""s between two messages of the state's slow copy; a change of mode is told at once."""
 
 _TOPICS: dict[type, str] = {
     BalancerState: "state",
@@ -78,10 +82,12 @@ class Relay:
         self._notices = 0
         self._notices_since = self._heard
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
+        self._slow = Slow(service.bus, self._keys[BalancerState], SLOW_STATE_S)
+        self._mode = ""
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe([STOP, *commands], self._command)
         self._composer = Composer(service.robot)
-        service.bus.subscribe([key(service.robot, "app", "*", "state")], self._app_state)
+        service.bus.subscribe([key(service.robot, "app", "*", "state", SLOW)], self._app_state)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
@@ -109,6 +115,8 @@ class Relay:
                 self._service.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
+            self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True)
+            self._mode = message.mode
         # The body's state goes ahead of whatever floods the bus.
         self._service.bus.publish(self._keys[type(message)], message, urgent=True)
 

@@ -5,12 +5,14 @@ import os
 import random
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from services.mesh import keep
 from services.mesh.core.dialler import can_link, dials
-from services.mesh.core.frames import NONCE_SIZE
+from services.mesh.core.events import Received
+from services.mesh.core.frames import BULK, NONCE_SIZE
+from services.mesh.core.gather import by_app
 from services.mesh.core.handshake import Local
 from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
@@ -25,6 +27,7 @@ from services.mesh.tell import Tell
 from swarm import clock, service
 from swarm.codec import MAX_BINARY
 from swarm.config import Config
+from swarm.core import together
 from swarm.keyfile import read_keys
 from swarm.keys import key
 from swarm.messages import Clock, Links
@@ -71,6 +74,7 @@ class _Mesh(Runner):
         self._bus = service.bus
         self._counters = service.counters
         self._heard = heard
+        self._frames_key = key(service.robot, "mesh", "frames")
         self._links_key = key(service.robot, "mesh", "links")
         self._clock_key = key(service.robot, "mesh", "clock")
         self._topology_key = key(service.robot, "mesh", "topology")
@@ -91,12 +95,16 @@ class _Mesh(Runner):
         except OSError as error:
             self._service.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
-    def _to_bus(self, key: str, payload: bytes, urgent: bool) -> None:
-        self._heard(key, payload)
-        if len(payload) <= MAX_BINARY:
-            self._bus.publish(key, payload, urgent=urgent)
-        else:
-            self._counters["too_large"] += 1
+    def _to_bus(self, messages: Sequence[Received]) -> None:
+        # Hosts of apps hear this one message, and whoever listens to the frames themselves hears those.
+        for app, frames in by_app(messages).items():
+            self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
+        for each in messages:
+            self._heard(each.key, each.payload)
+            if len(each.payload) <= MAX_BINARY:
+                self._bus.publish(each.key, each.payload, urgent=each.priority < BULK)
+            else:
+                self._counters["too_large"] += 1
 
 
 def main() -> None:

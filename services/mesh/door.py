@@ -11,7 +11,18 @@ from swarm.bus_protocol import BusLike
 from swarm.codec import encode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, key
-from swarm.messages import Arm, Clock, EchoRequest, FloodRequest, Reminder, SendRequest, Stop, TopologyRequest, read
+from swarm.messages import (
+    Arm,
+    Clock,
+    EchoRequest,
+    FloodRequest,
+    HoldLink,
+    Reminder,
+    SendRequest,
+    Stop,
+    TopologyRequest,
+    read,
+)
 
 T = TypeVar("T")
 
@@ -30,6 +41,9 @@ class Mesh(Protocol):
 
     def ping(self, request: EchoRequest) -> None:
         """Measure a link."""
+
+    def hold(self, request: HoldLink) -> None:
+        """Have no link with a neighbour for a while."""
 
     def clock(self) -> ClockState:
         """The mesh clock now."""
@@ -77,6 +91,8 @@ class Door:
                 self._mesh.ask(lambda each, now: each.request(message, now))
             case EchoRequest():
                 self._mesh.ping(message)
+            case HoldLink():
+                self._mesh.hold(message)
             case Stop(_, origin, reason):
                 self._tell(f"stop of the swarm by={origin} reason={reason}")
                 self._mesh.ask(lambda each, now: each.stop(message, now))

@@ -17,14 +17,13 @@ from typing import Protocol, TypeVar
 
 from services.mesh.core.clock import ClockState
 from services.mesh.core.events import Received
-from services.mesh.core.frames import BULK
 from services.mesh.core.node import Node
 from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
-from swarm.messages import EchoRequest, LinkState
+from swarm.messages import EchoRequest, HoldLink, LinkState
 
 _CHUNK = 4096
 """Bytes taken from a session at a time; what is taken can no longer be overtaken."""
@@ -61,12 +60,12 @@ class Runner:
         *,
         listeners: Sequence[Listener],
         dial: Callable[[str], Pipe],
-        deliver: Callable[[str, bytes, bool], None],
+        deliver: Callable[[Sequence[Received]], None],
         changed: Callable[[], None],
         keep: Callable[[], None],
     ) -> None:
-        """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(key, payload, urgent)` for what
-        came in, `changed()` when a link did, `keep()` when there is another topology to be kept."""
+        """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(messages)` for what came
+        in, `changed()` when a link did, `keep()` when there is another topology to be kept."""
         self._node = node
         self._listeners = listeners
         self._dial = dial
@@ -111,6 +110,13 @@ class Runner:
         """Measure a link; what comes of it is delivered."""
         with self._lock:
             self._node.ping(request, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
+
+    def hold(self, request: HoldLink) -> None:
+        """Have no link with a neighbour for a while."""
+        with self._lock:
+            self._node.hold(request, clock.now())
             actions = self._carry_out()
         self._report(actions)
 
@@ -168,11 +174,10 @@ class Runner:
                 pipe.shutdown()
                 self._ended.append(pipe)
                 self._wake_up()
-        deadline = node.next_deadline()
-        if deadline < self._deadline:
-            self._deadline = deadline
-            if threading.get_ident() != self._thread.ident:
-                self._wake_up()
+        deadline, before = node.next_deadline(), self._deadline
+        self._deadline = deadline
+        if deadline < before and threading.get_ident() != self._thread.ident:
+            self._wake_up()
         return actions
 
     def _flush(self, session: Session, pipe: Pipe) -> None:
@@ -191,16 +196,21 @@ class Runner:
 
     def _report(self, actions: list[Action]) -> None:
         """After the lock: what goes to the bus and to the log."""
+        if not actions:
+            return
         changed = False
-        if any(type(action) is Write for action in actions):
-            self._keep()  # before the bus hears of it
+        received: list[Received] = []
         for action in actions:
             if type(action) is Received:
-                self._deliver(action.key, action.payload, action.priority < BULK)
+                received.append(action)
+            elif type(action) is Write:
+                self._keep()  # before the bus hears of it
             elif type(action) is LinksChanged:
                 changed = True
             elif type(action) is Note:
                 _log.log(logging.WARNING if action.problem else logging.INFO, "%s", action.text)
+        if received:
+            self._deliver(received)
         if changed:
             self._changed()
 

@@ -19,6 +19,10 @@ from swarm.messages import (
     Truth,
     read,
 )
+from swarm.slow import SLOW, Slow
+
+SLOW_TRUTH_S = 0.2
+"""s between two messages of the truth's slow copy."""
 
 
 @dataclass
@@ -51,13 +55,14 @@ class Monitor:
         self._app = app
         self._samples: dict[str, dict[str, bytes]] = {name: {} for name in names}
         self._buses = {name: Bus.of(run_dir / name) for name in names}
+        self._slow = {name: Slow(bus, key(name, "sim", "truth"), SLOW_TRUTH_S) for name, bus in self._buses.items()}
         for name, bus in self._buses.items():
             bus.subscribe(
                 [
                     key(name, "*", "status"),
                     key(name, "app", "*", "status"),
-                    *([key(name, "app", app, topic) for topic in ("progress", "state", "epoch")] if app else []),
-                    key(name, "balancer", "state"),
+                    *([key(name, "app", app, topic) for topic in ("progress", "state/slow", "epoch")] if app else []),
+                    key(name, "balancer", "state", SLOW),
                     key(name, "mesh", "links"),
                     key(name, "dwm", "pose"),
                 ],
@@ -66,7 +71,10 @@ class Monitor:
 
     def truth(self, robot: str, message: Truth | LedChange) -> None:
         """Publish where a robot really is, or what its LEDs show."""
-        topic = "truth" if isinstance(message, Truth) else "leds"
+        topic = "leds"
+        if isinstance(message, Truth):
+            topic = "truth"
+            self._slow[robot].publish(message, message.t)
         self._buses[robot].publish(key(robot, "sim", topic), message)
 
     def ask_status(self) -> None:

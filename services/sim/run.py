@@ -40,6 +40,10 @@ APP_SERVICE = "services.apps"
 START_LIMIT_S = 60.0
 """A swarm that has not done its first iteration by then is given up, with what is missing named."""
 
+ASK_S, ASK_AGAIN_S = 1.0, 5.0
+"""s between two questions to all services for how they are, until the swarm has started, and then. They say so
+themselves when it changes."""
+
 TICK_S = 0.05
 REFRESH_LIMIT_S = 0.5
 
@@ -108,7 +112,7 @@ class Run:
                 self._stop = True
             for done in self._orders.look():
                 self._progress.say(done)
-            if now - asked > 1.0:
+            if now - asked > (ASK_S if started is None else ASK_AGAIN_S):
                 asked = now
                 self._monitor.ask_status()
             seen = self._monitor.look()

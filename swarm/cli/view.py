@@ -51,9 +51,11 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from swarm.view.control import Control
+    from swarm.view.far import FarHands
     from swarm.view.feed import Simulation
     from swarm.view.recording import Recording
     from swarm.view.robots import Robots
+    from swarm.view.simulated import SimulatedHands
 
     feed: Simulation | Robots | Recording
     control = None
@@ -70,12 +72,12 @@ def run(args: argparse.Namespace) -> int:
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
     elif args.robot:
-        config = load(args.config)
-        feed = Robots(config, hosts(config, ",".join(dict.fromkeys(args.robot))), Ssh(args.ssh_config))
-        control = Control(feed, allowed=args.control)
+        config, ssh = load(args.config), Ssh(args.ssh_config)
+        feed = Robots(config, hosts(config, ",".join(dict.fromkeys(args.robot))), ssh)
+        control = Control(feed, FarHands(feed, ssh) if args.control else None)
     else:
         feed = Simulation((args.run_dir or default_run_dir()).absolute())
-        control = Control(feed, allowed=args.control)
+        control = Control(feed, SimulatedHands(feed) if args.control else None)
 
     at = None
     if isinstance(feed, Recording):
@@ -99,6 +101,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         asyncio.run(main())
     finally:
+        if control is not None:
+            control.close()
         if not isinstance(feed, Recording):
             feed.close()
     return 0

@@ -2,7 +2,7 @@
 
 import argparse
 
-from swarm.fleet import everyone
+from swarm.fleet import apps, everyone
 from swarm.fleet.everyone import Tell
 from swarm.fleet.ssh import Host
 from swarm.fleet.units import units
@@ -22,7 +22,6 @@ def run(args: argparse.Namespace, action: str) -> int:
     _, robots, ssh = everyone.chosen(args)
 
     async def job(host: Host, tell: Tell) -> str:
-        await ssh.check(host, f"sudo -n systemctl {action} {' '.join(names)}")
-        return f"{action} {' '.join(names)}"
+        return await apps.systemctl(ssh, host, action, names)
 
     return everyone.run(args, robots, job)

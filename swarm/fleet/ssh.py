@@ -89,15 +89,7 @@ class Ssh:
         Raises `HostError` where the robot could not be reached or the connection broke. Cancelling ends the command's
         connection at once.
         """
-        try:
-            process = await asyncio.create_subprocess_exec(
-                *self.arguments(host, command),
-                stdin=asyncio.subprocess.PIPE,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.PIPE,
-            )
-        except FileNotFoundError:
-            raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
+        process = await _spawn(self.arguments(host, command))
         assert process.stdin is not None
         assert process.stdout is not None
         assert process.stderr is not None
@@ -123,6 +115,21 @@ class Ssh:
         if done.code != 0:
             raise HostError(last_words(done.err) or last_words(done.out) or f"exit code {done.code}")
         return done.out
+
+
+async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
+    pipe = asyncio.subprocess.PIPE
+    spawning = asyncio.ensure_future(asyncio.create_subprocess_exec(*arguments, stdin=pipe, stdout=pipe, stderr=pipe))
+    try:
+        # Cancelled in between, asyncio would wait for ever for the end of pipes that it has not opened yet.
+        return await asyncio.shield(spawning)
+    except asyncio.CancelledError:
+        process = await spawning
+        process.kill()
+        await process.communicate()
+        raise
+    except FileNotFoundError:
+        raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
 
 
 async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyncio.Event | None) -> None:

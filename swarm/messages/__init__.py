@@ -68,6 +68,7 @@ if TYPE_CHECKING:
         Flooded,
         FloodRequest,
         GraphRobot,
+        HoldLink,
         Links,
         LinkState,
         Member,
@@ -110,6 +111,7 @@ __all__ = [
     "FloodRequest",
     "Flooded",
     "GraphRobot",
+    "HoldLink",
     "I2CRates",
     "ImuRequest",
     "ImuSample",
@@ -174,8 +176,8 @@ _NAMES = {
     ),
     "dwm": "Measurement Pose Range Ranges",
     "mesh": (
-        "Arm Clock Echo EchoRequest Flooded FloodRequest GraphRobot Links LinkState Member MemberChange "
-        "Members MeshGraph Progress Reminder SendRequest Sent Stop Stopped Topology TopologyRequest "
+        "Arm Clock Echo EchoRequest Flooded FloodRequest GraphRobot HoldLink Links LinkState Member "
+        "MemberChange Members MeshGraph Progress Reminder SendRequest Sent Stop Stopped Topology TopologyRequest "
         "TopologySet View Watch"
     ),
     "service": "Status",

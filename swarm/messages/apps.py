@@ -119,8 +119,10 @@ class AppParametersSet:
 TOPICS: dict[tuple[str, str], type] = {
     ("app", "*/status"): Status,
     ("app", "*/state"): AppState,
+    ("app", "*/state/slow"): AppState,
     ("app", "*/progress"): AppProgress,
     ("app", "*/*/state"): AppState,
+    ("app", "*/*/state/slow"): AppState,
     ("app", "*/*/progress"): AppProgress,
     ("app", "*/epoch"): AppEpoch,
     ("app", "*/*/epoch"): AppEpoch,

@@ -159,6 +159,7 @@ class SetParameters:
 
 TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "state"): BalancerState,
+    ("balancer", "state/slow"): BalancerState,
     ("balancer", "odometry"): Odometry,
     ("balancer", "leds"): Leds,
     ("balancer", "fault"): BalancerFault,

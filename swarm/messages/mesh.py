@@ -308,6 +308,16 @@ class Echo:
 
 
 @dataclass(frozen=True, slots=True)
+class HoldLink:
+    """Command on `mesh/set/hold`: have no link with a neighbour for a while. One end suffices: it ends the connection
+    and refuses others. `mesh/links` tells it."""
+
+    peer: str
+    seconds: float
+    """At most 600; 0 = the link may come back now. A mesh that starts holds none."""
+
+
+@dataclass(frozen=True, slots=True)
 class TopologyRequest:
     """Command on `mesh/set/topology`: other links for the whole swarm; the answer is a `TopologySet`."""
 
@@ -378,6 +388,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "topology_set"): TopologySet,
     ("mesh", "set/topology"): TopologyRequest,
     ("mesh", "set/echo"): EchoRequest,
+    ("mesh", "set/hold"): HoldLink,
     ("mesh", "set/watch"): Watch,
     ("mesh", "watch"): Watch,
     ("mesh", "view"): View,

@@ -28,5 +28,6 @@ class LedChange:
 TOPICS: dict[tuple[str, str], type] = {
     ("sim", "leds"): LedChange,
     ("sim", "truth"): Truth,
+    ("sim", "truth/slow"): Truth,
 }
 """Message type of each key, by (service, topic); `*` is any one chunk."""

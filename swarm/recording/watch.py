@@ -7,12 +7,14 @@ the pictures of a run need, and no more, since each costs the process some 0.1 m
 import logging
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, Protocol
 
 from swarm.bus_protocol import BusLike, Clock
 from swarm.errors import PayloadError
 from swarm.keys import key
 from swarm.messages import Flooded, FloodRequest, SendRequest, Sent, read
+from swarm.slow import SLOW
 
 TOPICS = {
     "dwm/pose": 0.0,
@@ -30,6 +32,9 @@ TOPICS = {
     "sim/leds": 0.0,
 }
 """What is recorded of the robot's own keys, and the least time between two messages of a key, s."""
+
+SLOW_TOPICS = ("balancer/state", "sim/truth")
+"""Of which `TOPICS/slow` is heard."""
 
 EARLY = 0.75
 """A message may come that share of the least time after the one before: clocks of publishers are not even."""
@@ -77,7 +82,8 @@ class Heard(NamedTuple):
 class Watch:
     """Listens on one robot's bus, and puts what it hears into a recording when told to."""
 
-    def __init__(self, bus: BusLike, robot: str, app: str, sink: Takes, now: Clock) -> None:
+    def __init__(self, bus: BusLike, robot: str, app: str, sink: Takes, now: Clock, *, slow: bool = True) -> None:
+        """`slow`: fast keys have slow copies, which are heard in their place (not so in virtual time)."""
         self._sink = sink
         self._now = now
         self._app = app
@@ -87,7 +93,9 @@ class Watch:
         self._least = {key(robot, topic): least for topic, least in TOPICS.items()}
         self.on_sample: Callable[[], None] = lambda: None
         """Called after each message: in virtual time `drain`, as there is no thread that would."""
-        bus.subscribe(list(self._least), self._take)
+        self._copies = {f"{name}/{SLOW}": name for name in map(partial(key, robot), SLOW_TOPICS if slow else ())}
+        heard = set(self._least) - set(self._copies.values()) | set(self._copies)
+        bus.subscribe(sorted(heard), self._take)
         bus.subscribe([key("*", "app", app, "flood"), key("*", "app", app, "send", robot)], self._take)
 
     def hear_requests(self, bus: BusLike, robot: str) -> None:
@@ -124,6 +132,7 @@ class Watch:
     def _take(self, name: str, payload: bytes) -> None:
         """On Zenoh's thread: nothing is decoded here."""
         t = self._now()
+        name = self._copies.get(name, name)
         least = self._least.get(name, 0.0)
         if least and t - self._last.get(name, -least) < EARLY * least:
             return

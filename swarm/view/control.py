@@ -1,23 +1,18 @@
 """What a page may do to the swarm where it was started with `--control`. Without that every command is refused."""
 
-import math
 import os
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
-from swarm import air, clock, hands, orders
-from swarm.cli import kill
+from swarm import clock
 from swarm.codec import Value
-from swarm.core.hands import Lay, Press, Push
 from swarm.errors import LocalError
 from swarm.keys import STOP, is_name, key
 from swarm.messages import Arm, SetAppParameters, Stop
-from swarm.view.feed import Live, Publisher, Simulation
+from swarm.view.feed import Live, Publisher
+from swarm.view.hands import Act, Hands
 
 REASON = "the page of swarm view"
-PRESS_S = 0.3
-MAX_CUT_S = 600.0
 ANSWER_S = 5.0
 """s for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
 
@@ -25,31 +20,34 @@ ANSWER_S = 5.0
 class Control:
     """Carries out what pages ask."""
 
-    def __init__(self, feed: Live, *, allowed: bool) -> None:
+    def __init__(self, feed: Live, hands: Hands | None) -> None:
+        """`hands`: what can be done besides what goes over a bus; None where the page only watches."""
         self._feed = feed
-        self.allowed = allowed
+        self._hands = hands
         self._wanted: bool | None = None
         self._asked: dict[tuple[str, str], tuple[SetAppParameters, float]] = {}
         """What apps have not answered yet: by robot and app, and until when they are asked."""
-        self._acts: dict[str, Callable[[Mapping[str, Any]], str]] = {
-            "stop": lambda _: self._halt(stop=True),
-            "arm": lambda _: self._halt(stop=False),
-            "press": self._press,
-            "push": self._push,
-            "lay": self._lay,
-            "kill": self._kill,
-            "cut": self._cut,
-            "set": self._set,
-            "start": lambda asked: self._order("start", asked),
-            "end": lambda asked: self._order("stop", asked),
-        }
+        self.acts: dict[str, Act] = {}
+        """What pages may ask for."""
+        if hands is not None:
+            self.acts |= {
+                "stop": lambda _: self._halt(stop=True),
+                "arm": lambda _: self._halt(stop=False),
+                "set": self._set,
+                **hands.acts,
+            }
+
+    def close(self) -> None:
+        """Give up what is under way."""
+        if self._hands is not None:
+            self._hands.close()
 
     def do(self, asked: object) -> str:
         """Carry out `{act: NAME, ...}`; what was done, in words. Raises `LocalError`."""
-        if not self.allowed:
+        if not self.acts:
             raise LocalError("this page only watches: start `swarm view --control` to act")
-        if not isinstance(asked, dict) or (act := self._acts.get(str(asked.get("act")))) is None:
-            raise LocalError(f"expected an act of {', '.join(self._acts)}")
+        if not isinstance(asked, dict) or (act := self.acts.get(str(asked.get("act")))) is None:
+            raise LocalError(f"expected an act of {', '.join(self.acts)}")
         try:
             return act(asked)
         except (KeyError, TypeError, ValueError) as error:
@@ -82,34 +80,6 @@ class Control:
             bus.publish(STOP, Stop(clock.now(), name, REASON), urgent=True)
         else:
             bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), name), urgent=True)
-
-    def _press(self, asked: Mapping[str, Any]) -> str:
-        robot, button = self._robot(asked), str(asked["button"]).upper()
-        hands.do(self._run_dir() / robot, Press(button, PRESS_S))
-        return f"{robot}: pressed {button}"
-
-    def _push(self, asked: Mapping[str, Any]) -> str:
-        robot, impulse = self._robot(asked), float(asked["impulse"])
-        hands.do(self._run_dir() / robot, Push(impulse))
-        return f"{robot}: pushed with {impulse:g} N s"
-
-    def _lay(self, asked: Mapping[str, Any]) -> str:
-        robot, side = self._robot(asked), str(asked["side"])
-        hands.do(self._run_dir() / robot, Lay(side))
-        return f"{robot}: lies on its {side}"
-
-    def _kill(self, asked: Mapping[str, Any]) -> str:
-        robot = self._robot(asked)
-        service, pid = kill.end(self._run_dir() / robot, str(asked["service"]), "KILL")
-        return f"{robot}: killed {service} (pid {pid})"
-
-    def _cut(self, asked: Mapping[str, Any]) -> str:
-        ends, seconds = (self._robot(asked), self._robot({"robot": asked["peer"]})), float(asked["seconds"])
-        if not 0.0 <= seconds <= MAX_CUT_S or not math.isfinite(seconds):
-            raise LocalError(f"cut: expected 0 (mend) to {MAX_CUT_S:g} s, got {seconds:g}")
-        for robot, peer in (ends, ends[::-1]):
-            air.silence(self._run_dir(), robot, peer, seconds)
-        return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
 
     def _set(self, asked: Mapping[str, Any]) -> str:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
@@ -144,17 +114,9 @@ class Control:
             elif self._asked.get((robot, app), (None,))[0] is request:  # none newer came meanwhile
                 del self._asked[robot, app]
 
-    def _order(self, act: str, asked: Mapping[str, Any]) -> str:
-        return orders.give(self._run_dir(), act, str(asked["app"]), self._robots(asked))
-
     def _robots(self, asked: Mapping[str, Any]) -> list[str]:
         """The robot that is named, else all."""
         return [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
-
-    def _run_dir(self) -> Path:
-        if not isinstance(self._feed, Simulation):
-            raise LocalError("that is done to simulated robots only")
-        return self._feed.directory
 
     def _robot(self, asked: Mapping[str, Any]) -> str:
         name = str(asked["robot"])

@@ -180,7 +180,7 @@ def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
         return None
     return {
         "kind": feed.kind,
-        "control": control is not None and control.allowed,
+        "acts": [] if control is None else list(control.acts),
         "robots": list(config.names),
         "edges": [list(edge) for edge in config.edges],
         "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],

@@ -14,11 +14,12 @@ import pytest
 
 from swarm.bus import Bus
 from swarm.codec import decode, encode
+from swarm.core import together
 from swarm.messages import AppEpoch, AppProgress, AppState, Topology
 from swarm.recording import trajectory
 
 NAMES = ("r0", "r1", "r2")
-PATIENCE = 40.0
+PATIENCE = 60.0
 
 
 def config_text(names: Sequence[str] = NAMES, more: str = "", shape: str = "line") -> str:
@@ -178,7 +179,8 @@ class Rig:
         def carry(key: str, payload: bytes) -> None:
             receiver = key.split("/")[6:]
             if receiver in ([], [there]) and int.from_bytes(payload[1:5], "little") <= self.gate:
-                self.buses[there].publish(key, payload, urgent=True)
+                frames = f"swarm/{there}/mesh/frames/{key.split('/')[3]}"
+                self.buses[there].publish(frames, together.pack([(key, payload)]), urgent=True)
 
         self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)
         latest = self.buses[there].publish

@@ -4,6 +4,7 @@ import math
 import random
 
 import pytest
+from conftest import costly
 from driving_world import DrivingWorld
 from hypothesis import given
 from hypothesis import strategies as st
@@ -65,6 +66,7 @@ def test_two_that_meet_pass_each_other_on_the_right() -> None:
     assert right[1] > 0.05
 
 
+@costly(100)
 @given(st.integers(0, 10**6), st.integers(2, 6))
 def test_without_errors_and_delays_they_keep_apart_whatever_they_wish(seed: int, count: int) -> None:
     """Random wishes, changing all the time; what they need to stop (2 cm) is all they take of the distance."""

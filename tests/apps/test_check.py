@@ -36,12 +36,13 @@ def findings(file: str, iterations: int = 60, graphs: tuple[str, ...] = ("line",
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """One graph, little patience, and the alarm that the process of its own would have."""
+    """One graph, little patience, and the alarms that the process of its own would have."""
     monkeypatch.setattr(examine, "GRAPHS", ("line",))
     monkeypatch.setattr(examine, "STEP_LIMIT", 0.3)
-    before = signal.signal(signal.SIGALRM, examine._alarm)
+    before = {number: signal.signal(number, examine._alarm) for number in examine.ALARMS}
     yield
-    signal.signal(signal.SIGALRM, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 BAD = {
@@ -49,7 +50,11 @@ BAD = {
     "no number": ("        self.value = float('nan') * mean\n", "value: nan is not a finite number", 8),
     "a wrong type": ("        self.value = 'much'\n", "value: expected a number, got 'much'", 8),
     "nothing declared": ("        self.speed = 3.0\n", "Bad declares no 'speed'", 8),
-    "hangs": ("        while True:\n            mean += 1.0\n", "it hangs: a step took more than 0.3 s", (8, 9)),
+    "hangs": (
+        "        while True:\n            mean += 1.0\n",
+        "it hangs: a step computed for more than 0.3 s",
+        (8, 9),
+    ),
     "is random": ("        self.value = random.random()\n", "the same step gave two results", 8),
     "counts its calls": (
         "        global COUNT\n        COUNT += 1\n        self.value += 1e-3 * COUNT\n",
@@ -75,6 +80,14 @@ def test_a_bad_step_is_named_with_file_and_line(tmp_path: Path, short: None, kin
     (problem,) = found["problems"]
     assert message in problem
     assert any(f"{file}, line {number}" in problem for number in ([line] if isinstance(line, int) else line)), problem
+
+
+def test_a_step_that_waits_is_named_too(tmp_path: Path, short: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(examine, "WAIT_LIMIT", 0.3)
+    file = write(tmp_path, STEP + "        __import__('time').sleep(100)\n")
+    found = check.judge(findings(file), findings(file))
+    assert "it hangs: a step took more than 0.3 s" in found["problems"][0]
+    assert f"{file}, line 8" in found["problems"][0]
 
 
 def test_one_that_diverges_is_told_from_one_that_counts(tmp_path: Path, short: None) -> None:

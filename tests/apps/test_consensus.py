@@ -3,7 +3,8 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from memory_swarm import THESIS_X0, MemorySwarm, config_of
 
@@ -83,7 +84,7 @@ def test_metropolis_is_within_a_millionth_of_the_mean() -> None:
         assert rounds(run(6, shape, "metropolis", 200), 15.5 / 6, 1e-6) <= 156
 
 
-@settings(max_examples=25, deadline=None)
+@costly(25)
 @given(
     st.integers(1, 12),
     st.integers(0, 2**32),

@@ -82,7 +82,7 @@ class Watch:
         rig.buses[robot].subscribe(key, lambda name, data: self.found.put(decode(kind, data, name)))
 
     def next(self) -> Any:
-        return self.found.get(timeout=20)
+        return self.found.get(timeout=60)
 
     def until(self, condition: Callable[[Any], bool]) -> Any:
         while not condition(message := self.next()):
@@ -160,8 +160,8 @@ def test_parameters_buttons_devices_and_faults(make_rig: MakeRig) -> None:
     assert "fixed: cannot be changed while the app runs" in answers.next().problem
     found: queue.SimpleQueue[AppParameters] = queue.SimpleQueue()
     key = "swarm/r0/app/hands/parameters"
-    bus.ask(key, lambda name, data: found.put(decode(AppParameters, data, name)), timeout_s=10.0)
-    assert {name: p.value for name, p in found.get(timeout=20).parameters.items()} == {
+    bus.ask(key, lambda name, data: found.put(decode(AppParameters, data, name)), timeout_s=60.0)
+    assert {name: p.value for name, p in found.get(timeout=60).parameters.items()} == {
         "weights": "metropolis", "gain": 0.75, "fixed": 1,
     }  # fmt: skip
 
@@ -338,7 +338,7 @@ def test_two_locksteps_run_inside_a_periodic_app(make_rig: MakeRig) -> None:
 
     rig.until(agreed, "agreement on both")
     rig.kill("r1")
-    at = rig.state["r0"].result["k"]
+    at = rig.state["r0"].result["k"] + 10  # what the killed one has told is nearer to the others
     rig.state.clear()
     rig.start("r1", "apps", app)
     rig.until(agreed, "agreement on both")

@@ -4,13 +4,13 @@ import ctypes
 import math
 import os
 import platform
-import queue
 import random
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import conftest
 import pytest
 from apps_rig import NAMES, Rig, config_text
 from conftest import wait_until
@@ -21,6 +21,7 @@ from services.apps.host import schema_of
 from services.apps.runner import Runner
 from swarm.codec import decode, encode
 from swarm.config import load
+from swarm.core import together
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
 from swarm.recording.run import Run
 
@@ -74,9 +75,7 @@ def consensus(last: int) -> dict[str, list[str]]:
 
 
 def ask(rig: Rig, robot: str, topic: str, kind: type) -> Any:
-    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    rig.buses[robot].ask(f"swarm/{robot}/app/{topic}", lambda _, payload: answers.put(payload), timeout_s=5.0)
-    return decode(kind, answers.get(timeout=5.0), topic)
+    return decode(kind, conftest.ask(rig.buses[robot], f"swarm/{robot}/app/{topic}"), topic)
 
 
 def test_a_run_to_its_end_and_the_result_stays_to_be_read(make_rig: MakeRig) -> None:
@@ -166,16 +165,21 @@ def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
     rig.until_phase("waiting", "r0")
     app = loader.load("consensus")
     schema = f"{schema_of(Runner(app.make(config_of(2), 'r0'), app.source), '', app.digest):08x}"
-    publish = rig.buses["r0"].publish
-    publish(f"swarm/r1/app/consensus/sync/{0xA2:016x}-0-1-{schema}", b"a frame of another run")
-    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}", b"what is this")
-    publish(f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}/r7", b"not for us")
-    publish("swarm/r1/app/consensus/sync/no-channel", b"x")
+    channel = f"swarm/r1/app/consensus/sync/{0xA1:016x}-0-1-{schema}"
+    other = f"swarm/r1/app/consensus/sync/{0xA2:016x}-0-1-{schema}"
+    frames = [
+        (other, b"a frame of another run"),
+        (channel, b"what is this"),
+        (f"{channel}/r7", b"not for us"),
+        ("swarm/r1/app/consensus/sync/no-channel", b"x"),
+    ]
+    for data in (together.pack(frames), b"no frames at all"):
+        rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", data)
     counters: dict[str, int] = {}
 
     def counted() -> bool:
         counters.update(ask(rig, "r0", "consensus/status", Status).counters)
-        return {"sync_other_run", "sync_malformed", "refused_keys"} <= set(counters)
+        return {"sync_other_run", "sync_malformed", "refused_keys", "refused_payloads"} <= set(counters)
 
     wait_until(counted)
     assert (counters["sync_other_run"], counters["sync_malformed"], counters["refused_keys"]) == (1, 1, 1)
@@ -233,12 +237,12 @@ def test_a_second_process_of_an_app_is_refused(make_rig: MakeRig) -> None:
     rig.until(lambda: "r0" in rig.progress, "a start")
     first = rig.processes["r0", "apps"]
     second = rig.start("r0", "apps", "consensus")
-    assert second.wait(20) == 2
+    assert second.wait(60) == 2
     assert "another process runs app consensus on this robot" in rig.log("r0")
     assert "Traceback" not in rig.log("r0")
     assert first.poll() is None
     first.terminate()
-    assert first.wait(20) == 0
+    assert first.wait(60) == 0
 
 
 def test_an_app_that_raises_is_named_and_the_others_wait_for_it(make_rig: MakeRig) -> None:
@@ -282,7 +286,7 @@ def test_wrong_starts_are_one_line_and_exit_2(runtime: Path, arguments: tuple[st
     rig.directory, rig.records, rig.processes = runtime, runtime, {}
     (runtime / "swarm.toml").write_text(config_text(more="[apps.consensus]\nvaleu = 1.0\n"))
     (runtime / "r0").mkdir()
-    assert rig.start("r0", "apps", *arguments).wait(30) == 2
+    assert rig.start("r0", "apps", *arguments).wait(60) == 2
     assert message in rig.log("r0")
     assert "Traceback" not in rig.log("r0")
 
@@ -336,7 +340,7 @@ def test_sigterm_is_heard_whichever_thread_it_hits(make_rig: MakeRig) -> None:
     if number is None:
         pytest.skip("the number of tgkill(2) on this machine is not known here")
     assert ctypes.CDLL(None).syscall(number, process.pid, max(threads), signal.SIGTERM) == 0
-    assert process.wait(20) == 0
+    assert process.wait(60) == 0
 
 
 # Measurements

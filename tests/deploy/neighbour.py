@@ -32,6 +32,6 @@ class Neighbour:
     def __exit__(self, *_: object) -> None:
         for process in reversed(self._processes):  # the app first, which finishes its recording
             process.terminate()
-            process.wait(20)
+            process.wait(60)
         self._log.close()
         shutil.rmtree(self._home)

@@ -7,7 +7,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from conftest import Processes
+from conftest import Processes, wait_until
 
 from swarm.bus import Bus
 
@@ -20,7 +20,7 @@ def test_it_is_fed_by_a_service_that_works(processes: Processes, module: str) ->
         processes.router()
     process = processes.start_ready("-m", module, until=FED)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0
 
 
 def test_it_is_fed_by_an_app_that_waits_for_its_neighbours(processes: Processes) -> None:
@@ -28,7 +28,7 @@ def test_it_is_fed_by_an_app_that_waits_for_its_neighbours(processes: Processes)
     processes.start_ready("-m", "services.mesh")  # which tells the app who its neighbours are
     process = processes.start_ready("-m", "services.apps", "consensus", until=FED)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0
 
 
 HUNG = """
@@ -42,12 +42,13 @@ class Hung(SyncApp):
     value: float
 
     def step(self, neighbours):
+        open("{begun}", "w").close()
         threading.Event().wait()
 """
 
 
 def test_it_is_not_fed_by_an_app_whose_step_hangs(processes: Processes, runtime: Path) -> None:
-    (runtime / "hung.py").write_text(HUNG)
+    (runtime / "hung.py").write_text(HUNG.format(begun=runtime / "begun"))
     (runtime / "alone.toml").write_text(
         'network = "test"\n[mesh]\ninsecure = true\n[topology]\nedges = []\n[[robots]]\nname = "r0"\n'
     )
@@ -70,9 +71,12 @@ def test_it_is_not_fed_by_an_app_whose_step_hangs(processes: Processes, runtime:
                     messages.append(systemd.recv(4096))
             return messages
 
-        for _ in range(3):  # by the third, a second apart each, the step of iteration 0 has begun
-            progress.get(timeout=10)
+        wait_until((runtime / "begun").exists, what="the step has begun")
+        while not progress.empty():
+            progress.get()
+        for _ in range(2):  # by the second, what it had to say when the step began is said
+            progress.get(timeout=60)
         heard()
         for _ in range(2):
-            progress.get(timeout=10)
+            progress.get(timeout=60)
         assert heard() == []

@@ -32,7 +32,7 @@ def board(processes, runtime):
 @pytest.fixture
 def bus(router, runtime):
     with Bus.of(runtime) as bus:
-        assert bus.wait_connected(10)
+        assert bus.wait_connected(60)
         yield bus
 
 

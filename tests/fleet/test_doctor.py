@@ -18,6 +18,7 @@ from swarm.cli import doctor, main
 from swarm.fleet.core import doctor as core
 from swarm.fleet.provision import Rig
 from swarm.keyfile import new_key_file
+from swarm.simulations import claim
 
 Report = dict[str, dict[str, dict[str, str]]]
 
@@ -105,9 +106,13 @@ def test_a_swarm_that_is_well_then_one_with_faults(ask: Ask, simulation: Simulat
     simulation.kill("r0", "mesh", "CONT")
 
 
-def test_what_is_asked_wrongly(ask: Ask, simulation: Simulation, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["doctor", "r9", "--run-dir", str(simulation.run_dir)])
+def test_what_is_asked_wrongly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_dir = tmp_path / "run"
+    with claim(run_dir):
+        (run_dir / "swarm.toml").write_text('network = "test"\n[[robots]]\nname = "r0"\n')
+        (run_dir / "r0").mkdir()
+        with pytest.raises(SystemExit) as end:
+            main(["doctor", "r9", "--run-dir", str(run_dir)])
     assert end.value.code == 2
     assert "no robot 'r9' in the simulation" in capsys.readouterr().err
 

@@ -189,7 +189,7 @@ def test_a_robot_that_is_not_there(radio: Radio, how: str) -> None:
 
 
 def test_nobody_listens(radio: Radio) -> None:
-    with pytest.raises(OSError, match="no mesh listens on that channel") as caught:
+    with pytest.raises(OSError, match="no mesh listens there on that channel") as caught:
         rfcomm.dial(mine(radio, 0, 9), radio.addresses[2])
     assert caught.value.errno == errno.ECONNREFUSED
 

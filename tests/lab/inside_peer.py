@@ -1,4 +1,5 @@
-"""Inside a machine: one end of an encrypted link. `inside_peer.py listen|advertise|dial OWN OTHER` prints what came.
+"""Inside a machine: one end of an encrypted link. `inside_peer.py listen|advertise|dial-encrypted OWN OTHER` prints
+what came; with `dial-plain` the caller does not want encryption.
 
 The caller says something, the called one answers; both tell the security level of their socket, as the kernel has it.
 With `advertise` it listens, too, and there is a service record of the mesh. Its process id is in /tmp/peer.
@@ -34,10 +35,10 @@ def call(radio: rfcomm.Radio, other: str) -> Pipe:
 
 def main() -> None:
     role, own, other = sys.argv[1:]
-    radio = rfcomm.Radio(own, CHANNEL, encrypt=True)
+    radio = rfcomm.Radio(own, CHANNEL, encrypt=role != "dial-plain")
     record = None
     Path("/tmp/peer").write_text(str(os.getpid()))
-    if role != "dial":
+    if not role.startswith("dial"):
         listener = rfcomm.Listener(radio, {other: "r0"})
         if role == "advertise":
             record = pybluez.Record(listener.fileno())
@@ -57,7 +58,7 @@ def main() -> None:
     level, _ = struct.unpack("BB", pipe._sock.getsockopt(rfcomm.SOL_BLUETOOTH, rfcomm.BT_SECURITY, 2))
     sys.stdout.write(f"{data!r} level {level} robot {pipe.caller.robot}\n")
     sys.stdout.flush()
-    if role != "dial":
+    if not role.startswith("dial"):
         pipe.offer(b"and back")
         pipe.flush()
         select.select([pipe], [], [], SECONDS)  # until the caller has it and goes

@@ -23,13 +23,22 @@ MESH, APPS = "services.mesh", "services.apps"
 class Swarm:
     """Services of the robots here, with buses of this process; a killed one is started again, as systemd does."""
 
-    def __init__(self, processes: Processes, config: str, names: Sequence[str] = NAMES) -> None:
-        """`config`: the name of its swarm.toml in the shared folder, without the suffix; `names`: those here."""
+    def __init__(
+        self,
+        processes: Processes,
+        config: str,
+        names: Sequence[str] = NAMES,
+        *,
+        state: Path | None = None,
+    ) -> None:
+        """`config`: the name of its swarm.toml in the shared folder, without the suffix; `names`: those here; `state`:
+        a folder for what survives a reboot."""
         self.processes = processes
         self.config = config
         self.names = names
         self.records = processes.runtime / "records"
         self.records.mkdir()
+        self.state = state
         self.routers: list[Router] = []
         self.buses: dict[str, Bus] = {}
         self.reached: dict[str, int] = dict.fromkeys(names, -1)
@@ -40,7 +49,7 @@ class Swarm:
             directory.mkdir()
             self.routers.append(Router(bus_endpoint(directory)))
             self.buses[name] = Bus.of(directory)
-            self.buses[name].subscribe(f"swarm/{name}/app/consensus/state", self._on_state)
+            self.buses[name].subscribe(f"swarm/{name}/app/*/state", self._on_state)
 
     def _on_state(self, key: str, payload: bytes) -> None:
         self.reached[key.split("/")[1]] = read(key, payload).k
@@ -53,6 +62,8 @@ class Swarm:
             "SWARM_CONFIG": str(SHARE / f"{config or self.config}.toml"),
             "SWARM_RECORD": str(self.records),
         }
+        if self.state is not None:
+            environment["SWARM_STATE"] = str(self.state)
         order = json.dumps({"environment": environment, "module": module, "words": words})
         stdin, stdout = self.nursery.stdin, self.nursery.stdout
         assert stdin is not None
@@ -98,6 +109,13 @@ class Swarm:
         while not condition():
             assert time.monotonic() < deadline, f"{what()}\n{self.logs()}"
             time.sleep(0.05)
+
+    def end_services(self) -> None:
+        """Meshes and apps, not what has started them."""
+        running = [Path(f"/proc/{self.process(module, name)}") for module in (APPS, MESH) for name in self.names]
+        for process in running:
+            os.kill(int(process.name), signal.SIGTERM)
+        self.wait(lambda: not any(process.exists() for process in running), lambda: f"{running} do not end")
 
     def end(self) -> None:
         """All services end by SIGTERM, and well."""

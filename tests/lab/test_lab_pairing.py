@@ -18,7 +18,7 @@ import pytest
 from lab.inside import command, furnish
 from lab.radio.remote import Radio
 from lab.vm.build import Image
-from lab.vm.machine import Machine
+from lab.vm.machine import PLAIN, Machine
 from swarm.keyfile import new_key_file
 from swarm.recording.run import Run
 
@@ -67,7 +67,8 @@ class Robots:
         self.machines = machines
         self.first, self.second = machines
         self.config = folder / "swarm.toml"
-        self.config.write_text(CONFIG.format(*radio.addresses, MESH))
+        self.addresses = radio.addresses[: len(machines)]
+        self.config.write_text(CONFIG.format(*self.addresses, MESH))
         (folder / "ssh_config").write_text(
             "".join(
                 f"Host lab-{robot.name}\n HostName 127.0.0.1\n Port {robot.port}\n User root\n"
@@ -90,13 +91,19 @@ class Robots:
         """Whether each listens to calls."""
         return ["PSCAN" in robot.run("hciconfig hci0") for robot in self.machines]
 
-    def talk(self) -> tuple[int, str, str]:
-        """The first calls the second over an encrypted link: its exit code, what it said, what the second said."""
-        a, b = self.radio.addresses
+    def listens(self) -> int:
+        """The second waits for a call of the first: the number of its command."""
+        a, b = self.addresses
         self.second.run("rm -f /tmp/said")
         number = self.second.spawn(command(f"{PEER} listen {b} {a} >/tmp/said 2>&1"), 300)
         self.second.run("until grep -q listening /tmp/said; do sleep 0.2; done", 120)
-        result = self.first.wait(self.first.spawn(command(f"{PEER} dial {a} {b}"), 150), 180)
+        return number
+
+    def talk(self) -> tuple[int, str, str]:
+        """The first calls the second over an encrypted link: its exit code, what it said, what the second said."""
+        a, b = self.addresses
+        number = self.listens()
+        result = self.first.wait(self.first.spawn(command(f"{PEER} dial-encrypted {a} {b}"), 150), 180)
         if result.code:
             self.second.run("kill $(cat /tmp/peer)", code=None)
         self.second.wait(number, 180)
@@ -107,7 +114,7 @@ class Robots:
 def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robots]:
     """Booted both, powered, paired with nobody."""
     folder = tmp_path_factory.mktemp("pair")
-    with Radio(folder, 2, machines=True) as radio:
+    with Radio(folder, 3, machines=True) as radio:
         machines = [
             Machine(lab_image, folder / name, name, memory_mb=384, radio=folder / f"radio-{number}")
             for number, name in enumerate(("r0", "r1"))
@@ -129,6 +136,17 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
                 machine.kill()
             counts = radio.order("look")["counts"]
     assert not [name for name in counts if name.startswith("unknown")], counts
+
+
+@pytest.fixture(scope="module")
+def stranger(lab_image: Image, robots: Robots) -> Iterator[Machine]:
+    """A third device in their reach, of another owner."""
+    with Machine(
+        lab_image, robots.folder / "r2", "stranger", init=PLAIN, memory_mb=256, radio=robots.folder / "radio-2"
+    ) as made:
+        furnish(made)
+        made.run("until hciconfig hci0 up; do sleep 0.2; done; hciconfig hci0 sspmode 1; hciconfig hci0 piscan", 60)
+        yield made
 
 
 def until(condition: Callable[[], object], seconds: float, what: Callable[[], str]) -> None:
@@ -153,7 +171,7 @@ def test_swarm_pair_pairs_them(robots: Robots) -> None:
 
 
 def test_links_are_encrypted_when_asked_for(robots: Robots) -> None:
-    robots.radio.order("drop", one=robots.radio.addresses[0], other=robots.radio.addresses[1])
+    robots.radio.order("drop", one=robots.addresses[0], other=robots.addresses[1])
     before = robots.radio.order("look")["counts"]["encrypted"]
     code, said, heard = robots.talk()
     assert code == 0, said + heard
@@ -163,8 +181,23 @@ def test_links_are_encrypted_when_asked_for(robots: Robots) -> None:
     assert robots.radio.order("look")["counts"]["encrypted"] == before + 1
 
 
+@pytest.mark.parametrize("encrypt", ["encrypted", "plain"])
+def test_a_device_that_nobody_knows_is_refused(robots: Robots, stranger: Machine, encrypt: str) -> None:
+    """Whether it wants an encrypted link or not; and the robot still hears its own."""
+    a, b = robots.addresses
+    number = robots.listens()
+    words = command(f"{PEER} dial-{encrypt} {robots.radio.addresses[2]} {b}")
+    refused = stranger.wait(stranger.spawn(words, 150), 180)
+    assert refused.code == 1, refused.output
+    assert "refused: [Errno 111]" in refused.output
+    assert not [pair for pair in robots.radio.order("look")["encrypted"] if robots.radio.addresses[2] in pair]
+    code = robots.first.wait(robots.first.spawn(command(f"{PEER} dial-encrypted {a} {b}"), 150), 180).code
+    assert code == 0
+    assert robots.second.wait(number, 120).code == 0
+
+
 def test_pybluez_finds_the_robot_and_its_mesh(robots: Robots) -> None:
-    a, b = robots.radio.addresses
+    a, b = robots.addresses
     # PyBluez makes a record only while the adapter can be found.
     robots.second.run("bluetoothctl discoverable on; until hciconfig hci0 | grep -q ISCAN; do sleep 0.2; done", 60)
     number = robots.second.spawn(command(f"{PEER} advertise {b} {a}"), 300)
@@ -176,13 +209,13 @@ def test_pybluez_finds_the_robot_and_its_mesh(robots: Robots) -> None:
         return {row["address"]: row["channel"] for row in rows} == {b: 4}
 
     until(found, 120, lambda: f"{rows}")
-    code = robots.first.wait(robots.first.spawn(command(f"{PEER} dial {a} {b}"), 150), 180).code
+    code = robots.first.wait(robots.first.spawn(command(f"{PEER} dial-encrypted {a} {b}"), 150), 180).code
     assert code == 0
     assert robots.second.wait(number, 120).code == 0
 
 
 def test_who_was_forgotten_is_refused_and_may_be_paired_again(robots: Robots) -> None:
-    a = robots.radio.addresses[0]
+    a = robots.addresses[0]
     robots.second.run(f"bluetoothctl remove {a}; bluetoothctl pairable off")
     until(lambda: not robots.radio.order("look")["links"], 30, lambda: "the link stays")
     robots.second.run("hciconfig hci0 pscan")  # deaf otherwise; a paired third robot makes it hear
@@ -201,7 +234,7 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
     key = robots.folder / "swarm.key"
     new_key_file(key, int(time.time()))
     own = robots.folder / "own.toml"
-    own.write_text(CONFIG.format(*robots.radio.addresses, "insecure = true"))
+    own.write_text(CONFIG.format(*robots.addresses, "insecure = true"))
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
     record = ["--record", str(robots.folder / "simulated")]
     subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
@@ -229,7 +262,7 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
         robot.run("systemctl restart bluetooth", 90)
         assert before < ITERATIONS - 20
         until(lambda before=before: min(reached()) >= before + 5, 150, lambda: journals(robots))  # type: ignore[misc]
-    assert [tuple(each) for each in robots.radio.order("look")["encrypted"]] == [tuple(robots.radio.addresses)]
+    assert [tuple(each) for each in robots.radio.order("look")["encrypted"]] == [tuple(robots.addresses)]
     until(lambda: min(reached()) >= ITERATIONS, 150, lambda: journals(robots))
     simulated = Run(robots.folder / "simulated").trajectories("consensus")
     for robot in robots.machines:

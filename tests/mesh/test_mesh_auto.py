@@ -5,6 +5,7 @@ from itertools import combinations
 
 import networkx as nx
 import pytest
+from conftest import costly, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -133,7 +134,7 @@ def check(world: TopologyWorld, reach: Edges) -> None:
             assert nx.is_biconnected(graph.subgraph(part))
 
 
-@settings(max_examples=25, deadline=None)
+@costly(25)
 @given(data=st.data(), n=st.integers(2, 9), seed=st.integers(0, 99), slow=st.sampled_from([0.0, 1.0]))
 def test_from_nothing_to_a_swarm_that_stays_as_it_is(data: st.DataObject, n: int, seed: int, slow: float) -> None:
     reach = data.draw(reaches(n))
@@ -245,7 +246,7 @@ class Mending(RuleBasedStateMachine):
             check(self.world, self.reach)
 
 
-TestMending = Mending.TestCase
-TestMending.settings = settings(max_examples=25, stateful_step_count=15, deadline=None)
+TestMending = pytest.mark.costly(Mending.TestCase)
+TestMending.settings = settings(max_examples=examples(25), stateful_step_count=15, deadline=None)
 
 pytestmark = pytest.mark.timeout(120)

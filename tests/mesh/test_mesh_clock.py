@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
+from conftest import costly
 from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
@@ -281,6 +282,7 @@ def test_a_small_difference_is_slewed_when_parts_meet() -> None:
     assert all(after <= before + 0.002 for before, after in itertools.pairwise(spreads))
 
 
+@costly(100)
 @given(st.lists(st.tuples(st.sampled_from(["part", "join", "kill", "start"]), st.integers(0, 8)), max_size=8))
 def test_whatever_happens_every_part_ends_with_its_smallest_robot_as_root(steps: list[tuple[str, int]]) -> None:
     world = Clocks(shaped("thesis-d"), jitter=0.0)

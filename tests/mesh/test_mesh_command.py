@@ -115,7 +115,7 @@ def test_from_one_robot_the_whole_swarm_is_seen(
     robots.start()
     wait_here(robots)
     at(robots["r1"], monkeypatch)
-    wait_until(lambda: swarm("mesh")[0] == 0, timeout=20, what="all is well")
+    wait_until(lambda: swarm("mesh")[0] == 0, what="all is well")
     monkeypatch.setenv("MPLCONFIGDIR", str(runtime))
     plot = runtime / "mesh.png"
     code, text = swarm("mesh", "--json", "--plot", str(plot))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import pytest
+from conftest import costly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from overlay_world import World, full, line, ring, thesis_d
@@ -421,7 +422,7 @@ accidents = st.lists(
 )
 
 
-@settings(max_examples=20, deadline=None)
+@costly(20)
 @given(
     accidents, st.sampled_from(sorted(GRAPHS)), st.floats(0.0, 0.02), st.sampled_from((0.0, 0.05)), st.integers(0, 99)
 )

@@ -78,7 +78,7 @@ def test_links_and_paths_are_measured_over_each_overlay(
     wait_here(robots)
     at(robots["r0"], monkeypatch)
     monkeypatch.setenv("MPLCONFIGDIR", str(runtime))
-    wait_until(lambda: swarm("mesh")[0] == 0, timeout=20, what="the map is whole")
+    wait_until(lambda: swarm("mesh")[0] == 0, what="the map is whole")
 
     def measure(*arguments: str) -> list[dict[str, object]]:
         code, text = swarm("measure", *arguments, "--json")

@@ -4,6 +4,7 @@ docs/security.md; whatever it does, r1 and r2 lose nothing of what they say to e
 from collections.abc import Iterator
 
 import pytest
+from conftest import costly
 from hypothesis import given
 from hypothesis import strategies as st
 from test_mesh_attacks import SYNC, Watched
@@ -190,6 +191,7 @@ def test_a_message_of_four_gigabytes_is_refused_before_anything_is_kept() -> Non
     watched.check_others()
 
 
+@costly(100)
 @given(st.lists(st.tuples(st.sampled_from((FLOOD, UNICAST)), st.integers(0, 5), st.binary(max_size=80)), max_size=8))
 def test_whatever_a_member_says_others_lose_nothing(lies: list[tuple[int, int, bytes]]) -> None:
     watched = Watched()

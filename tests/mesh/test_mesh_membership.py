@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
@@ -124,7 +125,7 @@ steps_of = st.lists(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@costly(100)
 @given(steps_of, st.sampled_from(sorted(GRAPHS)), st.integers(0, 99))
 def test_in_the_end_all_agree_who_is_there_and_whether_to_stand_still(
     steps: Sequence[tuple[str, float, int]], graph: str, seed: int

@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from conftest import stop, wait_until
+from conftest import ask, stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
 from swarm.messages import Member, Stop, Stopped, read
@@ -20,22 +20,16 @@ RULES = (
 
 
 def members(swarm: Swarm, name: str) -> dict[str, Member]:
-    """As a robot sees them; {} where its mesh does not answer."""
-    answers: list[dict[str, Member]] = []
-    swarm[name].bus.ask(
-        f"swarm/{name}/mesh/members",
-        lambda key, payload: answers.append({each.robot: each for each in read(key, payload).members}),
-        timeout_s=0.5,
-    )
-    wait_until(lambda: answers, what=f"{name}'s mesh answers")
-    return answers[0]
+    """As a robot sees them."""
+    key = f"swarm/{name}/mesh/members"
+    return {each.robot: each for each in read(key, ask(swarm[name].bus, key)).members}
 
 
 def wait_here(swarm: Swarm) -> None:
     def here() -> bool:
         return all(each.state == "here" for name in swarm.robots for each in members(swarm, name).values())
 
-    wait_until(here, timeout=20, what="all see all")
+    wait_until(here, what="all see all")
 
 
 def test_apps_flood_and_send_and_learn_what_became_of_it(build: Build) -> None:

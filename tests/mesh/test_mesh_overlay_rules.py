@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, End, World
 from test_mesh_session import KEYS, hello
@@ -241,7 +242,7 @@ def test_bad_packets_do_not_break_links() -> None:
     assert world.bots["r1"].counters["bad_frames"] == 0
 
 
-@settings(max_examples=25, deadline=None)
+@costly(25)
 @given(st.lists(ACCIDENTS, max_size=20), st.integers(0, 2**16), st.sampled_from((0, 0, 100_000)))
 def test_through_links_that_break_everything_is_said_and_nothing_twice(
     steps: list[tuple[str, object]], seed: int, size: int

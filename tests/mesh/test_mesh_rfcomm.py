@@ -150,7 +150,7 @@ def test_a_full_socket_waits_without_an_error(air: RfcommAir, listener: rfcomm.L
     ("prepare", "message"),
     [
         (lambda air: air.out_of_range.add(B), "host is down: not in range"),
-        (lambda air: air.listening.clear(), "connection refused: it is there, but no mesh listens on that channel"),
+        (lambda air: air.listening.clear(), "connection refused: no mesh listens there on that channel, or "),
         (lambda air: air.pairs.add((A, B)), "device or resource busy: an earlier connection"),
         (lambda air: air.adapters.discard(A), "no route to host: the own Bluetooth adapter is not there"),
     ],
@@ -273,7 +273,7 @@ class Mesh:
             node,
             listeners=self.network.listeners,
             dial=self.network.dial,
-            deliver=lambda key, payload, _: self.inbox.append((key, payload)),
+            deliver=lambda messages: self.inbox.extend((each.key, each.payload) for each in messages),
             changed=lambda: None,
             keep=lambda: None,
         )

@@ -1,7 +1,8 @@
 """Links under virtual time: handshake, refusals, silence, restarts, and that they always come up again."""
 
 import pytest
-from hypothesis import given, settings
+from conftest import costly
+from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 
@@ -269,7 +270,7 @@ def test_a_neighbour_cannot_speak_for_others_or_command_us() -> None:
 # -- it always comes up again --------------------------------------------------------------------------------
 
 
-@settings(max_examples=75, deadline=None)
+@costly(75)
 @given(st.lists(ACCIDENTS, max_size=25), st.integers(0, 2**16), st.sampled_from((None, KEYS)))
 def test_the_link_comes_up_again_whatever_happened(
     steps: list[tuple[str, object]], seed: int, keys: dict[int, bytes] | None

@@ -4,6 +4,7 @@ from itertools import combinations, pairwise
 
 import networkx as nx
 import pytest
+from conftest import costly, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -219,7 +220,7 @@ def test_a_robot_with_another_configuration_stays_out() -> None:
     assert world.bots["r2"].counters["topology_foreign"]
 
 
-@settings(max_examples=25, deadline=None)
+@costly(25)
 @given(data=st.data(), n=st.integers(2, 8), seed=st.integers(0, 99))
 def test_changes_never_split_the_swarm_nor_lose_a_message(data: st.DataObject, n: int, seed: int) -> None:
     """Sets at any robot and any time, while everybody floods and sends."""
@@ -324,5 +325,5 @@ class Machine(RuleBasedStateMachine):
         assert self.world.links() == set(value.edges)
 
 
-TestMachine = Machine.TestCase
-TestMachine.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+TestMachine = pytest.mark.costly(Machine.TestCase)
+TestMachine.settings = settings(max_examples=examples(40), stateful_step_count=25, deadline=None)

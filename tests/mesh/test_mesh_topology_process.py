@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterator
 
 import pytest
-from conftest import stop, wait_until
+from conftest import ask, stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
 from services.mesh.keep import NAME
@@ -33,22 +33,15 @@ def command(capsys: pytest.CaptureFixture[str]) -> Iterator[Command]:
     return run
 
 
-def topology(swarm: Swarm, name: str) -> Topology | None:
-    """As a robot's mesh tells it; None where it does not answer."""
-    answers: list[Topology] = []
-    swarm[name].bus.ask(
-        f"swarm/{name}/mesh/topology", lambda key, payload: answers.append(read(key, payload)), timeout_s=0.5
-    )
-    try:
-        wait_until(lambda: answers, timeout=1.0)
-    except pytest.fail.Exception:
-        return None
-    return answers[0]
+def topology(swarm: Swarm, name: str) -> Topology:
+    """As a robot's mesh tells it."""
+    key = f"swarm/{name}/mesh/topology"
+    return read(key, ask(swarm[name].bus, key))
 
 
 def has(swarm: Swarm, name: str, version: int, *neighbours: str) -> bool:
     found = topology(swarm, name)
-    return found is not None and found.version >= version and found.up == neighbours and not found.kept
+    return found.version >= version and found.up == neighbours and not found.kept
 
 
 def test_a_topology_is_set_on_one_robot_and_seen_on_another(build: Build, command: Command) -> None:
@@ -108,16 +101,16 @@ def test_a_kill_in_the_middle_and_a_restart_of_all_keep_the_newest_topology(buil
         assert mesh is not None
         mesh.kill()
         mesh.wait()
-        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2"), timeout=20, what="the others go on")
+        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2"), what="the others go on")
         swarm["r3"].start()
-        wait_until(lambda: has(swarm, "r3", 1, "r0"), timeout=30, what="r3 has it, too")
+        wait_until(lambda: has(swarm, "r3", 1, "r0"), what="r3 has it, too")
         for robot in swarm.robots.values():
             assert robot.mesh is not None
             robot.mesh.kill()
             robot.mesh.wait()
         for robot in swarm.robots.values():
             robot.start()
-        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2", "r3"), timeout=20, what="all go on with it")
+        wait_until(lambda: has(swarm, "r0", 1, "r1", "r2", "r3"), what="all go on with it")
         # A damaged file counts for nothing; the neighbours know.
         robot = swarm["r3"]
         assert robot.mesh is not None
@@ -127,7 +120,7 @@ def test_a_kill_in_the_middle_and_a_restart_of_all_keep_the_newest_topology(buil
         data[20] ^= 1
         path.write_bytes(data)
         robot.start()
-        wait_until(lambda: has(swarm, "r3", 1, "r0"), timeout=40, what="r3 is told")
+        wait_until(lambda: has(swarm, "r3", 1, "r0"), what="r3 is told")
         # An answer may come in the moment before the file is on disk.
         wait_until(lambda: path.read_bytes() != bytes(data), what="the file is whole again")
 
@@ -138,18 +131,14 @@ def test_robots_find_their_neighbours_and_mend_the_swarm(build: Build) -> None:
         robot.start()
 
     def whole(*names: str) -> bool:
-        found = [each for each in (topology(swarm, name) for name in names) if each is not None]
-        return (
-            len(found) == len(names)
-            and len({each.edges for each in found}) == 1
-            and all(len(each.up) >= 2 and not each.kept for each in found)
-        )
+        found = [topology(swarm, name) for name in names]
+        return len({each.edges for each in found}) == 1 and all(len(each.up) >= 2 and not each.kept for each in found)
 
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), timeout=30, what="all have two neighbours")
+    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what="all have two neighbours")
     mesh = swarm["r1"].mesh
     assert mesh is not None
     mesh.kill()
     mesh.wait()
-    wait_until(lambda: whole("r0", "r2", "r3"), timeout=30, what="three have two neighbours each")
+    wait_until(lambda: whole("r0", "r2", "r3"), what="three have two neighbours each")
     swarm["r1"].start()
-    wait_until(lambda: whole("r0", "r1", "r2", "r3"), timeout=30, what="r1 is back")
+    wait_until(lambda: whole("r0", "r1", "r2", "r3"), what="r1 is back")

@@ -194,6 +194,6 @@ def test_real_meshes_tell_it(build: Build) -> None:
         swarm["r2"].bus.publish("swarm/r2/dwm/pose", TYPICAL_SAMPLES["dwm/pose"])
         return {"dwm/pose", "mesh/links", "mesh"} <= told["r2"].keys()
 
-    wait_until(all_told, timeout=30, what="r2 tells r0")
+    wait_until(all_told, what="r2 tells r0")
     assert told["r2"]["mesh"] == "ready"
     assert "WARN" not in log_of(swarm["r2"].mesh)  # ended while it tells

@@ -72,17 +72,17 @@ def test_on_a_bus_that_is_there(recorded, runtime, processes, router):
 
     with Bus.of(runtime) as bus:
         bus.subscribe("swarm/*/app/*/state", take)
-        assert bus.wait_connected(20)
+        assert bus.wait_connected(60)
         process = processes.start("-m", "swarm.cli", "replay", str(recorded), "--speed", "2", "--on", str(runtime))
-        assert done.wait(20)
-        assert process.wait(20) == 0
+        assert done.wait(60)
+        assert process.wait(60) == 0
     assert [k for robot, k in seen if robot == "r1"] == list(range(11))
 
 
 def test_on_a_bus_of_its_own_where_z_sub_looks(recorded, runtime, processes):
     process = processes.start("-m", "swarm.cli", "replay", str(recorded), "--speed", "50",
                               "--run-dir", str(runtime / "play"))  # fmt: skip
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=60)
     assert process.returncode == 0
     assert out == f"{sum(1 for _ in Run(recorded).samples())} messages\n"
     assert f"playing on unixsock-stream/{runtime}/play/replay/bus.sock" in err

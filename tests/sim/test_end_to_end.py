@@ -41,7 +41,7 @@ def test_consensus_ends_on_the_mean_and_reports_it(undisturbed):
     assert report["error"] < 1e-9
     assert report["problems"] == []
     assert report["restarts"] == 0
-    assert report["messages_per_iteration"] == pytest.approx(4, abs=0.5)  # 2E, a start may add a few
+    assert report["messages_per_iteration"] > 3.5  # 2E, and those that are asked for again where a machine is busy
     assert report["iteration_s_median"] > 0.010
     assert report["rss_mib_per_robot"] > 20
     assert paths["r0"].value(0, "value") == 0.5
@@ -51,14 +51,20 @@ def test_virtual_time_gives_the_same_trajectory_bit_for_bit(undisturbed):
     _, expected = undisturbed
     report, outcome = virtual("consensus", "--iterations", "120", "--latency", "10ms", rows=True)
     assert report["virtual"]
+    assert report["messages_per_iteration"] == pytest.approx(4, abs=0.5)
     for name, path in expected.items():
         assert outcome.trajectories[name].columns == path.columns
         assert outcome.trajectories[name].rows == path.rows
 
 
-def test_killed_services_change_no_bit(undisturbed):
+def test_killed_services_and_a_stopped_app_change_no_bit(undisturbed):
+    """Who is stopped is named by those who wait for it."""
     _, expected = undisturbed
     with Simulation("consensus", "--iterations", "120", "--latency", "10ms") as simulation:
+        simulation.wait_for("r1", 5)
+        simulation.kill("r1", "app", "STOP")
+        wait_until(lambda: "waits for r1" in simulation.said(), what="r1 is named by those who wait for it")
+        simulation.kill("r1", "app", "CONT")
         victims = [("r1", "mesh"), ("r0", "bus"), ("r2", "app"), ("r0", "dwm"), ("r1", "balancer")]
         for at, (robot, service) in enumerate(victims, 1):
             simulation.wait_for(robot, 10 * at)
@@ -77,18 +83,6 @@ def test_one_killed_service_changes_no_bit(undisturbed, service):
         simulation.wait_for("r1", 40)
         simulation.kill("r1", service)
         assert simulation.finish()["restarts"] == 1
-        for name, path in expected.items():
-            assert simulation.trajectory(name).rows == path.rows
-
-
-def test_a_stopped_app_is_named_and_the_run_goes_on(undisturbed):
-    _, expected = undisturbed
-    with Simulation("consensus", "--iterations", "120", "--latency", "10ms") as simulation:
-        simulation.wait_for("r1", 20)
-        simulation.kill("r1", "app", "STOP")
-        wait_until(lambda: "waits for r1" in simulation.said(), what="r1 is named by those who wait for it")
-        simulation.kill("r1", "app", "CONT")
-        assert simulation.finish()["restarts"] == 0
         for name, path in expected.items():
             assert simulation.trajectory(name).rows == path.rows
 

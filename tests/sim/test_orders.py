@@ -81,7 +81,7 @@ def test_apps_start_stop_and_start_again_and_what_was_stopped_stays_so(simulatio
     assert told(simulation, "start", "consensus", "r0") == "consensus: started on r0"
     assert child.process is first
     assert told(simulation, "stop", "consensus", "r0") == "consensus: stopped on r0"
-    first.wait(10)
+    first.wait(60)
     assert processes.supervise(clock.now()) == []
     assert processes.supervise(clock.now() + 60.0) == []
     assert child.process is None
@@ -98,7 +98,7 @@ def test_an_app_that_is_told_to_start_while_it_ends_starts_then(simulation) -> N
     first = child.process
     child.hold()
     child.release()
-    first.wait(10)
+    first.wait(60)
     processes.supervise(clock.now())
     assert child.restart_at is not None
     processes.supervise(child.restart_at)

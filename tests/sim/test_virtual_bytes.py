@@ -29,7 +29,7 @@ DISTURBED = (
     "--topology",
     "full",
     "--seconds",
-    "2",
+    "1",
     "--jitter",
     "10ms",
     "--seed",
@@ -57,38 +57,50 @@ def compensated(numbers, /, start=0):
     return start + rest if rest else start
 
 builtins.sum = {"1": plain, "2": compensated}[sys.argv[3]]
-found = {}
 for name, arguments in json.loads(sys.argv[1]).items():
     folder = pathlib.Path(sys.argv[2]) / name.replace(" ", "_")
     report, _ = simulate(*arguments, "--record", str(folder))
     digests = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
     size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
-    found[name] = report["problems"], sorted(digests.items()), size
-print(json.dumps(found))
+    print(json.dumps([name, [report["problems"], sorted(digests.items()), size]]), flush=True)
 """
 
 
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory):
-    """Of the two processes: problems, digests of all files and bytes of the recording, by app."""
-    runs = json.dumps({name: [*arguments, *DISTURBED] for name, arguments in APPS.items()})
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", RUN, runs, str(tmp_path_factory.mktemp(f"hash{salt}")), salt],
+class Recordings:
+    """What one process says of each app, as soon as it says it: problems, digests of all files and bytes of the
+    recording."""
+
+    def __init__(self, folder: Path, salt: str) -> None:
+        runs = json.dumps({name: [*APPS[name], *DISTURBED] for name in sorted(APPS)})
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", RUN, runs, str(folder), salt],
             env={"PYTHONHASHSEED": salt, "PATH": "", "PYTHONPATH": ":".join(sys.path)},
             stdout=subprocess.PIPE,
             text=True,
         )
-        for salt in ("1", "2")
-    ]
-    answers = [process.communicate(timeout=300)[0] for process in processes]
-    assert [process.returncode for process in processes] == [0, 0]
-    return [json.loads(answer) for answer in answers]
+        self._found = {}
+
+    def of(self, app: str) -> list:
+        while app not in self._found:
+            line = self.process.stdout.readline()
+            assert line, "it has ended before"
+            name, found = json.loads(line)
+            self._found[name] = found
+        return self._found[app]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    both = [Recordings(tmp_path_factory.mktemp(f"hash{salt}"), salt) for salt in ("1", "2")]
+    yield both
+    for each in both:
+        each.process.kill()
+        each.process.communicate()
 
 
 @pytest.mark.parametrize("app", sorted(APPS))
 def test_every_app_records_the_same_bytes(recordings, app):
-    (problems, digests, size), again = (found[app] for found in recordings)
+    (problems, digests, size), again = (each.of(app) for each in recordings)
     assert problems == []
     assert {name for name, _ in digests} > {"run.toml", "swarm.toml"}
     assert size > 2000

@@ -105,14 +105,14 @@ def test_a_page_may_pause_it_and_do_nothing_else() -> None:
         async def main() -> None:
             async with TestClient(TestServer(application(live, None, "token"), host="127.0.0.1")) as client:
                 socket = await client.ws_connect("/live?token=token")
-                assert (await socket.receive_json(timeout=10))["pace"] == {
+                assert (await socket.receive_json(timeout=60))["pace"] == {
                     "speed": None, "actual": 0.0, "paused": False,
                 }  # fmt: skip
 
                 async def said(asked: object) -> object:
                     await socket.send_json(asked)
                     while True:
-                        message = await socket.receive_json(timeout=10)
+                        message = await socket.receive_json(timeout=60)
                         if "done" in message or "refused" in message:
                             return message
 
@@ -150,7 +150,7 @@ def test_the_command_serves_until_it_is_interrupted_and_reports() -> None:
         assert process.stdout.readline().startswith("http://127.0.0.1:")
         assert "until Ctrl-C" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        output, errors = process.communicate(timeout=20)
+        output, errors = process.communicate(timeout=60)
     finally:
         process.kill()
         process.wait()

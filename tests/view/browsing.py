@@ -25,7 +25,7 @@ class View:
     def close(self) -> None:
         """End it; safe to call twice."""
         self.process.terminate()
-        self.process.communicate(timeout=10)
+        self.process.communicate(timeout=60)
 
 
 @contextmanager

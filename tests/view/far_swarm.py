@@ -1,22 +1,21 @@
 """Real robots of a test: a real ssh server each, a bus, and real meshes between them."""
 
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
 from conftest import Processes
+from far_units import Units, scripts
 
 from bench.fake_robots import FakeRobots
 from swarm.bus import Bus, Router
 from swarm.config import load
 from swarm.fleet.ssh import Ssh, hosts
 from swarm.paths import bus_endpoint
+from swarm.view.control import Control
+from swarm.view.far import FarHands
 from swarm.view.robots import Robots
 
-FAR = """shift; shift; echo $$ >> $HOME/started
-SWARM_RUNTIME={runtime} exec {python} "$@"
-"""
 MESH = "[mesh]\ninsecure = true\nheartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n"
 LINE = '[topology]\nshape = "line"\n'
 
@@ -31,15 +30,19 @@ class Swarm:
         self.routers: dict[str, Router] = {}
         self.buses: dict[str, Bus] = {}
         self.meshes: dict[str, Any] = {}
+        self.units: dict[str, Units] = {}
+        """Stand-ins for systemd, of the robots that have one."""
         self.config = self.runtime / "robots.toml"
         """What their meshes go by."""
         self._views: list[Robots] = []
+        self._controls: list[Control] = []
 
     def add(self, name: str, *, ssh: bool = True, bus: bool = True, **options: Any) -> None:
         (self.runtime / name).mkdir()
         hook = f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}"  # noqa: PTH109
         self.far.add(name, hook=hook, up=ssh, **options)
-        self.far.script(name, "sudo", FAR.format(python=sys.executable, runtime=self.runtime / name))
+        for program, text in scripts(self.runtime / name, self.far.config).items():
+            self.far.script(name, program, text)
         if bus:
             self.start_bus(name)
 
@@ -61,12 +64,22 @@ class Swarm:
         text = "".join(f'[[robots]]\nname = "{name}"\nlink = "sim:{self.runtime}/{name}/mesh.sock"\n' for name in names)
         self.config.write_text(f'network = "test"\n{LINE}{text}{MESH}')
         for name in names:
-            self.meshes[name] = self.start(name, "services.mesh")
+            if name in self.units:
+                self.units[name].start("swarm-mesh.service")
+            else:
+                self.meshes[name] = self.start(name, "services.mesh")
+
+    def supervise(self, name: str) -> None:
+        """Have a robot's services started, and started again when they die."""
+        self.units[name] = Units(self.far.folder / name, self.processes, self._environment(name))
 
     def start(self, name: str, module: str, *arguments: object) -> Any:
         """Start a service of a robot."""
-        environment = {"SWARM_ROBOT": name, "SWARM_RUNTIME": str(self.runtime / name), "SWARM_CONFIG": str(self.config)}
-        return self.processes.start("-m", module, *map(str, arguments), **environment)
+        return self.processes.start("-m", module, *map(str, arguments), **self._environment(name))
+
+    def _environment(self, name: str) -> dict[str, str]:
+        runtime = str(self.runtime / name)
+        return {"SWARM_ROBOT": name, "SWARM_RUNTIME": runtime, "SWARM_CONFIG": str(self.config)}
 
     def view(self, *names: str) -> Robots:
         self.far.ready()
@@ -74,10 +87,19 @@ class Swarm:
         self._views.append(Robots(config, hosts(config, ",".join(names)), Ssh(self.far.ssh_config)))
         return self._views[-1]
 
+    def control(self, view: Robots) -> Control:
+        """Of a view."""
+        self._controls.append(Control(view, FarHands(view, Ssh(self.far.ssh_config))))
+        return self._controls[-1]
+
     def close(self) -> None:
+        for control in self._controls:
+            control.close()
         for view in self._views:
             view.close()
         self.far.close()
+        for units in self.units.values():
+            units.close()
         self.processes.end()
         for each in (*self.buses.values(), *self.routers.values()):
             each.close()

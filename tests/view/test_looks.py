@@ -119,6 +119,23 @@ def test_links_have_the_colour_of_their_state_and_the_thickness_of_their_traffic
         assert GOOD not in seen, more
 
 
+def test_a_robot_has_its_trail_and_its_estimate_of_the_target(page: Any) -> None:
+    apart(page)
+    colour = page.evaluate("swarmView.store.colour('r1')")
+    before = inked(page, 1.0, 0.6)
+    for y in (0.0, 0.3, 0.6, 0.9, 0.0):
+        tell(page, r1={"sim/truth": place(1.0, y)})
+    assert inked(page, 1.0, 0.6) > before + 20  # it has passed there, and is away
+
+    assert colour not in near(page, 0.5, 0.5)
+    state = {"t": AT, "k": 1, "state": {}, "result": {"x": 0.5, "y": 0.5, "sigma": 0.03}}
+    tell(page, r1={"app/localization/state": state})
+    assert near(page, 0.5, 0.5, 8)[colour] > 10
+    ellipse = inked(page, 0.5, 0.5)
+    tell(page, r1={"app/localization/state": state | {"result": {"x": 0.5, "y": 0.5}}})
+    assert inked(page, 0.5, 0.5) < ellipse - 20  # a cross only: it does not say how sure it is
+
+
 def test_a_message_is_a_dot_on_its_way_and_many_are_none(page: Any) -> None:
     apart(page)
     flash = """(rate) => {
@@ -177,6 +194,7 @@ def test_all_can_be_reached_by_keys(page: Any) -> None:
 def test_a_chart_out_of_sight_is_drawn_when_it_comes_back(page: Any) -> None:
     page.evaluate("swarmView.charts.open('app/consensus/state', ['state', 'value'])")
     expect(page.locator(".chart .u-title")).to_be_visible(timeout=PATIENCE_MS)
+    page.locator(".chart").scroll_into_view_if_needed()  # its history may come when it has been drawn once
     until(page, "[...swarmView.charts.charts.values()].every((chart) => chart.plot && !chart.stale)")
     page.evaluate("scrollTo(0, 0)")
     stale = "[...swarmView.charts.charts.values()].some((chart) => chart.stale)"
@@ -201,7 +219,7 @@ def test_it_fits_on_a_phone_and_stop_stays_in_sight(browser: Any, run: Path, wid
     with shown(browser, run, viewport={"width": width, "height": height}) as page:
         seek(page, AT)
         page.locator("tr[data-robot=r0]").click()
-        page.evaluate("swarmView.store.swarm.control = true")
+        page.evaluate("swarmView.store.swarm.acts = ['stop', 'set', 'start']")
         stop = page.locator("#stop")
         expect(stop).to_be_visible(timeout=PATIENCE_MS)
         page.evaluate("scrollTo(0, document.body.scrollHeight)")

@@ -23,6 +23,7 @@ from swarm.view import server
 from swarm.view.control import ANSWER_S, Control
 from swarm.view.feed import Simulation
 from swarm.view.server import application
+from swarm.view.simulated import SimulatedHands
 
 TOKEN = "a-token"
 
@@ -57,7 +58,9 @@ def talk(feed: Simulation, act: Any, *, allowed: bool = False) -> None:
 
     async def main() -> None:
         async with TestClient(
-            TestServer(application(feed, Control(feed, allowed=allowed), TOKEN), host="127.0.0.1")
+            TestServer(
+                application(feed, Control(feed, SimulatedHands(feed) if allowed else None), TOKEN), host="127.0.0.1"
+            )
         ) as client:
             await act(client)
 
@@ -67,7 +70,7 @@ def talk(feed: Simulation, act: Any, *, allowed: bool = False) -> None:
 async def said(socket: Any, name: str) -> Any:
     """The next message that has this field."""
     while True:
-        message = await socket.receive_json(timeout=10)
+        message = await socket.receive_json(timeout=60)
         if name in message:
             return message[name]
 
@@ -157,7 +160,7 @@ def test_without_control_every_act_is_refused(feed: Simulation) -> None:
 
 
 def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulation) -> None:
-    control = Control(feed, allowed=True)
+    control = Control(feed, SimulatedHands(feed))
     control.do({"act": "stop"})
     feed.picture.put("r0", "mesh/stopped", {"stopped": True}, 0.0)
     control.repeat()
@@ -194,11 +197,11 @@ def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulati
 )
 def test_bad_acts_are_refused_in_words(feed: Simulation, act: object, said: str) -> None:
     with pytest.raises(LocalError, match=said):
-        Control(feed, allowed=True).do(act)
+        Control(feed, SimulatedHands(feed)).do(act)
 
 
 def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
-    control = Control(feed, allowed=True)
+    control = Control(feed, SimulatedHands(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5, "robot": "r1"})
     assert [len(bus.published) for bus in feed.buses.values()] == [1, 2]
@@ -208,7 +211,7 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
 
 
 def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: Simulation) -> None:
-    control, asked = Control(feed, allowed=True), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
+    control, asked = Control(feed, SimulatedHands(feed)), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
     feed.config = SimpleNamespace(names=("r0", "r1", "r2"))
     assert control.do(asked) == "x: gain=0.5 asked of r0 r1, not of r2: they are not reached"
     feed.buses["r0"].connected = False
@@ -223,7 +226,7 @@ def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
 ) -> None:
     now = [100.0]
     monkeypatch.setattr("swarm.view.control.clock.now", lambda: now[0])
-    control = Control(feed, allowed=True)
+    control = Control(feed, SimulatedHands(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.repeat()
     first, again = feed.buses["r0"].published
@@ -254,10 +257,10 @@ def test_a_number_that_is_none_is_told_as_text(feed: Simulation) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
         text = ""
         while '"robots"' not in text:
-            text = await socket.receive_str(timeout=10)
+            text = await socket.receive_str(timeout=60)
         await socket.send_json({"history": {"robot": "r0", "topic": "dwm/pose"}})
         while '"history"' not in text:
-            text += await socket.receive_str(timeout=10)
+            text += await socket.receive_str(timeout=60)
         assert "NaN" not in text
         assert "Infinity" not in text
         assert '"x":"inf"' in text
@@ -279,7 +282,7 @@ def test_a_page_that_sleeps_costs_no_memory_and_is_up_to_date_when_it_returns(
             await asyncio.sleep(0.004)
         received = 0
         while True:
-            text = await socket.receive_str(timeout=10)
+            text = await socket.receive_str(timeout=60)
             received += len(text)
             step = json.loads(text)
             if step.get("robots", {}).get("r0", {}).get("app/x/state", {}).get("k") == steps - 1:

@@ -83,7 +83,8 @@ NEIGHBOURS, FLOOD, UNICAST = 0, 1, 2
     BAD_TAG,
     UNWANTED,
     FULL,
-) = range(1, 15)
+    HELD,
+) = range(1, 16)
 """Why one end says BYE."""
 
 BYE_TEXT = {
@@ -101,6 +102,7 @@ BYE_TEXT = {
     BAD_TAG: "a wrong tag",
     UNWANTED: "not a link of the topology, or not any more",
     FULL: "it has as many links as a robot may have",
+    HELD: "held down on command",
 }
 
 

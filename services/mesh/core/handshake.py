@@ -19,6 +19,7 @@ REFUSED = {
     frames.BAD_KEY: "refused_key",
     frames.BAD_TAG: "bad_tags",
     frames.FULL: "refused_full",
+    frames.HELD: "refused_held",
 }
 """Which counter counts what we end a connection for."""
 
@@ -52,11 +53,13 @@ def refusal(
     dialled: str | None,
     expected: str | None,
     has_room: Callable[[str], bool],
+    is_held: Callable[[str], bool],
 ) -> tuple[int, str] | None:
     """Why the sender of a HELLO is refused, as code of BYE and text; None = it may prove that it holds the key.
 
     `dialled` names whom we called, None where we were called; `expected` names the robot whose address a caller has,
-    where the transport knows it; `has_room(robot)` says whether that one may have a link with us.
+    where the transport knows it; `has_room(robot)` says whether that one may have a link with us, `is_held(robot)`
+    whether an operator wants none for now.
     """
     key_id = newest_common(local.keys, hello.key_ids)
     refused = None
@@ -83,6 +86,8 @@ def refusal(
         refused = frames.BAD_KEY, f"robot {hello.robot} has keys {_ids(hello.key_ids)}, we have {_ids(local.keys)}"
     elif not has_room(hello.robot):
         refused = frames.FULL, f"robot {hello.robot} calls, but there is no room for another link"
+    elif is_held(hello.robot):
+        refused = frames.HELD, frames.BYE_TEXT[frames.HELD]
     return refused
 
 

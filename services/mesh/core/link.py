@@ -40,6 +40,13 @@ class Link:
             if self.attempt or self.session is not None:
                 self.dialler.take(0.0)  # its first call is under way already
 
+    def failed(self, reason: str, now: float) -> None:
+        """A connection that we tried to make did not come about."""
+        self.attempt = False
+        self.reason = reason
+        if self.dialler is not None:
+            self.dialler.ended(now)
+
     def detach(self, session: Session, reason: str, now: float) -> None:
         """The connection in use is lost, or is given up."""
         self.session = None

@@ -15,8 +15,10 @@ from services.mesh.core.callers import UNKNOWN, Caller, Callers
 from services.mesh.core.channels import name_of
 from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.counters import COUNTERS
-from services.mesh.core.events import HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
+from services.mesh.core.gather import Gather
 from services.mesh.core.handshake import Local
+from services.mesh.core.holds import Holds
 from services.mesh.core.limits import longest
 from services.mesh.core.link import Link
 from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
@@ -26,7 +28,7 @@ from services.mesh.core.session import DOWN, Session
 from swarm.codec import encode
 from swarm.errors import FrameError
 from swarm.keys import key
-from swarm.messages import Echo, EchoRequest, LinkState
+from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
 
 _MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""
@@ -75,11 +77,14 @@ class Node:
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
         self._links: dict[str, Link] = {}
+        self._holds = Holds()
         self._prober = probe.Prober(local.robot, local.dials)
+        self._gather = Gather()
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._session = partial(
             Session, local,
             admit=self._admit, clock=self._clock, counters=counters, has_room=overlays.linking.has_room,
+            is_held=self._holds.holds,
         )  # fmt: skip
         self._sessions: list[Session] = []
         self._callers = Callers()
@@ -109,10 +114,7 @@ class Node:
     def dial_failed(self, peer: str, reason: str, now: float) -> None:
         """The connection that we asked for could not be made."""
         if (link := self._links.get(peer)) is not None:
-            if link.dialler is not None:
-                link.dialler.ended(now)
-            link.attempt = False
-            link.reason = reason
+            link.failed(reason, now)
             self._actions.append(LinksChanged())
         self.overlays.dial_failed(peer, reason, now)
         self._serve_overlays()
@@ -147,6 +149,18 @@ class Node:
         if link is not None and link.session is not None:
             self._ready.append(link.session)
 
+    def hold(self, request: HoldLink, now: float) -> None:
+        """Have no link with a neighbour for a while, or let it come back."""
+        if request.peer not in self._local.dials:
+            self._note(f"hold {request.peer}", f"no link to hold: {request.peer[:80]!r}")
+            return
+        held = self._holds.take(request, now)
+        self._tell(f"link {'held down' if held else 'let up'} peer={request.peer} seconds={request.seconds:g}")
+        for session in tuple(self._sessions):
+            if held and session.peer == request.peer:
+                session.close(frames.HELD, frames.BYE_TEXT[frames.HELD])
+                self._digest(session, now)
+
     def handle_timer(self, now: float) -> None:
         """Whatever is due. Call it at `next_deadline` or any other time."""
         for session in tuple(self._sessions):
@@ -158,9 +172,10 @@ class Node:
                 self._actions += (Dial(link.peer), LinksChanged())
         for send in self._relay.handle_timer(now):
             self._send(send, now)
+        self._actions += self._gather.handle_timer(now)
         for peer, link in self._links.items():
-            if link.session is not None and link.session.pulse.rtt is not None:
-                self.overlays.measured(peer, link.session.pulse.rtt, now)
+            if link.session is not None and (rtt := link.session.pulse.rtt) is not None:
+                self.overlays.measured(peer, rtt, now)
         self.overlays.handle_timer(now)
         self._serve_overlays()
 
@@ -190,7 +205,7 @@ class Node:
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
         # After each message, so without lists and generators: an idle link costs two calls.
-        earliest = self.overlays.next_deadline()
+        earliest = min(self.overlays.next_deadline(), self._gather.next_deadline())
         if (deadline := self._relay.next_deadline()) is not None and deadline < earliest:
             earliest = deadline
         for session in self._sessions:
@@ -203,8 +218,8 @@ class Node:
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
-        links = sorted(self._links.items())
-        return tuple(link.state() for _, link in links if link.lasting or link.session is not None)
+        links = [link for _, link in sorted(self._links.items()) if link.lasting or link.session is not None]
+        return tuple(link.state() for link in links)
 
     def clock(self, now: float) -> ClockState:
         """The mesh clock."""
@@ -275,11 +290,10 @@ class Node:
                 self._drop_link(peer, code)
             case Keep():
                 self._actions.append(Write())
-            case Report(text, problem):
-                if problem:
-                    self._note(text, text)
-                else:
-                    self._tell(text)
+            case Report(text, True):
+                self._note(text, text)
+            case Report(text):
+                self._tell(text)
 
     def _drop_link(self, peer: str, code: int) -> None:
         """Have no link with a robot any more."""
@@ -307,12 +321,14 @@ class Node:
         """Turn a session's events into actions and into states of links."""
         for event in session.events():
             if type(event) is Received:
+                assert session.peer is not None
                 if event.overlay != frames.NEIGHBOURS:
-                    assert session.peer is not None
                     self.overlays.receive(session.peer, event.overlay, event.key, event.payload, event.priority, now)
                     self._serve_overlays()
                 elif self._prober.sender(event.key) is not None:
                     self._on_probe(session, event, now)
+                elif event.priority == frames.SYNC:
+                    self._actions += self._gather.add(session.peer, event, now)
                 else:
                     self._actions.append(event)
             else:
@@ -338,12 +354,7 @@ class Node:
     def _tell_echo(self, echo: Echo) -> None:
         self._actions.append(Received(key(self._local.robot, "mesh", "echo"), encode(echo), frames.SYNC))
 
-    def _on_event(
-        self,
-        session: Session,
-        event: LinkUp | LinkSuspect | LinkRecovered | LinkDown | HandshakeFailed | Received,
-        now: float,
-    ) -> None:
+    def _on_event(self, session: Session, event: Event, now: float) -> None:
         peer = session.peer
         match event:
             case LinkUp(name):
@@ -402,6 +413,7 @@ class Node:
 
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
         self._clock.lost(link.peer)
+        self._actions += self._gather.lost(link.peer)
         link.detach(session, reason, now)
         self.overlays.link_down(link.peer, now)
         self._serve_overlays()

@@ -93,15 +93,17 @@ class Session:
         counters: Counter[str],
         expected: str | None = None,
         has_room: Callable[[str], bool] = lambda robot: True,
+        is_held: Callable[[str, float], bool] = lambda robot, now: False,
     ) -> None:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called;
         `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does).
 
         `admit(peer, overlay, key)` says whether that peer may use a channel, `has_room(robot)` whether a robot may
-        have a link with us now.
+        have a link with us now, `is_held(robot, now)` whether an operator wants none.
         """
         self._local = local
         self._has_room = has_room
+        self._is_held = is_held
         self._admit = admit
         self._clock = clock
         self._counters = counters
@@ -330,7 +332,7 @@ class Session:
         elif self._incarnation is None:
             if frame.kind != frames.HELLO:
                 raise FrameError(f"frame kind {frame.kind} before HELLO")
-            self._on_hello(frames.decode_hello(frame.body), frame)
+            self._on_hello(frames.decode_hello(frame.body), frame, now)
         elif self.state == CONNECTING:
             if frame.kind != frames.CONFIRM:
                 raise FrameError(f"frame kind {frame.kind} before CONFIRM")
@@ -351,12 +353,13 @@ class Session:
         else:
             raise FrameError(f"frame kind {frame.kind} after the handshake")
 
-    def _on_hello(self, hello: Hello, frame: Frame) -> None:
+    def _on_hello(self, hello: Hello, frame: Frame, now: float) -> None:
         local = self._local
         key_id = newest_common(local.keys, hello.key_ids)
         refusal = handshake.refusal(
-            hello, local, dialled=self.dialled, expected=self._expected, has_room=self._has_room
-        )
+            hello, local, dialled=self.dialled, expected=self._expected, has_room=self._has_room,
+            is_held=lambda robot: self._is_held(robot, now),
+        )  # fmt: skip
         if refusal is not None:
             self._end(*refusal)
             return

@@ -35,7 +35,7 @@ HINTS = {
     errno.EHOSTUNREACH: "the own Bluetooth adapter is not there or switched off (bluetoothctl list)",
     errno.EHOSTDOWN: "not in range, switched off, or deaf to robots it is not paired with (swarm pair)",
     errno.EBUSY: "an earlier connection to it has not ended yet",
-    errno.ECONNREFUSED: "it is there, but no mesh listens on that channel",
+    errno.ECONNREFUSED: "no mesh listens there on that channel, or it is paired with others, not with us (swarm pair)",
     errno.EACCES: "it refuses to pair for encryption",
     errno.EBADE: "it has lost the key of the pairing, or has another one (swarm pair)",
     errno.EADDRINUSE: "something else listens on that channel (bluetoothd -C holds channel 8)",

@@ -25,7 +25,7 @@ from services.sim.virtual.events import Time
 from swarm.codec import MAX_BINARY
 from swarm.config import Config
 from swarm.keys import key
-from swarm.messages import Clock, EchoRequest, Links
+from swarm.messages import Clock, EchoRequest, HoldLink, Links
 
 REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links`, `mesh/clock` and `mesh/topology`, as the service has it."""
@@ -175,6 +175,12 @@ class VirtualMesh:
         """Measure a link; what comes of it is published."""
         if self.running:
             self.node.ping(request, self._time.now)
+            self._carry_out()
+
+    def hold(self, request: HoldLink) -> None:
+        """Have no link with a neighbour for a while."""
+        if self.running:
+            self.node.hold(request, self._time.now)
             self._carry_out()
 
     def clock(self) -> ClockState:

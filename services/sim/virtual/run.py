@@ -203,7 +203,7 @@ class Run:
         self.world.records = {name: recorder.value for name, recorder in self._recorders.items()}
         for name, robot in self.world.robots.items():
             bus = VirtualBus(robot.router)
-            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"))
+            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), slow=False)
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 

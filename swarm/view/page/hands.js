@@ -45,39 +45,44 @@ export class Hands {
     }
   }
 
+  // What the server lets be done to these robots.
+  can(act) {
+    return this.store.swarm?.acts?.includes(act) ?? false;
+  }
+
   draw(robot) {
-    const control = Boolean(this.store.swarm?.control), names = this.store.names;
+    const names = this.store.names;
     const stopped = names.filter((name) => this.store.get(name, "mesh/stopped")?.stopped);
-    this.stop.hidden = !control;
-    this.arm.hidden = !control || !stopped.length;
+    this.stop.hidden = !this.can("stop");
+    this.arm.hidden = !this.can("arm") || !stopped.length;
     const text = stopped.length ? `STOPPED ${stopped.length}/${names.length}` : "STOP";
     if (this.stop.textContent !== text) this.stop.textContent = text;
-    this.drawApps(control);
-    const simulated = this.store.swarm?.kind === "simulation", parameters = robot ? this.parameters(robot) : [];
-    this.panel.hidden = !control || !robot || !(simulated || parameters.length);
+    this.drawApps();
+    this.panel.hidden = !robot || !this.can("set");
     if (this.panel.hidden) return;
+    const parameters = this.parameters(robot);
     const peers = (this.store.get(robot, "mesh/links")?.links ?? []).map((each) => each.peer);
     const services = Object.keys(this.store.services[robot] ?? {}).sort();
     const apps = this.running([robot]);
     const shown = JSON.stringify([robot, peers, services, apps, parameters]);
     if (shown === this.shown || this.panel.contains(document.activeElement) && document.activeElement.tagName === "INPUT") return;
     this.shown = shown;
-    const laid = simulated ? this.laid(robot, peers, apps, services) : [];
-    this.panel.replaceChildren(...laid, ...parameters.map(([app, name, value]) => this.parameter(app, name, value)));
+    this.panel.replaceChildren(...this.laid(robot, peers, apps, services), ...parameters.map(([app, name, value]) => this.parameter(app, name, value)));
   }
 
-  // What can be done to a simulated robot.
+  // What can be done to a robot. Real ones have buttons of their own, and hands of people.
   laid(robot, peers, apps, services) {
+    const of = (act, each, buttons) => (this.can(act) ? each.flatMap(buttons) : []);
     return [
-      ...["A", "B", "C"].map((each) => button(`press ${each}`, () => this.act({ act: "press", robot, button: each }))),
-      button("push", () => this.act({ act: "push", robot, impulse: 0.1 })),
-      ...["front", "back"].map((side) => button(`lay on ${side}`, () => this.act({ act: "lay", robot, side }))),
-      ...peers.flatMap((peer) => [
+      ...of("press", ["A", "B", "C"], (each) => button(`press ${each}`, () => this.act({ act: "press", robot, button: each }))),
+      ...of("push", [0.1], (impulse) => button("push", () => this.act({ act: "push", robot, impulse }))),
+      ...of("lay", ["front", "back"], (side) => button(`lay on ${side}`, () => this.act({ act: "lay", robot, side }))),
+      ...of("cut", peers, (peer) => [
         button(`cut ${peer}`, () => this.act({ act: "cut", robot, peer, seconds: CUT_S })),
         button(`mend ${peer}`, () => this.act({ act: "cut", robot, peer, seconds: 0 })),
       ]),
-      ...apps.map(([app, runs]) => this.app(app, runs, robot)),
-      ...services.map((service) => button(`kill ${service}`, () => this.act({ act: "kill", robot, service }))),
+      ...of("start", apps, ([app, runs]) => this.app(app, runs, robot)),
+      ...of("kill", services, (service) => button(`kill ${service}`, () => this.act({ act: "kill", robot, service }))),
     ];
   }
 
@@ -96,6 +101,7 @@ export class Hands {
       for (const [service, there] of Object.entries(this.store.services[robot] ?? {})) {
         if (service.startsWith("app/")) found.set(service.slice(4), there || (found.get(service.slice(4)) ?? false));
       }
+      for (const app of this.store.get(robot, "view/apps")?.apps ?? []) if (!found.has(app)) found.set(app, false);
     }
     return [...found].sort();
   }
@@ -104,9 +110,9 @@ export class Hands {
     return button(`${runs ? "stop" : "start"} ${app}${robot ? "" : " on all"}`, () => this.act({ act: runs ? "end" : "start", app, robot }));
   }
 
-  drawApps(control) {
-    this.apps.hidden = !control || this.store.swarm.kind !== "simulation";
-    if (!control) return;
+  drawApps() {
+    this.apps.hidden = !this.can("start");
+    if (this.apps.hidden) return;
     const apps = this.running(this.store.names), known = JSON.stringify(apps);
     if (known === this.known) return;
     this.known = known;

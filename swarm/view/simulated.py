@@ -1,0 +1,64 @@
+"""What a page may do to the robots of a simulation on this machine: everything."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from swarm import air, hands, orders
+from swarm.cli import kill
+from swarm.core.hands import Lay, Press, Push
+from swarm.view.feed import Simulation
+from swarm.view.hands import Act, cut, named
+
+PRESS_S = 0.3
+
+
+class SimulatedHands:
+    """Done at once, by the simulation."""
+
+    def __init__(self, feed: Simulation) -> None:
+        self._feed = feed
+        self.acts: Mapping[str, Act] = {
+            "press": self._press,
+            "push": self._push,
+            "lay": self._lay,
+            "kill": self._kill,
+            "cut": self._cut,
+            "start": lambda asked: self._order("start", asked),
+            "end": lambda asked: self._order("stop", asked),
+        }
+
+    def close(self) -> None:
+        """Nothing is under way."""
+
+    def _press(self, asked: Mapping[str, Any]) -> str:
+        robot, button = self._robot(asked), str(asked["button"]).upper()
+        hands.do(self._feed.directory / robot, Press(button, PRESS_S))
+        return f"{robot}: pressed {button}"
+
+    def _push(self, asked: Mapping[str, Any]) -> str:
+        robot, impulse = self._robot(asked), float(asked["impulse"])
+        hands.do(self._feed.directory / robot, Push(impulse))
+        return f"{robot}: pushed with {impulse:g} N s"
+
+    def _lay(self, asked: Mapping[str, Any]) -> str:
+        robot, side = self._robot(asked), str(asked["side"])
+        hands.do(self._feed.directory / robot, Lay(side))
+        return f"{robot}: lies on its {side}"
+
+    def _kill(self, asked: Mapping[str, Any]) -> str:
+        robot = self._robot(asked)
+        service, pid = kill.end(self._feed.directory / robot, str(asked["service"]), "KILL")
+        return f"{robot}: killed {service} (pid {pid})"
+
+    def _cut(self, asked: Mapping[str, Any]) -> str:
+        ends, seconds = cut(asked, self._feed.buses)
+        for robot, peer in (ends, ends[::-1]):
+            air.silence(self._feed.directory, robot, peer, seconds)
+        return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
+
+    def _order(self, act: str, asked: Mapping[str, Any]) -> str:
+        robots = [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
+        return orders.give(self._feed.directory, act, str(asked["app"]), robots)
+
+    def _robot(self, asked: Mapping[str, Any]) -> str:
+        return named(asked["robot"], self._feed.buses)

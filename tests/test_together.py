@@ -1,0 +1,69 @@
+"""Several keys' messages in one, and slow copies of fast keys."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm.core import together
+from swarm.errors import PayloadError
+from swarm.slow import Slow
+
+keys = st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=255)
+
+
+def test_golden_bytes() -> None:
+    assert together.pack([("ab", b"\x01\x02"), ("c", b"")]) == bytes.fromhex("02 02000000 6162 0102 01 00000000 63")
+    assert list(together.unpack(b"")) == []
+
+
+@given(st.lists(st.tuples(keys, st.binary(max_size=300)), max_size=8))
+def test_parts_come_back(parts: list[tuple[str, bytes]]) -> None:
+    assert list(together.unpack(together.pack(parts))) == parts
+
+
+@given(st.lists(st.tuples(keys, st.binary(max_size=30)), min_size=1, max_size=4), st.data())
+def test_what_is_cut_short_is_refused(parts: list[tuple[str, bytes]], data: st.DataObject) -> None:
+    whole = together.pack(parts)
+    ends = {len(together.pack(parts[:count])) for count in range(len(parts))}
+    size = data.draw(st.integers(0, len(whole) - 1).filter(lambda size: size not in ends))
+    with pytest.raises(PayloadError):
+        list(together.unpack(whole[:size]))
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_parts_or_refused(noise: bytes) -> None:
+    try:
+        parts = list(together.unpack(noise))
+    except PayloadError:
+        return
+    assert together.pack(parts) == noise
+
+
+class Notes:
+    """What was published."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, object]] = []
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        self.told.append((key, message))
+
+
+def test_a_slow_copy_keeps_its_rate_whatever_the_fast_one_is() -> None:
+    bus = Notes()
+    slow = Slow(bus, "swarm/r0/balancer/state", 0.2)  # type: ignore[arg-type]
+    for tick in range(251):  # 25 Hz, and after 5 s a second of silence
+        slow.publish(tick, 100.0 + 0.04 * tick + (1.0 if tick > 125 else 0.0))
+    assert {key for key, _ in bus.told} == {"swarm/r0/balancer/state/slow"}
+    assert 50 <= len(bus.told) <= 52
+    gaps = [b - a for (_, a), (_, b) in zip(bus.told, bus.told[1:], strict=False)]  # type: ignore[operator]
+    assert set(gaps) <= {1, 4, 5, 6}
+    assert gaps.count(5) >= 40
+
+
+def test_news_do_not_wait() -> None:
+    bus = Notes()
+    slow = Slow(bus, "k", 0.2)  # type: ignore[arg-type]
+    for t, news in ((0.0, False), (0.04, True), (0.08, False), (0.2, False), (0.24, False), (0.4, False)):
+        slow.publish(t, t, news=news)
+    assert [message for _, message in bus.told] == [0.0, 0.04, 0.2, 0.4]
