@@ -67,6 +67,7 @@ class Session:
         "_heartbeat_due",
         "_hello",
         "_incarnation",
+        "_is_held",
         "_local",
         "_outbox",
         "_reassembly",
