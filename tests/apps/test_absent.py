@@ -79,9 +79,10 @@ def test_a_step_that_hangs_is_named_and_the_others_go_on(make_rig: MakeRig) -> N
     app = rig.directory / "lazy.py"
     app.write_text(
         "import threading\nfrom services.apps import worker\nfrom swarm import SyncApp\n"
-        "worker.STUCK = 0.5\n"
         "class Lazy(SyncApp):\n    value: float\n    def step(self, neighbours):\n"
-        "        if self.robot.name == 'r1' and self.k == 7:\n            threading.Event().wait()\n"
+        "        if self.robot.name == 'r1' and self.k == 7:\n"
+        "            worker.STUCK = 0.5\n"
+        "            threading.Event().wait()\n"
     )
     rig.start_all(str(app), *DROP)
     rig.until_phase("fault", "r1")

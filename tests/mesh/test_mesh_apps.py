@@ -71,9 +71,7 @@ def test_an_app_calls_all_robots_and_hears_their_answers(build: Build) -> None:
     swarm.start()
     wait_here(swarm)
     start_apps(swarm, EXAMPLE)
-    wait_until(
-        lambda: "r0" in found and found["r0"].state == {"reached": 3, "answers": 3}, timeout=30, what="all answered"
-    )
+    wait_until(lambda: "r0" in found and found["r0"].state == {"reached": 3, "answers": 3}, what="all answered")
     assert all(state.state == {"reached": 0, "answers": 0} for name, state in found.items() if name != "r0")
 
 
@@ -150,6 +148,5 @@ def test_a_periodic_app_over_real_meshes(build: Build, runtime: Path) -> None:
     wanted = {"r0": (1, 303), "r1": (2, 1), "r2": (2, 1), "r3": (1, 1)}
     wait_until(
         lambda: {name: (each.state["near"], each.state["heard"]) for name, each in found.items()} == wanted,
-        timeout=30,
         what="all have heard all",
     )
