@@ -103,8 +103,10 @@ class FarHands:
         what = unit(name)
 
         async def job(host: Host) -> str:
-            runs = f'systemctl is-active --quiet {what} || {{ echo "it is not running at this moment" >&2; exit 1; }}'
-            await self._ssh.check(host, f"sudo -n sh -c '{runs}; systemctl kill --signal=KILL {what}'")
+            # Not `is-active`: an app that waits for its first measurement is "activating", and runs.
+            runs = f'[ "$(systemctl show --property=MainPID --value {what})" != 0 ]'
+            none = '{ echo "it is not running at this moment" >&2; exit 1; }'
+            await self._ssh.check(host, f"sudo -n sh -c '{runs} || {none}; systemctl kill --signal=KILL {what}'")
             return f"{service} was killed"
 
         self._begin(self._on([self._hosts[robot]], job, f"{service} was not killed"))

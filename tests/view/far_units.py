@@ -10,7 +10,7 @@ from conftest import Processes
 
 SYSTEMCTL = """
 case $1 in
-is-active) [ -e $HOME/active/$3 ] ;;
+show) if [ -e $HOME/active/$4 ]; then echo 7; else echo 0; fi ;;
 *) echo "$@" >>$HOME/systemctl.log ;;
 esac
 """

@@ -133,6 +133,7 @@ def test_robots_that_differ_run_nothing_and_are_named(far: Far, odd: str, said: 
 
 @pytest.mark.slow
 def test_who_hangs_delays_nobody_and_a_newer_order_holds(far: Far, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "COMPARE_S", 1e3)
     far.add("r0")
     far.add("r1", hook="[ ! -e $HOME/hangs ] || { echo $$ >>$HOME/hung; exec sleep 1000; }")
     far.begin("r0")

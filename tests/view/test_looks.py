@@ -194,6 +194,7 @@ def test_all_can_be_reached_by_keys(page: Any) -> None:
 def test_a_chart_out_of_sight_is_drawn_when_it_comes_back(page: Any) -> None:
     page.evaluate("swarmView.charts.open('app/consensus/state', ['state', 'value'])")
     expect(page.locator(".chart .u-title")).to_be_visible(timeout=PATIENCE_MS)
+    page.locator(".chart").scroll_into_view_if_needed()  # its history may come when it has been drawn once
     until(page, "[...swarmView.charts.charts.values()].every((chart) => chart.plot && !chart.stale)")
     page.evaluate("scrollTo(0, 0)")
     stale = "[...swarmView.charts.charts.values()].some((chart) => chart.stale)"
