@@ -23,15 +23,11 @@ from services.mesh.core.limits import longest
 from services.mesh.core.link import Link
 from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays import Overlays
+from services.mesh.core.problems import Problems
 from services.mesh.core.relay import Relay, Send
 from services.mesh.core.session import DOWN, Session
-from swarm.codec import encode
 from swarm.errors import FrameError
-from swarm.keys import key
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
-
-_MAX_NOTED = 256
-"""Different problems logged; later new ones are only counted."""
 
 
 class Node:
@@ -72,7 +68,7 @@ class Node:
         self._half_open: dict[Session, Caller] = {}
         self._ready: list[Session] = []
         self._actions: list[Action] = []
-        self._noted: set[str] = set()
+        self._problems = Problems()
         self._serve_overlays()
 
     # -- inputs ------------------------------------------------------------------------------------
@@ -126,7 +122,7 @@ class Node:
         """Measure a link; the answers come out of `actions` as messages for the own bus."""
         link = self._links.get(request.peer)
         if (refusal := self._prober.ping(request, link, now)) is not None:
-            self._tell_echo(refusal)
+            self._actions.append(self._prober.told(refusal))
         if link is not None and link.session is not None:
             self._ready.append(link.session)
 
@@ -229,11 +225,9 @@ class Node:
             self._serve_overlays()
             return
         for peer in leg.peers:
-            link = self._links.get(peer)
-            if link is None:
+            if (link := self._links.get(peer)) is None:
                 continue
-            session = link.session
-            if session is None:
+            if (session := link.session) is None:
                 self._counters["no_link"] += 1
                 link.dropped += 1
                 continue
@@ -278,8 +272,7 @@ class Node:
 
     def _drop_link(self, peer: str, code: int) -> None:
         """Have no link with a robot any more."""
-        link = self._links.get(peer)
-        if link is not None and link.session is not None:
+        if (link := self._links.get(peer)) is not None and link.session is not None:
             self._end(link, link.session, code, frames.BYE_TEXT[code], self.overlays.now)
         if self._links.pop(peer, None) is not None:
             self._links_changed()
@@ -328,12 +321,9 @@ class Node:
             self._note(f"echo from {session.peer}", f"echo refused peer={session.peer} reason={error}")
             return
         if isinstance(result, Echo):
-            self._tell_echo(result)
+            self._actions.append(self._prober.told(result))
         elif result is not None and session.is_up:
             session.send(event.priority, probe.pong_key(self._local.robot), result, latest=False)
-
-    def _tell_echo(self, echo: Echo) -> None:
-        self._actions.append(Received(key(self._local.robot, "mesh", "echo"), encode(echo), frames.SYNC))
 
     def _on_event(self, session: Session, event: Event, now: float) -> None:
         peer = session.peer
@@ -341,8 +331,7 @@ class Node:
             case LinkUp(name):
                 if (caller := self._half_open.pop(session, None)) is not None:
                     self._callers.confirmed(caller)
-                old = self._links.get(name)
-                if old is not None and old.session is not None:
+                if (old := self._links.get(name)) is not None and old.session is not None:
                     # It was started anew, perhaps: no need to wait for silence.
                     self._end(old, old.session, frames.REPLACED, "replaced by a newer connection", now)
                 link = self._links.setdefault(name, Link(name))
@@ -408,7 +397,4 @@ class Node:
         self._actions += (LinksChanged(), Note(text, problem=False))
 
     def _note(self, problem: str, text: str) -> None:
-        """Log a problem the first time it is met."""
-        if problem not in self._noted and len(self._noted) < _MAX_NOTED:
-            self._noted.add(problem)
-            self._actions.append(Note(text, problem=True))
+        self._actions += self._problems.note(problem, text)

@@ -9,9 +9,11 @@ import struct
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from services.mesh.core.events import Received
 from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.frames import BULK, MAX_PAYLOAD, SYNC
 from services.mesh.core.link import Link
+from swarm.codec import encode
 from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.messages import Echo, EchoRequest
@@ -51,6 +53,7 @@ class Prober:
 
     def __init__(self, me: str, peers: Iterable[str]) -> None:
         self._key = ping_key(me)
+        self._echo_key = key(me, "mesh", "echo")
         self._pings = {ping_key(peer): peer for peer in peers}
         self._pongs = {pong_key(peer): peer for peer in self._pings.values()}
         self._sent: dict[tuple[str, int, int], _Sent] = {}
@@ -72,6 +75,10 @@ class Prober:
                 if not session.send(CLASSES[request.priority][0], self._key, ping, latest=False):
                     reason = f"the queue of the link to {request.peer} is full"
         return Echo(now, request.peer, request.sequence, 0, request.size, None, reason) if reason else None
+
+    def told(self, echo: Echo) -> Received:
+        """An echo as a message for the own bus."""
+        return Received(self._echo_key, encode(echo), SYNC)
 
     def _pings_of(self, request: EchoRequest, now: float) -> list[bytes]:
         for name in [name for name, sent in self._sent.items() if now >= sent.at + FORGET]:
