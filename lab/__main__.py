@@ -4,6 +4,7 @@ A TEST is the name of a file of tests/lab without `test_lab_`, or a path; other 
 runs the set that CI has time for, `./run lab build` only builds.
 """
 
+import os
 import subprocess
 import sys
 import time
@@ -39,8 +40,8 @@ def main() -> int:
     chosen = [_path(word) for word in words]
     if not any(Path(word.split("::")[0]).exists() for word in chosen):
         chosen.append(str(TESTS))
-    # One process, since each test fills the machine it runs on.
-    words = [sys.executable, "-m", "pytest", "-m", "lab", "--durations=0", "-v", *chosen]
+    # A test for each core: an emulated machine seldom uses more than one.
+    words = [sys.executable, "-m", "pytest", "-m", "lab", "--durations=0", "-v", "-n", str(os.cpu_count()), *chosen]
     return subprocess.run(words, check=False).returncode
 
 

@@ -3,6 +3,7 @@
 The kernel gives and takes whole HCI packets at /dev/vhci; on the serial port they follow one another (H4).
 """
 
+import errno
 import os
 import select
 import subprocess
@@ -28,6 +29,15 @@ def packets(rest: bytes) -> tuple[list[bytes], bytes]:
     return found, rest
 
 
+def deliver(vhci: int, packet: bytes) -> None:
+    """Give the kernel a packet; what an adapter hears that has just been switched off is nobody's, as on a real one."""
+    try:
+        os.write(vhci, packet)
+    except OSError as error:
+        if error.errno != errno.ENXIO:
+            raise
+
+
 def main() -> None:
     """Until the host's radio has gone."""
     subprocess.run(["modprobe", "-a", "rfcomm", "hci_vhci", "virtio_console"], check=True)
@@ -48,7 +58,7 @@ def main() -> None:
                 sys.exit("the host's radio has gone")
             found, rest = packets(rest + data)
             for packet in found:
-                os.write(vhci, packet)
+                deliver(vhci, packet)
 
 
 if __name__ == "__main__":
