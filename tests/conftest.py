@@ -102,6 +102,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=allowed, reverse=True)
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """What tests have measured (`record_property("measured", TEXT)`) is shown at the end."""
+    reports = [report for state in ("passed", "failed") for report in terminalreporter.getreports(state)]
+    told = [(report.nodeid, text) for report in reports for name, text in report.user_properties if name == "measured"]
+    if told:
+        terminalreporter.section("measured")
+    for test, text in sorted(told):
+        terminalreporter.write_line(f"{test.partition('::')[2]}: {text}")
+
+
 def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str = "") -> None:
     """Poll until `condition()` is true; the deadline only bounds a failure."""
     deadline = time.monotonic() + timeout * PATIENCE
