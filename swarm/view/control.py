@@ -10,7 +10,7 @@ from swarm.errors import LocalError
 from swarm.keys import STOP, is_name, key
 from swarm.messages import Arm, SetAppParameters, Stop
 from swarm.view.feed import Live, Publisher
-from swarm.view.hands import Act, Hands
+from swarm.view.hands import Act, Hands, named
 
 REASON = "the page of swarm view"
 ANSWER_S = 5.0
@@ -83,20 +83,23 @@ class Control:
 
     def _set(self, asked: Mapping[str, Any]) -> str:
         app, name, value = str(asked["app"]), str(asked["name"]), asked["value"]
-        if not is_name(app) or not isinstance(value, bool | int | float | str):
-            raise LocalError("set: expected the name of an app and a number, a text, true or false")
-        robots = [robot for robot in self._robots(asked) if self._feed.buses[robot].connected]
-        if not robots:
-            raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
+        if not is_name(app) or not name.isidentifier() or not isinstance(value, bool | int | float | str):
+            raise LocalError("set: expected the names of an app and a parameter, and a number, a text, true or false")
+        buses, config = self._feed.buses, self._feed.config
+        everybody = buses.keys() if config is None else config.names
+        robots = [named(asked["robot"], everybody)] if asked.get("robot") else list(everybody)
+        near = [robot for robot in robots if robot in buses and buses[robot].connected]
         values: dict[str, Value] = {name: value}
-        for robot in robots:
+        assert self._hands is not None
+        silent = self._hands.give([robot for robot in robots if robot not in near], app, values)
+        if silent == robots:
+            raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
+        for robot in near:
             request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
             self._asked[robot, app] = request, clock.now() + ANSWER_S
             self._ask(robot, app, request)
-        config = self._feed.config
-        others = [robot for robot in config.names if robot not in robots] if config and not asked.get("robot") else []
-        alone = f", not of {' '.join(others)}: they are not reached" if others else ""
-        return f"{app}: {name}={value} asked of {' '.join(robots)}{alone}"
+        alone = f", not of {' '.join(silent)}: they are not reached" if silent else ""
+        return f"{app}: {name}={value} asked of {' '.join(robot for robot in robots if robot not in silent)}{alone}"
 
     def _ask(self, robot: str, app: str, request: SetAppParameters) -> None:
         self._feed.buses[robot].publish(key(robot, f"app/{app}", "set", "parameters"), request, urgent=True)
@@ -113,17 +116,6 @@ class Control:
                 self._ask(robot, app, request)
             elif self._asked.get((robot, app), (None,))[0] is request:  # none newer came meanwhile
                 del self._asked[robot, app]
-
-    def _robots(self, asked: Mapping[str, Any]) -> list[str]:
-        """The robot that is named, else all."""
-        return [self._robot(asked)] if asked.get("robot") else list(self._feed.buses)
-
-    def _robot(self, asked: Mapping[str, Any]) -> str:
-        name = str(asked["robot"])
-        if name not in self._feed.buses:
-            also = "; others are seen over the mesh alone" if self._feed.kind == "robots" else ""
-            raise LocalError(f"no robot {name[:20]!r}, there are {', '.join(self._feed.buses)}{also}")
-        return name
 
 
 def _agrees(value: object, stopped: bool) -> bool:

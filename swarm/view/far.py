@@ -7,6 +7,7 @@ page's events. None waits for another. Of two orders about one app the newer one
 import asyncio
 import contextlib
 import itertools
+import shlex
 import threading
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from typing import Any
@@ -14,7 +15,8 @@ from typing import Any
 import msgpack
 
 from swarm import clock
-from swarm.codec import encode
+from swarm.cli import param
+from swarm.codec import Value, encode
 from swarm.errors import LocalError, SwarmError
 from swarm.fleet import apps
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts, last_words
@@ -74,6 +76,18 @@ class FarHands:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
+
+    def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
+        """By `swarm param` on each robot, which says what became of it."""
+        words = [f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()]
+        told = f"app/{app}: {' '.join(words)}"
+
+        async def job(host: Host) -> str:
+            await self._ssh.check(host, f"{param.COMMAND} {shlex.join([app, *words])}")
+            return told
+
+        self._begin(self._on([self._hosts[robot] for robot in robots], job, f"{told} was not set"))
+        return []
 
     # -- acts, in the server's threads ----------------------------------------------------------------------------
 

@@ -1,9 +1,10 @@
 """What lays hands on the robots of a page, beyond what is said on a bus: of a simulation, or far away."""
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol
 
+from swarm.codec import Value
 from swarm.errors import LocalError
 
 Act = Callable[[Mapping[str, Any]], str]
@@ -19,6 +20,9 @@ class Hands(Protocol):
     @property
     def acts(self) -> Mapping[str, Act]:
         """What can be done to these robots; a page shows no other."""
+
+    def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
+        """Have an app's parameters set on robots whose bus is not near; those of them that cannot be asked."""
 
     def close(self) -> None:
         """Give up what is under way."""

@@ -17,6 +17,7 @@ from swarm.fleet.ssh import Ssh, hosts
 from swarm.messages import HoldLink
 from swarm.view import far as module
 from swarm.view import robots as robots_module
+from swarm.view.control import Control
 from swarm.view.far import FarHands
 from swarm.view.robots import Robots
 
@@ -210,6 +211,30 @@ def test_a_service_is_killed_where_it_runs(far: Far) -> None:
     for service in ("consensus", "app/mesh", "../x", "app/a b"):
         with pytest.raises(LocalError):
             far.do("kill", robot="r1", service=service)
+
+
+def test_parameters_go_over_ssh_where_no_bus_is_near(far: Far) -> None:
+    far.add("r0")
+    far.add("r1")
+    far.add("r2", up=False)
+    far.begin("r0")
+    control = Control(far.view, far.hands)
+    asked = {"act": "set", "app": "consensus", "name": "gain", "value": 0.5}
+    assert control.do(asked) == "consensus: gain=0.5 asked of r0 r1 r2"
+    far.told("r1 app/consensus: gain=0.5")
+    far.told("r2 app/consensus: gain=0.5 was not set: it runs no ssh server")
+    key, message = far.view.buses["r0"].published[-1]
+    assert (key, message.parameters) == ("swarm/r0/app/consensus/set/parameters", {"gain": 0.5})
+    control.do(asked | {"robot": "r1", "name": "on", "value": True})
+    far.told("r1 app/consensus: on=true")
+    control.do(asked | {"robot": "r1", "value": 9})
+    far.told("r1 app/consensus: gain=9 was not set: app consensus: expected a number up to 1, got 9")
+    log = [(far.robots.folder / name / "swarm.log") for name in ("r0", "r1")]
+    assert not log[0].exists()
+    assert log[1].read_text().splitlines() == [f"param consensus {word}" for word in ("gain=0.5", "on=true", "gain=9")]
+    for bad in ({"robot": "r9"}, {"name": "r1.gain"}, {"name": "--fleet"}):
+        with pytest.raises(LocalError):
+            control.do(asked | bad)
 
 
 def test_a_link_that_stays_up_is_named_and_who_cannot_be_told(far: Far, monkeypatch: pytest.MonkeyPatch) -> None:

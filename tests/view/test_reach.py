@@ -1,6 +1,6 @@
 """How real robots are seen: by ssh, over the mesh or not at all, whatever they say; without any network."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarm import clock
-from swarm.codec import encode
+from swarm.codec import Value, encode
 from swarm.config import parse
 from swarm.errors import LocalError
 from swarm.fleet.ssh import Host, Ssh
@@ -51,6 +51,9 @@ class Nothing:
     """Hands that lie still."""
 
     acts: Mapping[str, Act] = {}
+
+    def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
+        return list(robots)
 
     def close(self) -> None:
         pass

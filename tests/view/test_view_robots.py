@@ -80,8 +80,8 @@ def test_one_robot_shows_all_of_them(swarm: Swarm) -> None:
     for act in ("press", "push", "lay"):
         with pytest.raises(LocalError, match="expected an act of stop, arm, set, start, end, kill, cut"):
             control.do({"act": act, "robot": "r0"})
-    with pytest.raises(LocalError, match="over the mesh alone"):
-        control.do({"act": "set", "robot": "r2", "app": "x", "name": "gain", "value": 1})
+    with pytest.raises(LocalError, match="no robot 'r9'"):
+        control.do({"act": "set", "robot": "r9", "app": "x", "name": "gain", "value": 1})
 
     # One goes in mid-view.
     swarm.meshes["r2"].kill()

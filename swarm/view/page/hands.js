@@ -119,7 +119,7 @@ export class Hands {
     this.apps.querySelector("span").replaceChildren(...apps.map(([app, runs]) => this.app(app, runs)));
   }
 
-  // Of all robots that are reached: an algorithm's parameters differ between robots by intention only, and then by `swarm param`.
+  // Of all robots: an algorithm's parameters differ between robots by intention only, and then by `swarm param`.
   parameter(app, name, value) {
     const label = document.createElement("label"), input = document.createElement("input");
     input.value = String(value);
