@@ -102,8 +102,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=allowed, reverse=True)
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What tests have measured (`record_property("measured", TEXT)`) is shown at the end."""
+def pytest_terminal_summary(terminalreporter: "pytest.TerminalReporter") -> None:
+    """What tests have measured (`record_property("measured", TEXT)`) is shown at the end. The name of the argument's
+    type is younger than the pytest of the lab's machines."""
     reports = [report for state in ("passed", "failed") for report in terminalreporter.getreports(state)]
     told = [(report.nodeid, text) for report in reports for name, text in report.user_properties if name == "measured"]
     if told:
