@@ -140,12 +140,12 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 @pytest.fixture(scope="module")
 def stranger(lab_image: Image, robots: Robots) -> Iterator[Machine]:
-    """A third device in their reach, of another owner."""
+    """A third device in their reach, of another owner; inquiries do not find it."""
     with Machine(
         lab_image, robots.folder / "r2", "stranger", init=PLAIN, memory_mb=256, radio=robots.folder / "radio-2"
     ) as made:
         furnish(made)
-        made.run("until hciconfig hci0 up; do sleep 0.2; done; hciconfig hci0 sspmode 1; hciconfig hci0 piscan", 60)
+        made.run("until hciconfig hci0 up; do sleep 0.2; done; hciconfig hci0 sspmode 1; hciconfig hci0 pscan", 60)
         yield made
 
 
