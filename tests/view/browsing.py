@@ -68,6 +68,11 @@ def visit(browser: Any, view: View, **options: Any) -> Iterator[Any]:
     assert [text for text in problems if "WebSocket" not in text] == []
 
 
+def row(page: Any, robot: str) -> Any:
+    """The row of a robot in the table."""
+    return page.locator(f"tr[data-robot={robot}]")
+
+
 def until(page: Any, condition: str) -> None:
     """Wait for a condition of the page; its policy forbids the browser's own way, which is `eval`."""
     for _ in range(PATIENCE_MS // 50):

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import pytest
 from conftest import Processes
 from far_units import Units, scripts
 
@@ -15,6 +16,18 @@ from swarm.paths import bus_endpoint
 from swarm.view.control import Control
 from swarm.view.far import FarHands
 from swarm.view.robots import Robots
+
+needs_sshd = pytest.mark.skipif(
+    not os.environ.get("CI") and not Path("/usr/sbin/sshd").exists(), reason="needs an ssh server"
+)
+
+real_page = [
+    pytest.mark.slow,
+    pytest.mark.timeout(240),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    needs_sshd,
+]
+"""Marks of tests that show real robots in a real browser."""
 
 MESH = "[mesh]\ninsecure = true\nheartbeat = 0.1\nsuspect = 0.4\ndead = 1.0\n"
 LINE = '[topology]\nshape = "line"\n'

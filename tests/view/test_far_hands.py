@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from conftest import wait_until
+from far_swarm import needs_sshd
 from far_units import SUDO, scripts
 from test_reach import Tunnel
 
@@ -20,6 +21,8 @@ from swarm.view import robots as robots_module
 from swarm.view.control import Control
 from swarm.view.far import FarHands
 from swarm.view.robots import Robots
+
+pytestmark = needs_sshd
 
 START = "restart --no-block swarm-app@consensus.service"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, View, seek, shown, until, visit
+from browsing import PATIENCE_MS, View, row, seek, shown, until, visit
 from virtual_run import recorded
 
 from bench.simulation import Simulation
@@ -53,10 +53,6 @@ def views(simulation: Simulation) -> Iterator[Callable[..., View]]:
 def page(browser: Any, views: Callable[..., View], request: pytest.FixtureRequest) -> Iterator[Any]:
     with visit(browser, views(*getattr(request, "param", ()))) as page:
         yield page
-
-
-def row(page: Any, robot: str) -> Any:
-    return page.locator(f"tr[data-robot={robot}]")
 
 
 def test_it_shows_six_robots_that_converge(page: Any) -> None:

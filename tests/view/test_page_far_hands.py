@@ -1,26 +1,20 @@
 """What the page of real robots does to them, in a real browser: a robot behind an ssh server, one that the mesh alone
 brings, and one whose ssh server refuses. Their services start again as under systemd."""
 
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PATIENCE_MS, chromium, shown, until
+from browsing import PATIENCE_MS, chromium, row, shown, until
 from conftest import Processes
-from far_swarm import Swarm
+from far_swarm import Swarm, real_page
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.timeout(240),
-    pytest.mark.filterwarnings("ignore::ResourceWarning"),
-    pytest.mark.skipif(not os.environ.get("CI") and not Path("/usr/sbin/sshd").exists(), reason="needs an ssh server"),
-]
+pytestmark = real_page
 
 
 @pytest.fixture
@@ -42,10 +36,6 @@ def event(page: Any, text: str) -> None:
 
 def click(page: Any, name: str) -> None:
     page.get_by_role("button", name=name, exact=True).click(timeout=PATIENCE_MS)
-
-
-def row(page: Any, robot: str) -> Any:
-    return page.locator(f"tr[data-robot={robot}]")
 
 
 def test_apps_links_and_services_of_real_robots(swarm: Swarm) -> None:

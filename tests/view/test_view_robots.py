@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from conftest import Processes, wait_until
-from far_swarm import Swarm
+from far_swarm import Swarm, needs_sshd
 
 from swarm.errors import LocalError
 from swarm.fleet.ssh import HostError
@@ -18,9 +18,7 @@ from swarm.messages import Leds, Pose, Stop, read
 from swarm.view.picture import REACH
 from swarm.view.robots import Robots
 
-pytestmark = pytest.mark.skipif(
-    not os.environ.get("CI") and not Path("/usr/sbin/sshd").exists(), reason="needs an ssh server"
-)
+pytestmark = needs_sshd
 
 RED = Leds(1.0, red=True, yellow=False, green=False)
 
