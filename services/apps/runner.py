@@ -23,6 +23,8 @@ T = TypeVar("T")
 class AppRunner:
     """What runners of all kinds of apps share: the app's state and result, and its faults in words."""
 
+    __slots__ = ("_columns", "_source", "app", "k", "schema")
+
     def __init__(self, app: App, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
         self.app = app
@@ -86,6 +88,8 @@ class AppRunner:
 
 class Runner(AppRunner):
     """Drives one app of the synchronous kind from state to state."""
+
+    __slots__ = ("_changes", "_step", "_tolerance", "changed")
 
     app: SyncApp
 

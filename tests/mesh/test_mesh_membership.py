@@ -450,7 +450,7 @@ class ManyLinks:
 
 def test_a_large_graph_comes_in_pages_that_fit_the_bus() -> None:
     names = [f"a-long-name-{n:04}" for n in range(2 * PAGE + 50)]
-    survey = Survey(names[7], names, Membership(names[7], names), ManyLinks(names), lambda name: 0)  # type: ignore[arg-type]
+    survey = Survey(names[7], names, Membership(names[7], names, dict), ManyLinks(names), lambda name: 0)  # type: ignore[arg-type]
     found: list[str] = []
     more, after = True, ""
     while more:

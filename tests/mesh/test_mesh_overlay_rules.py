@@ -15,7 +15,7 @@ from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.frames import BULK, FLOOD, NEIGHBOURS, SYNC, UNICAST
 from services.mesh.core.outbox import LIMITS
 from services.mesh.core.packets import Spread
-from services.mesh.core.relay import Relay, matches, pattern
+from services.mesh.core.relay import Relay, matches
 from swarm.config.types import DEFAULT_RELAY, RelayRule
 from swarm.messages import FloodRequest, SendRequest, Stop
 
@@ -36,14 +36,14 @@ def relay(me: str = "r1", *rules: RelayRule) -> Relay:
 def legs(relay: Relay, key: str) -> list[tuple[int, tuple[str, ...]]]:
     found = []
     for source, expression in enumerate(relay.subscriptions):
-        if matches(pattern(expression), key):
+        if matches(expression, key):
             found += [(send.leg.overlay, send.leg.peers) for send in relay.publish(source, key, b"x", 0.0)]
     return found
 
 
 def source_of(key: str) -> int:
     own = relay("r0")
-    return next(n for n, each in enumerate(own.subscriptions) if matches(pattern(each), key))
+    return next(n for n, each in enumerate(own.subscriptions) if matches(each, key))
 
 
 def test_rules_say_where_keys_go() -> None:

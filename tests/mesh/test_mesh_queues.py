@@ -43,7 +43,8 @@ def test_no_class_exceeds_its_bounds_and_every_message_is_accounted_for(
         for each, queue in enumerate((*outbox._urgent, bulk)):
             held = sum(message.size for message in queue)
             assert held == outbox._sizes[each] <= LIMITS[each].size
-            assert len(queue) == outbox._counts[each] <= LIMITS[each].messages
+            assert len(queue) <= LIMITS[each].messages
+        assert outbox.waiting == sum(map(len, (*outbox._urgent, *outbox._bulk.values())))
     popped += len(pop_all(outbox))
     assert popped + counters.total() == len(steps)
     assert not outbox

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core import frames
-from services.mesh.core.relay import Relay, matches, may_cross, pattern
+from services.mesh.core.relay import Relay, match, matches, may_cross
 from swarm.config.types import DEFAULT_RELAY, RelayRule
 
 POSE = "swarm/r1/dwm/pose"
@@ -22,7 +22,7 @@ def sent(relay: Relay, key: str, payload: bytes = b"x", now: float = 0.0) -> lis
     """Who gets what when every matching subscription delivers a sample, as Zenoh does."""
     sends = []
     for source, expression in enumerate(relay.subscriptions):
-        if matches(pattern(expression), key):
+        if matches(expression, key):
             sends += relay.publish(source, key, payload, now)
     return [(peer, send.payload) for send in sends for peer in send.leg.peers]
 
@@ -46,7 +46,7 @@ def sent(relay: Relay, key: str, payload: bytes = b"x", now: float = 0.0) -> lis
     ],
 )
 def test_key_expressions(expression: str, key: str, matching: bool) -> None:
-    assert matches(pattern(expression), key) is matching
+    assert matches(expression, key) is matching
 
 
 def naive(expression: list[str], key: list[str]) -> bool:
@@ -64,7 +64,23 @@ chunks = st.sampled_from(("a", "b", "ab"))
     st.lists(chunks | st.sampled_from(("*", "**")), min_size=1, max_size=6), st.lists(chunks, min_size=1, max_size=6)
 )
 def test_key_expressions_are_those_of_zenoh(expression: list[str], key: list[str]) -> None:
-    assert matches(pattern("/".join(expression)), "/".join(key)) is naive(expression, key)
+    assert matches("/".join(expression), "/".join(key)) is naive(expression, key)
+
+
+@pytest.mark.parametrize(
+    ("expression", "key", "names"),
+    [
+        ("swarm/{self}/dwm/pose", "swarm/r0/dwm/pose", {"self": "r0"}),
+        ("swarm/{self}/app/*/sync/*/{peer}", "swarm/r0/app/a/sync/c/r1", {"self": "r0", "peer": "r1"}),
+        ("swarm/{peer}/**/set/*", "swarm/r1/app/a/set/x", {"peer": "r1"}),
+        ("swarm/{self}/**/{peer}/**", "swarm/r0/a/b/c", {"self": "r0", "peer": "c"}),
+        ("swarm/{self}/dwm/pose", "swarm/r0/dwm/range", None),
+        ("swarm/{self}/**", "swarm/r0//a", None),
+        ("swarm/{self}/**", "swarm/", None),
+    ],
+)
+def test_the_names_in_a_key(expression: str, key: str, names: dict[str, str] | None) -> None:
+    assert match(expression, key) == names
 
 
 def test_a_key_goes_to_all_neighbours_or_to_the_one_it_names() -> None:

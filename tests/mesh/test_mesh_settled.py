@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.linkstate import HOLD_DOWN, HOPS, REFRESH, Known, LinkState
+from services.mesh.core.membership import SETTLE
+from services.mesh.core.overlays import MEMBERS_PERIOD, Overlays
 from services.mesh.core.packets import Advertisement
 from services.mesh.core.routing import Edge, routes, routes_by_hops
 from services.sim.virtual.run import simulate
@@ -54,6 +56,60 @@ def test_a_settled_robot_tells_nothing_until_something_changes():
     each.link_down("r1", REFRESH * 1.02)
     assert len(published) == 2
     assert each.link_up("r1", REFRESH * 1.03) is True
+
+
+def settled_loop(size, *, without=()):
+    """The overlays of a loop of robots that begin settled, links and what floods they send carried by hand."""
+    names = [f"r{i}" for i in range(size)]
+    links = {name: {names[i - 1]: 300, names[(i + 1) % size]: 300} for i, name in enumerate(names)}
+    known = {name: Known(1, Advertisement(near), 0.0) for name, near in links.items()}
+    bots = {}
+    for name in names:
+        bots[name] = Overlays(name, frozenset(names), incarnation=1, random=lambda: 0.5, counters=Counter())
+        bots[name].settle(links, known, 0.0)
+    for a, near in links.items():
+        for b in near:
+            if frozenset((a, b)) not in without:
+                assert bots[a].link_up(b, 0.1)
+    return bots, links, known
+
+
+def states(overlays, now):
+    return {each.robot: each.state for each in overlays.members(now).members}
+
+
+def test_settled_robots_share_one_map_until_it_changes():
+    bots, _, known = settled_loop(6)
+    for now in (0.1, SETTLE + MEMBERS_PERIOD, REFRESH / 2):
+        for each in bots.values():
+            each.handle_timer(now)
+            assert each._map._known is known
+    assert states(bots["r0"], 30.0) == dict.fromkeys(("r1", "r2", "r3", "r4", "r5"), "here")
+    assert [each.hops for each in bots["r0"].members(30.0).members] == [1, 2, 3, 2, 1]
+    assert {each.robot: tuple(each.links) for each in bots["r0"].graph(30.0).robots}["r3"] == ("r2", "r4")
+    bots["r0"].link_down("r1", 30.0)
+    assert bots["r0"]._map._known is not known
+    assert bots["r1"]._map._known is known
+    assert "r0" in known
+    assert [each.hops for each in bots["r0"].members(30.0).members] == [5, 4, 3, 2, 1]
+
+
+def test_who_vanishes_together_from_a_settled_swarm_is_a_part_of_it():
+    bots, _, _ = settled_loop(6)
+    for peer in ("r1", "r5"):
+        bots["r0"].link_down(peer, 5.0)
+    bots["r0"].handle_timer(5.0 + SETTLE)
+    assert {each.robot: each.what for each in bots["r0"].members(6.0).changes} == dict.fromkeys(
+        ("r1", "r2", "r3", "r4", "r5"), "partition"
+    )
+    assert set(states(bots["r0"], 6.0).values()) == {"gone"}
+
+
+def test_a_robot_of_a_settled_swarm_whose_links_never_come_up_notices_that():
+    alone = {frozenset(("r0", "r1")), frozenset(("r0", "r5"))}
+    bots, _, _ = settled_loop(6, without=alone)
+    bots["r0"].handle_timer(SETTLE + MEMBERS_PERIOD)
+    assert set(states(bots["r0"], 12.0).values()) == {"gone"}
 
 
 def test_a_settled_swarm_computes_what_one_does_that_has_just_begun():

@@ -1,7 +1,5 @@
 """Channel handles: a key's text crosses a connection once, afterwards two bytes stand for it."""
 
-from collections import OrderedDict
-
 from services.mesh.core.frames import MAX_CHANNELS, NEIGHBOURS
 
 
@@ -17,8 +15,8 @@ def overlay_of(name: str) -> tuple[int, str]:
 
 
 class Channels:
-    """Our handles for the keys we send on one connection; the least recently used one is bound anew when all
-    are taken."""
+    """Our handles for the keys we send on one connection; when all are taken, the least recently used one is bound
+    anew. Until then nobody looks who was used when."""
 
     __slots__ = (
         "_handles",
@@ -27,14 +25,16 @@ class Channels:
 
     def __init__(self, size: int = MAX_CHANNELS) -> None:
         self._size = size
-        self._handles: OrderedDict[str, int] = OrderedDict()
+        self._handles: dict[str, int] = {}
 
     def handle(self, key: str) -> tuple[int, bool]:
         """The handle of `key`, and whether the other end must be told of it first."""
-        handle = self._handles.get(key)
-        if handle is not None:
-            self._handles.move_to_end(key)
-            return handle, False
-        handle = len(self._handles) if len(self._handles) < self._size else self._handles.popitem(last=False)[1]
-        self._handles[key] = handle
-        return handle, True
+        handles = self._handles
+        handle = handles.get(key)
+        if handle is None:
+            handle = len(handles) if len(handles) < self._size else handles.pop(next(iter(handles)))
+            handles[key] = handle
+            return handle, True
+        if len(handles) == self._size:
+            handles[key] = handles.pop(key)
+        return handle, False

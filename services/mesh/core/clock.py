@@ -169,6 +169,8 @@ class Fit(NamedTuple):
 class LinkClock:
     """Offset between a neighbour's monotonic clock and ours."""
 
+    __slots__ = ("_samples", "_unfitted", "fit")
+
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SAMPLES)
         self._unfitted = 0

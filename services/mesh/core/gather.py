@@ -50,6 +50,8 @@ class Round:
 class Gather:
     """All locksteps of one robot. Calls with `now` must not go back in time."""
 
+    __slots__ = ("_by_key", "_rounds")
+
     def __init__(self) -> None:
         self._rounds: dict[tuple[str, int, int, int], Round] = {}
         self._by_key: dict[str, tuple[Round, bool] | None] = {}

@@ -11,6 +11,22 @@ from swarm.messages import LinkState
 class Link:
     """One robot that this one has a link with, or is to have."""
 
+    __slots__ = (
+        "attempt",
+        "connection",
+        "dialler",
+        "dropped",
+        "lasting",
+        "peer",
+        "reason",
+        "received",
+        "received_bytes",
+        "refused",
+        "sent",
+        "sent_bytes",
+        "session",
+    )
+
     def __init__(self, peer: str) -> None:
         self.peer = peer
         self.dialler: Dialler | None = None

@@ -90,7 +90,7 @@ class Linking:
         self._emit = emit
         self._act = act
         self._counters = counters
-        self._place = {name: place for place, name in enumerate(start.ground.names)}
+        self._place = start.ground.place
         self._search = Search(random)
         self._links: dict[str, None] = {}
         self._spare: dict[str, float] = {}
@@ -109,7 +109,6 @@ class Linking:
         self._repeat_at = _NEVER
         self._check_at = _NEVER
         self.value = max(start.saved or start.ground.first, start.ground.first)
-        self._edges = frozenset(self.value.edges)
         self.wanted = self.value.neighbours(me)
         self.adopted: float | None = None
         """When the value came into force here; None before the first timer."""
@@ -244,7 +243,6 @@ class Linking:
 
     def _adopt(self, value: Topology, source: str | None, now: float) -> None:
         before, self.value = self.wanted, value
-        self._edges = frozenset(value.edges)
         self.wanted = value.neighbours(self._me)
         self.adopted = now
         self._spare.clear()
@@ -323,8 +321,9 @@ class Linking:
         agreed = self._is_agreed(now)
         made = now >= self.adopted + MAKE or all(peer in self._links for peer in self.wanted if peer in reachable)
         graph = self._map.graph() if agreed and made else {}
+        topology = frozenset(self.value.edges)
         for peer in kept:
-            if not graph or not self._is_connected(graph, peer):
+            if not graph or not self._is_connected(graph, topology, peer):
                 self._spare.pop(peer, None)
             elif now >= self._spare.setdefault(peer, now) + GRACE:
                 del self._spare[peer]
@@ -347,7 +346,7 @@ class Linking:
     def _rank(self, edge: Edge) -> tuple[int, int]:
         return self._place[edge[0]], self._place[edge[1]]
 
-    def _is_connected(self, graph: Mapping[str, Mapping[str, object]], peer: str) -> bool:
+    def _is_connected(self, graph: Mapping[str, Mapping[str, object]], topology: frozenset[Edge], peer: str) -> bool:
         """Whether there is a way to a neighbour by links of the topology, and unwanted ones below its own."""
         limit = self._rank(self._edge(self._me, peer))
         seen, todo = {self._me}, [self._me]
@@ -357,7 +356,7 @@ class Linking:
                 if other in seen:
                     continue
                 edge = self._edge(here, other)
-                if edge in self._edges or self._rank(edge) < limit:
+                if edge in topology or self._rank(edge) < limit:
                     if other == peer:
                         return True
                     seen.add(other)

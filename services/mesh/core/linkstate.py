@@ -122,7 +122,10 @@ class LinkState:
         self._random = random
         self._links: dict[str, _Own] = {}
         self._known: dict[str, Known] = {}
-        """Never changed in place: robots of a simulation share them."""
+        """Never changed in place: robots of a simulation share them, and the table as long as it is as `settle` gave
+        it."""
+        self._borrowed = False
+        """Whether it is."""
         self._settled: dict[str, int] = {}
         """Links that the others know of already although they are not up yet."""
         self._due = _NEVER
@@ -138,13 +141,12 @@ class LinkState:
 
     # -- inputs ------------------------------------------------------------------------------------------------
 
-    def settle(self, links: Mapping[str, int], others: Mapping[str, "Known"], now: float) -> None:
+    def settle(self, links: Mapping[str, int], known: dict[str, "Known"], now: float) -> None:
         """Begin in a swarm that has been there for long: the others have an LSA with these links of ours (one-way
-        times, 0.1 ms) already, and we have theirs; what `others` has of ourselves is left out. Large simulations begin
-        so (docs/simulation.md)."""
+        times, 0.1 ms) already, and we have theirs, `known`, in which there may be our own. Large simulations begin so
+        (docs/simulation.md)."""
         self._settled = dict(links)
-        self._known = dict(others)
-        self._known.pop(self._me, None)
+        self._known, self._borrowed = known, True
         self._refresh_at = now + REFRESH * (0.9 + 0.2 * self._random())
         self._oldest_at = now + MAX_AGE
         self._changed()
@@ -166,6 +168,7 @@ class LinkState:
     def link_down(self, peer: str, now: float) -> None:
         """A link of ours is gone."""
         if self._links.pop(peer, None) is not None:
+            self._own_known()
             self._changed()
             self._due = now
             self.handle_timer(now)
@@ -198,7 +201,7 @@ class LinkState:
         advertisement = decode_advertisement(payload)
         known = self._known.get(origin)
         same = known is not None and known.advertisement == advertisement and known.incarnation == incarnation
-        self._known[origin] = Known(incarnation, advertisement, now)
+        self._own_known()[origin] = Known(incarnation, advertisement, now)
         self._oldest_at = min(self._oldest_at, now + MAX_AGE)
         if not same:
             self._changed()
@@ -224,8 +227,9 @@ class LinkState:
             self._trust_ends = min((link.since for link in self._links.values() if link.new), default=_NEVER) + TRUSTED
             self._changed()
         if now >= self._oldest_at:
-            for origin in [name for name, known in self._known.items() if known.heard + MAX_AGE <= now]:
-                del self._known[origin]
+            table = self._own_known()
+            for origin in [name for name, known in table.items() if known.heard + MAX_AGE <= now]:
+                del table[origin]
                 self._aged(origin)
                 self._changed()
             self._oldest_at = min((known.heard for known in self._known.values()), default=_NEVER) + MAX_AGE
@@ -258,6 +262,8 @@ class LinkState:
         own = {peer: self._edge(time, 0) for peer, time in self._own_times().items()}
         graph = {self._me: own}
         for name, known in self._known.items():
+            if name == self._me:
+                continue
             edges: dict[str, Edge] = {}
             for peer, time in known.advertisement.neighbours.items():
                 if peer == self._me:
@@ -273,7 +279,12 @@ class LinkState:
 
     def told(self) -> dict[str, Collection[str]]:
         """The neighbours that each of the others says it has a link to."""
-        return {name: known.advertisement.neighbours for name, known in self._known.items()}
+        return {name: known.advertisement.neighbours for name, known in self._known.items() if name != self._me}
+
+    @property
+    def undisturbed(self) -> bool:
+        """Whether the swarm is as `settle` was told: all links came up, and nobody has told anything new."""
+        return self._borrowed and not self._settled
 
     def links(self, name: str) -> dict[str, int]:
         """The links that a robot says it has, and their one-way times in units of 0.1 ms; this robot's as they are."""
@@ -307,6 +318,13 @@ class LinkState:
         return known is not None and known.advertisement.leaving
 
     # -- inside ------------------------------------------------------------------------------------------------
+
+    def _own_known(self) -> dict[str, Known]:
+        """The table of the others, to be changed."""
+        if self._borrowed:
+            self._borrowed = False
+            self._known = {name: known for name, known in self._known.items() if name != self._me}
+        return self._known
 
     def _own_times(self) -> dict[str, int]:
         """This robot's edges that count, and their times."""

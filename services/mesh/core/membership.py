@@ -6,7 +6,7 @@ only out of reach (`heal`), else it was started anew (`return`).
 """
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from services.mesh.core.routing import Route
@@ -36,22 +36,25 @@ class _State(NamedTuple):
 class Membership:
     """The members of the swarm but this robot."""
 
-    def __init__(self, me: str, robots: Collection[str]) -> None:
+    def __init__(self, me: str, names: Sequence[str], routes: Callable[[], Mapping[str, Route]]) -> None:
+        """`names` of all robots, sorted; `routes()` are the ways to those in reach."""
         self._me = me
-        self._members = dict.fromkeys(sorted(name for name in robots if name != me), _State(NEVER, 0, 0.0))
+        self._names = names
+        self._routes = routes
+        self._usual = _State(NEVER, 0, 0.0)
+        self._members: dict[str, _State] = {}
+        """Those who are not as usual: in a swarm of a thousand that is settled nobody."""
         self._told: Mapping[str, Collection[str]] = {}
         """The neighbours that each robot told of."""
-        self._routes: Mapping[str, Route] = {}
         self.changes: deque[MemberChange] = deque(maxlen=KEPT_CHANGES)
         """The newest last."""
 
-    def settle(self, now: float) -> None:
-        """All are here, and have been for long: none of them is news."""
-        self._members = dict.fromkeys(self._members, _State(HERE, 0, now))
+    def settle(self, told: Mapping[str, Collection[str]], now: float) -> None:
+        """All are here, and have been for long: none of them is news. `told` as `look` has it."""
+        self._usual, self._members, self._told = _State(HERE, 0, now), {}, told
 
     def look(
         self,
-        routes: Mapping[str, Route],
         told: Mapping[str, Collection[str]],
         incarnations: Mapping[str, int],
         left: Collection[str],
@@ -60,7 +63,11 @@ class Membership:
         """Compare with what was known; what has changed."""
         changes: list[MemberChange] = []
         gone: list[str] = []
-        for name, old in self._members.items():
+        routes = self._routes()
+        for name in self._names:
+            if name == self._me:
+                continue
+            old = self._members.get(name, self._usual)
             incarnation = incarnations.get(name, 0) or old.incarnation
             if name in routes and name not in left:
                 if old.state == HERE and old.incarnation == incarnation:
@@ -81,18 +88,18 @@ class Membership:
             near = self._told.get(name, ())
             together = any(other in near and name in self._told.get(other, ()) for other in gone)
             changes.append(MemberChange(now, name, PARTITION if together else CRASH))
-        self._told, self._routes = told, routes
+        self._told = told
         self.changes += changes
         return changes
 
     def members(self) -> tuple[Member, ...]:
         """Everybody, by name; those never seen included."""
-        return tuple(map(self.member, list(self._members)[:MAX_SHOWN]))
+        return tuple(self.member(name) for name in self._names[: MAX_SHOWN + 1] if name != self._me)[:MAX_SHOWN]
 
     def member(self, name: str) -> Member:
         """One of the others."""
-        state = self._members[name]
-        route = self._routes.get(name) if state.state == HERE else None
+        state = self._members.get(name, self._usual)
+        route = self._routes().get(name) if state.state == HERE else None
         hops, via = (route.hops, route.next_hop) if route is not None else (None, None)
         return Member(name, state.state, state.since, hops, via)
 

@@ -76,7 +76,6 @@ class Outbox:
         "_begun",
         "_bulk",
         "_counters",
-        "_counts",
         "_credit",
         "_latest",
         "_sizes",
@@ -94,7 +93,6 @@ class Outbox:
         self._urgent: tuple[list[Message], list[Message]] = ([], [])
         self._bulk: dict[str, list[Message]] = {}
         self._turns: list[str] = []
-        self._counts = [0, 0, 0]
         self._sizes = [0, 0, 0]
         self.waiting = 0
         """Messages that wait."""
@@ -114,8 +112,8 @@ class Outbox:
 
     def leaves(self, free: float) -> bool:
         """Whether `pop` has something."""
-        counts = self._counts
-        return bool(counts[CONTROL] or (free > -SYNC_EXTRA and counts[SYNC]) or (free > 0 and counts[BULK]))
+        control, sync = self._urgent
+        return bool(control or (free > -SYNC_EXTRA and sync) or (free > 0 and self._turns))
 
     @property
     def bulk_waits(self) -> bool:
@@ -150,7 +148,6 @@ class Outbox:
         else:
             self._bulk[key] = [message]
             self._turns.append(key)
-        self._counts[priority] += 1
         self.waiting += 1
         self._sizes[priority] += len(key) + len(payload)
         if priority != BULK:
@@ -191,7 +188,6 @@ class Outbox:
             queue.clear()
         self._bulk.clear()
         self._turns.clear()
-        self._counts = [0, 0, 0]
         self._sizes = [0, 0, 0]
         self.waiting = 0
         self._latest.clear()
@@ -201,7 +197,8 @@ class Outbox:
         messages, size = LIMITS[BULK]
         if not message.latest:
             messages, size = messages - FOR_LATEST.messages, size - FOR_LATEST.size
-        return self._counts[BULK] < messages and self._sizes[BULK] + message.size <= size
+        waiting = self.waiting - sum(map(len, self._urgent))
+        return waiting < messages and self._sizes[BULK] + message.size <= size
 
     def _next_bulk(self, fragment: int) -> Message | Part:
         """The next piece of bulk; its key goes to the end of the turns."""
@@ -248,7 +245,6 @@ class Outbox:
     def _take(self, queue: list[Message]) -> Message:
         message = queue.pop(0)
         self.waiting -= 1
-        self._counts[message.priority] -= 1
         self._sizes[message.priority] -= len(message.key) + len(message.payload)
         if message.latest:
             del self._latest[message.key]

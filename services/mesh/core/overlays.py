@@ -6,6 +6,7 @@ real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
+from functools import lru_cache
 
 from services.mesh.core import catchup, exchange, flood, largefloods, packets, transfers, unicast
 from services.mesh.core.actions import LinkAction, Transmit
@@ -69,12 +70,16 @@ class Overlays:
         start: Start | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
+        wanted: Callable[[str], bool] = lambda key: True,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
         `start` is where the topology begins; without it links are the caller's matter. `admits_flood(key)`,
-        `admits_unicast(sender, key)`: which keys the relay rules let in."""
+        `admits_unicast(sender, key)`: which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on
+        the own bus, where that can be known."""
         self.me = me
-        self._robots = frozenset(robots) | {me}
+        self._robots = frozenset(robots)  # the very same, if it is one already: simulations share it
+        if me not in self._robots:
+            self._robots |= {me}
         self._counters = counters
         counters.update(dict.fromkeys(COUNTERS, 0))
         self._admits_flood = admits_flood
@@ -106,8 +111,10 @@ class Overlays:
             changed=lambda: self._stops.changed(self._now),
         )
         self._stops = Stops(me, self._register, self._flood, self._to_bus)
-        self._membership = Membership(me, self._robots)
-        self._survey = Survey(me, self._robots, self._membership, self._map, self._flood.known)
+        names = _sorted(self._robots)
+        self._wanted = wanted
+        self._membership = Membership(me, names, self._map.routes)
+        self._survey = Survey(me, names, self._membership, self._map, self._flood.known)
         self._now = 0.0
         self._random = random
         self._version = 0
@@ -137,12 +144,13 @@ class Overlays:
         self._routes_changed(now, look=news)
         return True
 
-    def settle(self, links: Mapping[str, int], others: Mapping[str, Known], now: float) -> None:
-        """Begin in a swarm that has been there for long, see `LinkState.settle`. Robots tell who is there within
-        `MEMBERS_PERIOD`, not all at once."""
+    def settle(self, links: Mapping[str, Mapping[str, int]], known: dict[str, Known], now: float) -> None:
+        """Begin in a swarm that has been there for long, with the links of all its robots, see `LinkState.settle`.
+        Robots tell who is there within `MEMBERS_PERIOD`, not all at once. Both tables may be the same for all robots:
+        none of them changes one."""
         self._now = now
-        self._map.settle(links, others, now)
-        self._membership.settle(now)
+        self._map.settle(links[self.me], known, now)
+        self._membership.settle(links, now)
         self._version = self._map.version
         self._look_at = self._members_at = now + SETTLE + MEMBERS_PERIOD * self._random()
 
@@ -270,7 +278,8 @@ class Overlays:
             self._look(now)
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
-            self._to_bus(self._members_key, encode(self.members(now)), BULK)
+            if self._wanted(self._members_key):
+                self._to_bus(self._members_key, encode(self.members(now)), BULK)
         self._stops.handle_timer(now)
 
     @property
@@ -371,9 +380,11 @@ class Overlays:
 
     def _look(self, now: float) -> None:
         self._look_at = _NEVER
+        if self._map.undisturbed:
+            return  # all are here, as `settle` was told
         incarnations = {name: self._flood.known(name) for name in self._robots}
         left = [name for name in self._robots if self._map.has_left(name)]
-        if self._membership.look(self._map.routes(), self._map.told(), incarnations, left, now):
+        if self._membership.look(self._map.told(), incarnations, left, now):
             self._members_at = now
 
     def _admits_message(self, sender: str, key: str) -> bool:
@@ -385,6 +396,12 @@ class Overlays:
             if len(chunks) == 3 and chunks[1:] == ["send", self.me] and is_name(chunks[0]):
                 return True
         return (robot, service, topic) == (sender, "mesh", "view") or self._admits_unicast(sender, key)
+
+
+@lru_cache(maxsize=1)
+def _sorted(robots: frozenset[str]) -> tuple[str, ...]:
+    """Names in order; of the robots of a simulation the same for all."""
+    return tuple(sorted(robots))
 
 
 def _is_app_flood(service: str, topic: str) -> bool:

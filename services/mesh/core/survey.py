@@ -4,7 +4,7 @@ Each robot floods its `mesh/stopped` as a latest value when it changes. So whoev
 bus who has obeyed. A value counts for the incarnation that has told it.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Sequence
 
 from services.mesh.core.linkstate import LinkState
 from services.mesh.core.membership import Membership
@@ -21,14 +21,14 @@ class Survey:
     def __init__(
         self,
         me: str,
-        robots: Collection[str],
+        names: Sequence[str],
         membership: Membership,
         links: LinkState,
         incarnation: Callable[[str], int],
     ) -> None:
-        """`incarnation(robot)` is the newest one heard of."""
+        """`names` of all robots, sorted; `incarnation(robot)` is the newest one heard of."""
         self._me = me
-        self._names = sorted(robots)
+        self._names = names
         self._membership = membership
         self._links = links
         self._incarnation = incarnation

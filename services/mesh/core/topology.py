@@ -56,7 +56,7 @@ class Ground:
         self.names = tuple(names)
         self.first = Topology(0, 0, "", auto, Graph(names, tuple(edges)).edges)
         """The configuration's own."""
-        self._place = {name: index for index, name in enumerate(self.names)}
+        self.place = {name: index for index, name in enumerate(self.names)}
         text = f"{' '.join(self.names)} {self.first.edges} {auto}"
         self.base = zlib.crc32(text.encode())
         """Tells configurations apart."""
@@ -96,7 +96,7 @@ class Ground:
         head = _HEAD.pack(TOPOLOGY, value.auto * _AUTO, self.base, value.version, value.step)
         later: list[list[int]] = [[] for _ in self.names]
         for a, b in value.edges:
-            later[self._place[a]].append(self._place[b])
+            later[self.place[a]].append(self.place[b])
         rows = b"".join(bytes((len(row),)) + b"".join(map(_INDEX.pack, sorted(row))) for row in later)
         return head + bytes((len(issuer),)) + issuer + rows
 
@@ -115,7 +115,7 @@ class Ground:
         end = at + data[at - 1]
         issuer = data[at:end].decode("ascii", "replace")
         value = Topology(version, step, issuer, bool(flags & _AUTO), self._edges(data, end))
-        if value != self.first and (issuer not in self._place or not (version or value.auto)):
+        if value != self.first and (issuer not in self.place or not (version or value.auto)):
             raise FrameError(f"TOPOLOGY {version}.{step} issued by {issuer[:16]!r}")
         return value
 

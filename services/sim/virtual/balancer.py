@@ -10,6 +10,7 @@ from services.balancer.core.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.faults import STOPPED
 from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim, Order, Shown, shown
 from services.sim.core.witness import Witness
+from services.sim.virtual.beat import Beat
 from services.sim.virtual.body import BALANCING, VirtualBody
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import Time
@@ -78,8 +79,9 @@ class VirtualBalancer:
         bus.subscribe(STOP, self._obey)
         phase = numbers.random()
         time.soon(self._show_leds)
-        time.at(time.now + TELEMETRY * phase, self._tell)
-        time.at(time.now + TRUTH * phase, self._tell_truth)
+        odometry_and_state = self._keys["odometry"], self._keys["state"]
+        Beat(time, bus, odometry_and_state, TELEMETRY, time.now + TELEMETRY * phase, self._tell)
+        Beat(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
         if witness is not None:
             time.soon(self._be_seen, witness)
@@ -164,7 +166,6 @@ class VirtualBalancer:
             self._bus.publish(self._keys["fault"], BalancerFault(self._time.now, name, self.body.fault, ""))
 
     def _tell(self) -> None:
-        self._time.at(self._time.now + TELEMETRY, self._tell)
         if self._bus.wanted(self._keys["odometry"]):
             self._bus.publish(self._keys["odometry"], self.body.odometry(self._time.now))
         self._tell_state()
@@ -195,11 +196,9 @@ class VirtualBalancer:
         self._bus.publish(self._keys["state"], state)
 
     def _tell_truth(self) -> None:
-        self._time.at(self._time.now + TRUTH, self._tell_truth)
-        if self._bus.wanted(self._truth_key):
-            now, body = self._time.now, self.body
-            body.advance(now)
-            self._bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
+        now, body = self._time.now, self.body
+        body.advance(now)
+        self._bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
 
     def _be_seen(self, witness: Witness) -> None:
         now, body = self._time.now, self.body

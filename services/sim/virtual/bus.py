@@ -6,11 +6,9 @@ as on the real bus nobody is called from within his own publishing. Nothing is l
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import lru_cache
-from re import Pattern
 from typing import NamedTuple
 
-from services.mesh.core.relay import matches, pattern
+from services.mesh.core.relay import matches
 from services.sim.virtual.events import EventQueue
 from swarm.codec import MAX_BINARY, encode
 from swarm.errors import LocalError
@@ -19,18 +17,14 @@ from swarm.keys import MAX_KEY_LENGTH
 OnSample = Callable[[str, bytes], None]
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
-_pattern = lru_cache(maxsize=65536)(pattern)
-
 
 class _Subscription(NamedTuple):
     expression: str
-    pattern: Pattern[str] | None
-    """None where the expression is one key."""
     session: "VirtualBus"
     callback: OnSample
 
     def takes(self, key: str) -> bool:
-        return self.expression == key if self.pattern is None else matches(self.pattern, key)
+        return self.expression == key or ("*" in self.expression and matches(self.expression, key))
 
 
 @dataclass
@@ -41,13 +35,18 @@ class VirtualRouter:
     subscriptions: list[_Subscription] = field(default_factory=list)
     servers: dict[str, OnQuery] = field(default_factory=dict)
     tokens: list[str] = field(default_factory=list)
-    watchers: list[tuple[Pattern[str], Callable[[str, bool], None]]] = field(default_factory=list)
+    watchers: list[tuple[str, Callable[[str, bool], None]]] = field(default_factory=list)
     sessions: list["VirtualBus"] = field(default_factory=list)
+    waiting: list[Callable[[], None]] = field(default_factory=list)
+    """Who is to be called when somebody hears other keys."""
 
     def changed(self) -> None:
         """Others may be interested in a key now than before."""
         for session in self.sessions:
             session.targets.clear()
+        waiting, self.waiting = self.waiting, []
+        for call in waiting:
+            call()
 
 
 class Subscription:
@@ -99,6 +98,10 @@ class VirtualBus:
         """Whether anybody hears what this session publishes there: making a message may cost more than sending it."""
         return bool(self._targets(key))
 
+    def await_change(self, call: Callable[[], None]) -> None:
+        """Call once, as soon as other keys may be `wanted` than now."""
+        self._router.waiting.append(call)
+
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """To all other sessions that subscribe to it; raises `LocalError` as the real bus does."""
         if len(key) > MAX_KEY_LENGTH:
@@ -120,10 +123,7 @@ class VirtualBus:
 
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
         """Call `callback(key, payload)` for every sample of other sessions, until what is returned is closed."""
-        entries = [
-            _Subscription(key, _pattern(key) if "*" in key else None, self, callback)
-            for key in ((keys,) if isinstance(keys, str) else keys)
-        ]
+        entries = [_Subscription(key, self, callback) for key in ((keys,) if isinstance(keys, str) else keys)]
         self._router.subscriptions += entries
         self._router.changed()
         return Subscription(self._router, entries)
@@ -139,16 +139,15 @@ class VirtualBus:
     def announce(self, key: str) -> None:
         """Declare a liveliness token."""
         self._router.tokens.append(key)
-        for compiled, callback in self._router.watchers:
-            if matches(compiled, key):
+        for expression, callback in self._router.watchers:
+            if matches(expression, key):
                 self._time.soon(callback, key, True)
 
     def watch(self, key: str, callback: Callable[[str, bool], None]) -> None:
         """Call `callback(key, True)` for each token."""
-        compiled = _pattern(key)
-        self._router.watchers.append((compiled, callback))
+        self._router.watchers.append((key, callback))
         for token in self._router.tokens:
-            if matches(compiled, token):
+            if matches(key, token):
                 self._time.soon(callback, token, True)
 
     def close(self) -> None:
@@ -171,7 +170,6 @@ class VirtualBus:
         return found
 
     def _query(self, key: str, on_reply: OnSample, parameters: dict[str, str]) -> None:
-        compiled = _pattern(key)
         for name, answer in tuple(self._router.servers.items()):
-            if matches(compiled, name) and (payload := answer(name, parameters)) is not None:
+            if matches(key, name) and (payload := answer(name, parameters)) is not None:
                 on_reply(name, payload)

@@ -34,6 +34,10 @@ class EventQueue:
         """The world's time, whoever's clock this is."""
         return self.now
 
+    def when(self, time: float) -> float:
+        """What `now` is in a call that was planned for `time`."""
+        return time
+
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
         """Call at `time`; at once, but not before what is planned already, where it is past."""
         if time <= self.now:
@@ -103,16 +107,23 @@ class LocalTime:
         """See `EventQueue`."""
         return self._world.now
 
+    def when(self, time: float) -> float:
+        """See `EventQueue`."""
+        return self._offset + self._rate * self._true(time)
+
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
         """See `EventQueue`; never before this clock shows `time`, or who asks whether it is due asks for ever."""
-        true = (time - self._offset) / self._rate
-        while self._offset + self._rate * true < time:
-            true = math.nextafter(true, math.inf)
-        self._world.at(true, call, *arguments)
+        self._world.at(self._true(time), call, *arguments)
 
     def soon(self, call: Callable[..., object], *arguments: Any) -> None:
         """See `EventQueue`."""
         self._world.soon(call, *arguments)
+
+    def _true(self, time: float) -> float:
+        true = (time - self._offset) / self._rate
+        while self._offset + self._rate * true < time:
+            true = math.nextafter(true, math.inf)
+        return true
 
 
 Time = EventQueue | LocalTime

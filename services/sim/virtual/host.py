@@ -7,6 +7,7 @@ from services.apps.core.strand import Strand
 from services.apps.core.terms import Terms
 from services.apps.host import TICK, schema_of
 from services.apps.runner import Runner
+from services.sim.virtual.beat import Beat
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import Time
 from services.sim.virtual.strand import Measurements, Told, VirtualStrand
@@ -55,7 +56,6 @@ class VirtualHost:
 
     __slots__ = (
         "_by_schema",
-        "_closed",
         "_connections",
         "_edges",
         "_notes",
@@ -84,7 +84,6 @@ class VirtualHost:
         self._place = place
         self._by_schema: dict[int, VirtualStrand] = {}
         self._notes: dict[str, VirtualStrand] = {}
-        self._closed = False
         self._edges: tuple[tuple[str, ...], ...] = ()
         self._senders: dict[str, tuple[VirtualStrand, str, Channel | None] | None] = {}
         self._connections: dict[str, int] = {}
@@ -116,7 +115,8 @@ class VirtualHost:
         """Begin all channels."""
         for strand in self.strands.values():
             strand.start()
-        self._place.time.at(self._place.time.now + TICK, self._show)
+        time, keys = self._place.time, tuple(key for strand in self.strands.values() for key in strand.shown_keys)
+        Beat(time, self._place.bus, keys, TICK, time.now + TICK, self._show)
 
     @property
     def kept(self) -> Kept | None:
@@ -125,7 +125,6 @@ class VirtualHost:
 
     def close(self) -> None:
         """End as by kill -9."""
-        self._closed = True
         self._place.bus.close()
         for strand in self.strands.values():
             strand.close()
@@ -183,8 +182,5 @@ class VirtualHost:
 
     def _show(self) -> None:
         """Ten times a second: states and progress, for who watches."""
-        if self._closed:
-            return
-        self._place.time.at(self._place.time.now + TICK, self._show)
         for strand in self.strands.values():
             strand.show()

@@ -125,6 +125,7 @@ class VirtualMesh:
             start=Start(common.ground, local.dials, None),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
+            wanted=bus.wanted,
         )
         self.node = Node(
             local,

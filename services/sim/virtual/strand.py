@@ -112,6 +112,7 @@ class VirtualStrand:
         "part",
         "robot",
         "runner",
+        "shown_keys",
         "strand",
     )
 
@@ -150,7 +151,8 @@ class VirtualStrand:
         self._sync = f"{self._prefix}/{strand.channel.text}"
         self._notes = f"{self._prefix}/{strand.terms.notes}"
         keys = f"app/{app}/{part}" if part else f"app/{app}"
-        self._state_key, self._progress_key = key(robot, keys, "state"), key(robot, keys, "progress")
+        self.shown_keys = self._state_key, self._progress_key = key(robot, keys, "state"), key(robot, keys, "progress")
+        """Where `show` tells."""
         self._epoch_key = key(robot, keys, "epoch")
         self._shown: tuple[str, int, tuple[str, ...], str] | None = None
         self._heard = False

@@ -10,6 +10,8 @@ from swarm.recording.trajectory import EMPTY, Trajectory
 class Tape:
     """What is kept of one robot's iterations: when each was done, and the states of all or of the last."""
 
+    __slots__ = ("_keep", "_lines", "_teller", "_times")
+
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
         self._times: dict[int, float] = {}

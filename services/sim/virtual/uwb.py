@@ -15,6 +15,7 @@ from services.dwm.localizer import Localizer
 from services.sim.core.uwb import PERIOD, Module, Tag
 from services.sim.module import module_address
 from services.sim.virtual.balancer import VirtualBalancer
+from services.sim.virtual.beat import Beat
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import Time
 from swarm.config import Config, Robot
@@ -104,18 +105,15 @@ class VirtualDwm:
         self._keys = key(robot, "dwm", "ranges"), key(robot, "dwm", "pose")
         self._localizer: Localizer | None = None
         phase = random.Random(f"{seed} {robot} latency").random()
-        time.at(time.now + PERIOD * phase, self._measure)
+        Beat(time, bus, self._keys, PERIOD, time.now + PERIOD * phase, self._measure)
 
     def _measure(self) -> None:
         now = self._time.now
-        self._time.at(now + PERIOD, self._measure)
-        if not any(map(self.bus.wanted, self._keys)):
-            return
         if self._localizer is None:
             self._localizer = Localizer(self, now)
         body = self._balancer.look()
         location = (
-            self._tag.measure(self._field.around(self.robot, self._time.now), body.x, body.y, body.heading)
+            self._tag.measure(self._field.around(self.robot, now), body.x, body.y, body.heading)
             if self._is_tag
             else Location(NOWHERE, ())
         )

@@ -255,10 +255,10 @@ class World:
     def _settle(self, latency: float) -> None:
         times = round(max(latency * 1e4, 1.0))
         links = {name: dict.fromkeys(near, times) for name, near in self._common.near.items()}
-        others = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
-        for name, robot in self.robots.items():
+        known = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
+        for robot in self.robots.values():
             assert isinstance(robot.mesh, VirtualMesh)
-            robot.mesh.node.overlays.settle(links[name], others, robot.mesh.now)
+            robot.mesh.node.overlays.settle(links, known, robot.mesh.now)
 
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
