@@ -162,7 +162,7 @@ SNAPSHOT = Snapshot(
     k=7,
     value=b"a7",
     previous=b"a6",
-    heard={"r1": Heard(5, 8, {6: b"b6", 7: b"b7", 8: b"b8"}), "r2": Heard()},
+    heard={"r1": Heard(5, 8, [b"b6", b"b7", b"b8"]), "r2": Heard()},
     private=b"secret",
 )
 SNAPSHOT_BYTES = bytes.fromhex(

@@ -59,6 +59,7 @@ class Epochs:
         "_names",
         "_of",
         "_offered_at",
+        "_offers",
         "_order",
         "_relink",
         "_reminded_at",
@@ -164,7 +165,7 @@ class Epochs:
 
     def next_deadline(self, now: float) -> float | None:
         """When `handle_timer` wants to be called; None: no timer runs."""
-        if not (self.auto or self.frozen or self.k < 0 or self._order is not None or self._mine.offer is not None):
+        if not (self.auto or self.frozen or self.k < 0 or self._order is not None or self._offers):
             return None  # asked after each message, and nearly always so
         times = [self._tell_at] if self._busy else []
         if self._mine.offer is not None and self._mine.offer.epoch is None and now < self._collected_at:
@@ -272,6 +273,7 @@ class Epochs:
         """Whether this robot is in it."""
         self.frozen = mine.promised != NONE or not self.member
         """Whether it may not compute: it has answered a ballot, or has no place in the epoch."""
+        self._offers = mine.offer is not None
 
     @property
     def _busy(self) -> bool:

@@ -205,8 +205,9 @@ class Lockstep:
         if last:
             self._last = self.k + 1
         self._enter(self.k + 1, x_next, self._value, now)
+        spent = (self.k - 2) % 3
         for peer in self._peers.values():
-            peer.slots.pop(self.k - 2, None)
+            peer.slots[spent] = None
         self._actions.append(Save(self._snapshot(private)))
         self._broadcast()
         self._settle(now)
@@ -299,20 +300,22 @@ class Lockstep:
                 )
             self.counters["late"] += 1
         elif isinstance(frame, Step):
-            before = len(peer.slots)
-            if frame.previous is not None:
-                self._fill(sender, peer, frame.k - 1, frame.previous)
-            self._fill(sender, peer, frame.k, frame.value)
-            if len(peer.slots) == before:
+            new = False
+            if frame.previous is not None and frame.k >= self.k:
+                new = self._fill(sender, peer, frame.k - 1, frame.previous)
+            if not self._fill(sender, peer, frame.k, frame.value) and not new:
                 self.counters["duplicate"] += 1
 
-    def _fill(self, sender: str, peer: Heard, k: int, value: bytes) -> None:
-        held = peer.slots.get(k)
+    def _fill(self, sender: str, peer: Heard, k: int, value: bytes) -> bool:
+        """Take a value of iteration k-1 to k+1; whether it was missing."""
+        held = peer.slots[k % 3]
         if held is None:
             if k >= self.k:
-                peer.slots[k] = value
+                peer.slots[k % 3] = value
+                return True
         elif held != value:
             self._fail(f"two values for one iteration: {sender} sent two different states for iteration {k}")
+        return False
 
     def _fail(self, reason: str) -> None:
         if self.fault is None:
@@ -348,17 +351,18 @@ class Lockstep:
             self._name(lacking)
         if not lacking:
             self._computing = True
-            values = {name: peer.slots[self.k] for name, peer in self._peers.items()}
+            place = self.k % 3
+            values = {name: value for name, peer in self._peers.items() if (value := peer.slots[place]) is not None}
             self._actions.append(Compute(self.k, self._value, values))
 
     def _lacking(self) -> tuple[str, ...]:
         """Neighbours whose x(k) is missing; at the last iteration those not known to be there (R7)."""
         if self.k == self._last:
             return tuple(name for name, peer in self._peers.items() if peer.reached < self.k)
-        k = self.k  # a loop: after each frame, and mostly of nobody
+        place = self.k % 3  # a loop: after each frame, and mostly of nobody
         lacking: tuple[str, ...] = ()
         for name, peer in self._peers.items():
-            if k not in peer.slots:
+            if peer.slots[place] is None:
                 lacking += (name,)
         return lacking
 

@@ -126,8 +126,8 @@ class Heard:
     """Highest incarnation seen, -1 for none yet."""
     reached: int = -1
     """Highest iteration it is known to be at."""
-    slots: dict[int, bytes] = field(default_factory=dict)
-    """Its values by iteration: k and k+1 to be used, k-1 (used already) to be compared."""
+    slots: list[bytes | None] = field(default_factory=lambda: [None, None, None])
+    """Its values, that of iteration k in place k % 3: k and k+1 to be used, k-1 (used already) to be compared."""
 
 
 _SNAPSHOT = struct.Struct("<4sQIIIIBI")
@@ -162,13 +162,13 @@ class Snapshot:
         ]
         for name, peer in sorted(self.heard.items()):
             chars = name.encode()
-            held = [k for k in (self.k - 1, self.k, self.k + 1) if k in peer.slots]
-            mask = sum(1 << (k - self.k + 1) for k in held)
+            values = [peer.slots[k % 3] for k in (self.k - 1, self.k, self.k + 1)]
+            mask = sum(1 << bit for bit, value in enumerate(values) if value is not None)
             known = peer.incarnation >= 0
             parts += [
                 _PEER.pack(peer.incarnation if known else 0, known, max(peer.reached, 0), mask, len(chars)),
                 chars,
-                *(peer.slots[k] for k in held),
+                *(value for value in values if value is not None),
             ]
         parts.append(self.private)
         data = b"".join(parts)
@@ -191,7 +191,10 @@ class Snapshot:
         for _ in range(peers):
             incarnation, known, reached, mask, length = _PEER.unpack(rest.take(_PEER.size))
             name = rest.take(length).decode()
-            slots = {k + bit - 1: rest.take(size) for bit in range(3) if mask >> bit & 1}
+            slots: list[bytes | None] = [None, None, None]
+            for bit in range(3):
+                if mask >> bit & 1:
+                    slots[(k + bit - 1) % 3] = rest.take(size)
             heard[name] = Heard(incarnation, reached, slots) if known else Heard()
         return cls(run, epoch, schema, size, k, value, previous, heard, rest.take(private))
 

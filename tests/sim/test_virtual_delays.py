@@ -25,7 +25,7 @@ def test_states_are_bit_equal_and_times_alike(links):
 
 def test_what_comes_to_a_robot_in_one_moment_is_one_call_and_after_a_cut_each_message_is_one():
     together, apart = (_calls(*more) for more in ((), ("--cut", "r1-r2@0.3s,0.1s")))
-    assert together < 6.5 < apart  # with 2 links a robot
+    assert together < 5.0 < apart  # with 2 links a robot
 
 
 def _calls(*more: str) -> float:

@@ -113,6 +113,7 @@ class Strand:
         self._began_at = 0.0
         self._progress_at = 0.0
         self._heard: dict[str, float] = {}
+        """When neighbours were heard last, where those that are not heard are given up."""
         self._first_save = True
 
     @property
@@ -223,7 +224,8 @@ class Strand:
     def receive(self, sender: str, channel: Channel, payload: bytes, now: float) -> None:
         """A frame. Before the own start there is no slot for it: its sender is asked again."""
         core = self._lockstep
-        self._heard[sender] = now
+        if self.terms.drop:
+            self._heard[sender] = now
         if channel.epoch != self.epochs.number and sender != self._me:
             self.epochs.stranger(now)
         if core is not None and not self._changing:
@@ -231,7 +233,8 @@ class Strand:
 
     def receive_note(self, sender: str, payload: bytes, now: float) -> None:
         """What a robot has to say about the membership, passed on by `sender`."""
-        self._heard[sender] = now
+        if self.terms.drop:
+            self._heard[sender] = now
         self.epochs.receive(payload, now)
 
     def order(self, order: Order, now: float) -> None:

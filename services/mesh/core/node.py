@@ -210,7 +210,11 @@ class Node:
             if (deadline := session.next_deadline()) is not None and deadline < earliest:
                 earliest = deadline
         for link in self._links.values():
-            if link.dialler is not None and (deadline := link.dialler.next_deadline()) is not None:
+            if (
+                link.session is None
+                and link.dialler is not None
+                and (deadline := link.dialler.next_deadline()) is not None
+            ):
                 earliest = min(earliest, deadline)
         return earliest
 

@@ -21,24 +21,27 @@ UNREACHABLE = "unreachable"
 
 
 Due = dict[float, list["End"]]
-"""What is on the way to a robot: for each moment at which something arrives the ends it was sent from, one a chunk."""
+"""What is on the way to a robot: for each moment at which something arrives the ends it comes to, one a chunk."""
 
 
 class End:
-    """One end of a connection, and the way from it to the other."""
+    """One end of a connection, and the ways from and to it: who sends has no need to look at the other end, nor who
+    receives. In a large swarm each look is one into memory that no cache holds."""
 
-    __slots__ = ("alive", "due", "line", "mesh", "other", "session", "socket", "waits")
+    __slots__ = ("alive", "due", "inward", "line", "mesh", "other", "session", "socket", "waits")
 
-    def __init__(self, mesh: "VirtualMesh", line: DelayLine) -> None:
+    def __init__(self, mesh: "VirtualMesh", line: DelayLine, inward: DelayLine, due: Due) -> None:
         self.mesh = mesh
         self.line = line
         """The air from here to the other end."""
+        self.inward = inward
+        """The air from there to this one."""
+        self.due = due
+        """What is on the way to the robot at the other end."""
         self.other: End = self
         self.session: Session | None = None
         self.alive = True
         """False once this end has closed, or has noticed that the other one has."""
-        self.due: Due = {}
-        """What is on the way to the robot at this end."""
         self.socket: deque[bytes] = deque()
         """Writes that wait for the air."""
         self.waits = False
@@ -103,9 +106,10 @@ class Air:
         if mesh is None or self._cut_until(caller.robot, peer) > self._time.now:
             caller.dial_failed(peer, UNREACHABLE)
             return
-        near, far = End(caller, self._line(caller.robot, peer)), End(mesh, self._line(peer, caller.robot))
+        there, back = self._line(caller.robot, peer), self._line(peer, caller.robot)
+        near = End(caller, there, back, self._due[peer])
+        far = End(mesh, back, there, self._due[caller.robot])
         near.other, far.other = far, near
-        near.due, far.due = self._due[caller.robot], self._due[peer]
         caller.dialled(peer, near)
         mesh.accepted(far)
 
@@ -130,29 +134,28 @@ class Air:
 
     def _plan(self, sender: End, at: float) -> None:
         """What arrives at a robot in one moment it gets at once: its objects are looked up in memory once for all."""
-        due = sender.other.due
-        senders = due.get(at)
-        if senders is None:
-            due[at] = [sender]
-            self._time.at(at, self._arrive, sender.other.mesh, due, at)
+        due, receiver = sender.due, sender.other
+        receivers = due.get(at)
+        if receivers is None:
+            due[at] = [receiver]
+            self._time.at(at, self._arrive, receiver.mesh, due, at)
         else:
-            senders.append(sender)
+            receivers.append(receiver)
 
     def _cut_until(self, a: str, b: str) -> float:
         return self.cuts.get(frozenset((a, b)), 0.0) if self.cuts else 0.0
 
     def _arrive(self, mesh: "VirtualMesh", due: Due, at: float) -> None:
-        """The oldest chunks on the way from each of the senders arrive."""
+        """The oldest chunks on the way to each of the ends arrive."""
         chunks = []
-        for sender in due.pop(at):
-            receiver = sender.other
+        for receiver in due.pop(at):
             if self.cuts:
-                until = self._cut_until(sender.mesh.robot, mesh.robot)
+                until = self._cut_until(receiver.other.mesh.robot, mesh.robot)
                 if until > self._time.now:
                     # Whichever call comes first then takes the oldest chunk, so the order stays.
-                    self._plan(sender, until)
+                    self._plan(receiver.other, until)
                     continue
-            data = sender.line.pop()
+            data = receiver.inward.pop()
             if receiver.alive:
                 receiver.alive = bool(data)
                 chunks.append((receiver, data))

@@ -10,38 +10,45 @@ from swarm.recording.trajectory import EMPTY, Trajectory
 class Tape:
     """What is kept of one robot's iterations: when each was done, and the states of all or of the last."""
 
-    __slots__ = ("_keep", "_lines", "_teller", "_times")
+    __slots__ = ("_keep", "_last", "_lines", "_teller", "_times")
 
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
         self._times: dict[int, float] = {}
         self._lines: dict[int, Line] = {}
+        """All, where they are kept."""
+        self._last: Line | None = None
         self._teller: Teller | None = None
 
     def write(self, teller: Teller, line: Line) -> None:
         """One iteration."""
         self._teller = teller
         self._times[line.k] = line.t
-        if not self._keep:
-            self._lines.clear()
-        self._lines[line.k] = line
+        self._last = line
+        if self._keep:
+            self._lines[line.k] = line
 
     def go_back(self, k: int) -> None:
         """The members have changed: the iterations from k on are done again."""
         for kept in (self._times, self._lines):
             for later in [other for other in kept if other >= k]:
                 del kept[later]
+        if self._last is not None and self._last.k >= k:
+            self._last = None
 
     def trajectory(self) -> Trajectory:
         """As the recorder would have written it."""
-        if self._teller is None or not self._lines:
+        lines = self._lines
+        if not self._keep and self._last is not None:
+            lines = {self._last.k: self._last}
+        if self._teller is None or not lines:
             return EMPTY
         shared = [column for field in self._teller.runner.schema.fields for column in field.columns]
         results: list[str] = []
-        for name, value in next(iter(self._lines.values())).result.items():
+        for name, value in next(iter(lines.values())).result.items():
             parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]
             results += [f"result.{name}{part}" for part in parts]
-        rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in self._lines.items()}
+        rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in lines.items()}
         return Trajectory((*shared, *results), self._times, rows)
 
 
