@@ -23,6 +23,9 @@ from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
+from swarm.core import together
+from swarm.errors import PayloadError
+from swarm.lane import MESH, Lane
 from swarm.messages import EchoRequest, HoldLink, LinkState
 
 _CHUNK = 4096
@@ -63,15 +66,20 @@ class Runner:
         deliver: Callable[[Sequence[Received]], None],
         changed: Callable[[], None],
         keep: Callable[[], None],
+        lane: Lane,
+        show: Callable[[str, bytes], None],
     ) -> None:
         """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(messages)` for what came
-        in, `changed()` when a link did, `keep()` when there is another topology to be kept."""
+        in, `changed()` when a link did, `keep()` when there is another topology to be kept. What hosts of apps send
+        comes by the `lane`, and `show(key, payload)` tells others of it."""
         self._node = node
         self._listeners = listeners
         self._dial = dial
         self._deliver = deliver
         self._changed = changed
         self._keep = keep
+        self._lane = lane
+        self._show = show
         self._lock = threading.Lock()
         self._pipes: dict[Session, Pipe] = {}
         self._blocked: dict[Session, Pipe] = {}
@@ -245,10 +253,11 @@ class Runner:
                 ended, self._ended = self._ended, []
                 pipes, blocked = list(self._pipes.items()), list(self._blocked.items())
                 deadline = self._deadline
+                awaited = self._node.awaited(clock.now())
             self._turned = True
             for pipe in ended:
                 pipe.close()
-            self._wait(pipes, blocked, deadline)
+            self._wait(pipes, blocked, deadline, awaited)
             # Timers come after what has arrived: a process that was stopped for a moment must not take its own
             # absence for the others' silence.
             if clock.now() >= self._deadline:
@@ -258,22 +267,38 @@ class Runner:
                     actions = self._carry_out()
                 self._report(actions)
 
-    def _wait(self, pipes: list[tuple[Session, Pipe]], blocked: list[tuple[Session, Pipe]], deadline: float) -> None:
-        """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it."""
+    def _wait(
+        self,
+        pipes: list[tuple[Session, Pipe]],
+        blocked: list[tuple[Session, Pipe]],
+        deadline: float,
+        awaited: tuple[Session, float] | None,
+    ) -> None:
+        """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it. Where a link is
+        `awaited`, bytes of the others wait for it."""
         now = clock.now()
-        readers: list[int | Listener | Pipe] = [self._wake, *self._listeners]
+        only = None
+        if awaited is not None and (only := self._pipes.get(awaited[0])) is not None:
+            deadline = min(deadline, awaited[1])
+        readers: list[int | Listener | Pipe | Lane] = [self._wake, *self._listeners, self._lane]
+        others: list[Pipe] = []
         changing: dict[Pipe, float] = {}
         for _, pipe in pipes:
             if (change := pipe.next_change(now)) is not None:
                 changing[pipe] = change
-                deadline = min(deadline, change)
+                if only is None or pipe is only:
+                    deadline = min(deadline, change)
             if pipe.wants_read(now):
-                readers.append(pipe)
+                (readers if only is None or pipe is only else others).append(pipe)
         timeout = None if deadline == _NEVER else max(0.0, deadline - now)
         readable, writable, _ = select.select(readers, [pipe for _, pipe in blocked], [], timeout)
+        if others:
+            readable += select.select(others, [], [], 0)[0]
         if self._wake in readable:
             with contextlib.suppress(BlockingIOError):
                 os.eventfd_read(self._wake)
+        if self._lane in readable:
+            self._take_lane()
         now = clock.now()
         arrivals: list[tuple[Session, Pipe, bytes]] = []
         for session, pipe in pipes:
@@ -302,6 +327,22 @@ class Runner:
                         self._flush(session, pipe)
                 actions = self._carry_out()
             self._report(actions)
+
+    def _take_lane(self) -> None:
+        """What hosts of apps send to neighbours."""
+        while (data := self._lane.take()) is not None:
+            try:
+                parts = list(together.unpack(data))
+            except PayloadError as error:
+                _log.warning("%s: %s", MESH, error)
+                continue
+            with self._lock:
+                for key, payload in parts:
+                    self._node.publish(None, key, payload, clock.now())
+                actions = self._carry_out()
+            self._report(actions)
+            for key, payload in parts:
+                self._show(key, payload)
 
     def _accept(self, listener: Listener) -> None:
         try:

@@ -129,8 +129,9 @@ class Node:
             session.transport_down(reason)
             self._digest(session, now)
 
-    def publish(self, source: int, key: str, payload: bytes, now: float) -> None:
-        """A sample of the own bus; `source` is the index of the subscription that delivered it."""
+    def publish(self, source: int | None, key: str, payload: bytes, now: float) -> None:
+        """A sample of the own bus; `source` is the index of the subscription that delivered it, None for what came
+        another way."""
         for send in self._relay.publish(source, key, payload, now):
             self._send(send, now)
 
@@ -213,6 +214,13 @@ class Node:
             if link.dialler is not None and (deadline := link.dialler.next_deadline()) is not None:
                 earliest = min(earliest, deadline)
         return earliest
+
+    def awaited(self, now: float) -> tuple[Session, float] | None:
+        """The one link to be looked at, and until when, where what others bring can wait; None: look at all."""
+        if (found := self._gather.awaited(now)) is None:
+            return None
+        link = self._links.get(found[0])
+        return None if link is None or link.session is None else (link.session, found[1])
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
