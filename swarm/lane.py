@@ -29,8 +29,8 @@ def of_app(app: str) -> str:
 
 
 class Lane:
-    """One end. A socket file that a killed process left is replaced, so whoever makes an end makes sure that it is alone:
-    a host by its lock, a mesh by the addresses where it listens. Sending never waits, and may be done by any thread."""
+    """One end; sending never waits, and any thread may do it. A socket file that a killed process left is replaced, so
+    whoever makes an end is alone in that: a host by its lock, a mesh by the addresses where it listens."""
 
     def __init__(self, directory: Path, name: str) -> None:
         """Raises `LocalError` where no socket can be had, `BusError` where the directory's path is too long for one."""
