@@ -253,11 +253,10 @@ class Runner:
                 ended, self._ended = self._ended, []
                 pipes, blocked = list(self._pipes.items()), list(self._blocked.items())
                 deadline = self._deadline
-                awaited = self._node.awaited(clock.now())
             self._turned = True
             for pipe in ended:
                 pipe.close()
-            self._wait(pipes, blocked, deadline, awaited)
+            self._wait(pipes, blocked, deadline)
             # Timers come after what has arrived: a process that was stopped for a moment must not take its own
             # absence for the others' silence.
             if clock.now() >= self._deadline:
@@ -267,33 +266,19 @@ class Runner:
                     actions = self._carry_out()
                 self._report(actions)
 
-    def _wait(
-        self,
-        pipes: list[tuple[Session, Pipe]],
-        blocked: list[tuple[Session, Pipe]],
-        deadline: float,
-        awaited: tuple[Session, float] | None,
-    ) -> None:
-        """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it. Where a link is
-        `awaited`, bytes of the others wait for it."""
+    def _wait(self, pipes: list[tuple[Session, Pipe]], blocked: list[tuple[Session, Pipe]], deadline: float) -> None:
+        """Wait for the first of: bytes, callers, frames of apps, room in a full socket, the deadline; and handle it."""
         now = clock.now()
-        only = None
-        if awaited is not None and (only := self._pipes.get(awaited[0])) is not None:
-            deadline = min(deadline, awaited[1])
         readers: list[int | Listener | Pipe | Lane] = [self._wake, *self._listeners, self._lane]
-        others: list[Pipe] = []
         changing: dict[Pipe, float] = {}
         for _, pipe in pipes:
             if (change := pipe.next_change(now)) is not None:
                 changing[pipe] = change
-                if only is None or pipe is only:
-                    deadline = min(deadline, change)
+                deadline = min(deadline, change)
             if pipe.wants_read(now):
-                (readers if only is None or pipe is only else others).append(pipe)
+                readers.append(pipe)
         timeout = None if deadline == _NEVER else max(0.0, deadline - now)
         readable, writable, _ = select.select(readers, [pipe for _, pipe in blocked], [], timeout)
-        if others:
-            readable += select.select(others, [], [], 0)[0]
         if self._wake in readable:
             with contextlib.suppress(BlockingIOError):
                 os.eventfd_read(self._wake)

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from services.mesh.core.events import Received
 from services.mesh.core.frames import SYNC
-from services.mesh.core.gather import HOLD, MAX_HELD, MAX_KEYS, PATIENCE, Gather, by_app
+from services.mesh.core.gather import HOLD, MAX_HELD, MAX_KEYS, Gather, by_app
 from swarm.core.lockstep_frames import Channel, encode_step, encode_want
 
 CHANNEL = Channel(0xA1, 0, 3, 0x9F3C21AA).text
@@ -79,30 +79,6 @@ def test_locksteps_do_not_wait_for_each_other() -> None:
     # Another process of the same robot in the same lockstep.
     again = Channel(0xA1, 0, 4, 0x9F3C21AA).text
     assert gather.add("r2", step("r2", 1, again), 1.0) == [step("r1", 1), step("r2", 1, again)]
-
-
-def test_while_values_wait_only_who_lacks_is_looked_at() -> None:
-    gather = begun("r1", "r2", "r3")
-    assert gather.awaited(1.0) is None
-    assert gather.add("r2", step("r2", 1), 1.0) == []
-    found = gather.awaited(1.0)
-    assert found in (("r1", 1.0 + PATIENCE), ("r3", 1.0 + PATIENCE))
-    assert gather.awaited(1.0 + PATIENCE) is None
-    assert gather.add("r1", step("r1", 1), 1.002) == []
-    assert gather.awaited(1.003) == ("r3", 1.0 + PATIENCE)
-    assert len(gather.add("r3", step("r3", 1), 1.003)) == 3
-    assert gather.awaited(1.003) is None
-    # Who came last is expected to again.
-    assert gather.add("r1", step("r1", 2), 2.0) == []
-    assert gather.awaited(2.0) == ("r3", 2.0 + PATIENCE)
-    assert gather.add("r3", step("r3", 2), 2.0) == []
-    assert gather.awaited(2.0) == ("r2", 2.0 + PATIENCE)
-    # A second lockstep that waits for others.
-    other = Channel(0xA1, 1, 3, 0x9F3C21AA).text
-    for peer in ("r1", "r2"):
-        gather.add(peer, step(peer, 0, other), 2.001)
-    assert gather.add("r1", step("r1", 1, other), 2.001) == []
-    assert gather.awaited(2.001) is None
 
 
 def test_what_waits_is_bounded() -> None:

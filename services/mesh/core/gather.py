@@ -19,10 +19,6 @@ HOLD = 0.02
 """s that a value may wait: more than neighbours' values are apart on links with jitter, and much less than a host waits
 before it asks for what it lacks (`swarm.core.lockstep.WANT_AFTER`)."""
 
-PATIENCE = 0.005
-"""s after the first value of an iteration during which nobody need look at any other link than one that lacks: whatever
-comes there is read as soon as something else wakes the mesh."""
-
 MAX_HELD = 64
 """Values that one lockstep may have waiting, whatever neighbours send."""
 
@@ -43,8 +39,6 @@ class Round:
     held: list[Received] = field(default_factory=list)
     until: float = _NEVER
     """When the oldest of those that wait goes on at the latest."""
-    last: str = ""
-    """Whose value came last in the iteration before."""
 
     def release(self) -> list[Received]:
         """What waits goes on now."""
@@ -78,25 +72,10 @@ class Gather:
         it.heard[peer] = k
         it.held.append(message)
         if min(it.heard.values()) > it.floor or len(it.held) >= MAX_HELD:
-            it.last = peer
             return it.release()
         if it.until == _NEVER:
             it.until = now + HOLD
         return []
-
-    def awaited(self, now: float) -> tuple[str, float] | None:
-        """A neighbour without whose value what waits is of no use, and until when it is not worth looking at others'.
-        The one whose value came last in the iteration before, if it lacks: it will again, more often than not."""
-        waiting = [it for it in self._rounds.values() if it.held]
-        if len(waiting) != 1:
-            return None
-        it = waiting[0]
-        until = it.until - HOLD + PATIENCE
-        if now >= until:
-            return None
-        if it.heard.get(it.last, it.floor + 1) <= it.floor:
-            return it.last, until
-        return next((peer, until) for peer, k in it.heard.items() if k <= it.floor)
 
     def lost(self, peer: str) -> list[Received]:
         """There is no link with a neighbour any more; gives what waited for it."""

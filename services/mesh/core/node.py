@@ -215,13 +215,6 @@ class Node:
                 earliest = min(earliest, deadline)
         return earliest
 
-    def awaited(self, now: float) -> tuple[Session, float] | None:
-        """The one link to be looked at, and until when, where what others bring can wait; None: look at all."""
-        if (found := self._gather.awaited(now)) is None:
-            return None
-        link = self._links.get(found[0])
-        return None if link is None or link.session is None else (link.session, found[1])
-
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
         links = [link for _, link in sorted(self._links.items()) if link.lasting or link.session is not None]
