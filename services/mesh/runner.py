@@ -314,20 +314,21 @@ class Runner:
             self._report(actions)
 
     def _take_lane(self) -> None:
-        """What hosts of apps send to neighbours."""
-        while (data := self._lane.take()) is not None:
-            try:
-                parts = list(together.unpack(data))
-            except PayloadError as error:
-                _log.warning("%s: %s", MESH, error)
-                continue
-            with self._lock:
-                for key, payload in parts:
-                    self._node.publish(None, key, payload, clock.now())
-                actions = self._carry_out()
-            self._report(actions)
+        """What the host of an app sends to neighbours: one datagram, links have their turn before the next."""
+        if (data := self._lane.take()) is None:
+            return
+        try:
+            parts = list(together.unpack(data))
+        except PayloadError as error:
+            _log.warning("%s: %s", MESH, error)
+            return
+        with self._lock:
             for key, payload in parts:
-                self._show(key, payload)
+                self._node.publish(None, key, payload, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
+        for key, payload in parts:
+            self._show(key, payload)
 
     def _accept(self, listener: Listener) -> None:
         try:
