@@ -39,7 +39,8 @@ _REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links` and `mesh/clock` when nothing changes."""
 
 
-def _local(config: Config, me: str) -> Local:
+def local_of(config: Config, me: str) -> Local:
+    """What a robot's links have in common, by its configuration."""
     own, settings = config.robot(me), config.mesh
     return Local(
         robot=me,
@@ -117,7 +118,7 @@ class _Mesh(Runner):
 def main() -> None:
     """Run until SIGTERM."""
     with Service("mesh") as this:
-        local = _local(this.config, this.robot)
+        local = local_of(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
         start = Start(ground, local.dials, keep.load(state_dir(), ground))
         relay = Relay(this.robot, (), this.config.relay, this.config.names)

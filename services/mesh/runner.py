@@ -95,8 +95,9 @@ class Runner:
         """Begin to dial and to listen."""
         self._thread.start()
 
-    def publish(self, source: int, key: str, payload: bytes) -> None:
-        """A sample of the own bus; may be called on Zenoh's thread, never waits for a socket."""
+    def publish(self, source: int | None, key: str, payload: bytes) -> None:
+        """A sample of the own bus, `source` as of `Node.publish`. May be called on Zenoh's thread, never waits for a
+        socket."""
         with self._lock:
             self._node.publish(source, key, payload, clock.now())
             actions = self._carry_out()
