@@ -34,6 +34,7 @@ from services.mesh.runner import Runner
 from swarm import clock
 from swarm.config import parse
 from swarm.errors import LocalError
+from swarm.lane import Lane
 
 A, B, C = (f"B8:27:EB:00:00:0{digit}" for digit in "ABC")
 STRANGER = "00:11:22:33:44:55"
@@ -247,7 +248,11 @@ class Mesh:
 
     def __init__(self, name: str, air: RfcommAir, directory: Path) -> None:
         config, own = parse(CONFIG, Path("swarm.toml")), local(name)
-        self.network = Network(config, own, directory, open_bluetooth=air.open)
+        self.limits: list[tuple[str, str, float]] = []
+        """Own and other address, time-out of the mesh: whose silence was to be limited."""
+        self.network = Network(
+            config, own, directory, open_bluetooth=air.open, supervise=lambda *each: self.limits.append(each)
+        )
         self.counters: Counter[str] = Counter()
         relay = Relay(name, tuple(own.dials), config.relay)
         overlays = Overlays(
@@ -269,6 +274,7 @@ class Mesh:
             counters=self.counters,
         )
         self.inbox: list[tuple[str, bytes]] = []
+        self.lane = Lane(directory, f"{name}.lane")
         self.runner = Runner(
             node,
             listeners=self.network.listeners,
@@ -276,6 +282,8 @@ class Mesh:
             deliver=lambda messages: self.inbox.extend((each.key, each.payload) for each in messages),
             changed=lambda: None,
             keep=lambda: None,
+            lane=self.lane,
+            show=lambda key, payload: None,
         )
         self.runner.start()
 
@@ -286,6 +294,7 @@ class Mesh:
 
     def stop(self) -> None:
         self.runner.stop()
+        self.lane.close()
         self.network.close()
 
 
@@ -304,6 +313,8 @@ def test_meshes_meet_over_rfcomm_part_and_meet_again(air: RfcommAir, runtime: Pa
         sock.shutdown(socket.SHUT_RDWR)
     wait_until(lambda: near.state[:2] == far.state[:2] == ("up", 2))
     assert near.counters["transport_lost"] == 1
+    # With each dial, by who has dialled.
+    assert (near.limits, far.limits) == ([(A, B, 3.0)] * 2, [])
     near.stop()
     far.stop()
 
