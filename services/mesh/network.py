@@ -1,12 +1,13 @@
 """The transports of one robot: where it listens, and how it reaches the neighbours that it dials."""
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 from services.mesh import monikers
 from services.mesh.core.dialler import has_address
 from services.mesh.core.handshake import Local
-from services.mesh.links import pybluez, rfcomm, sim, tcp
+from services.mesh.links import pybluez, rfcomm, sim, supervision, tcp
 from services.mesh.links.pipe import Pipe
 from services.mesh.runner import Listener
 from swarm.config import Config
@@ -22,8 +23,16 @@ class Network:
     """Everything this robot needs to meet its neighbours; `directory` is its runtime directory."""
 
     def __init__(
-        self, config: Config, local: Local, directory: Path, *, open_bluetooth: rfcomm.Open = rfcomm.open_socket
+        self,
+        config: Config,
+        local: Local,
+        directory: Path,
+        *,
+        open_bluetooth: rfcomm.Open = rfcomm.open_socket,
+        supervise: Callable[[str, str, float], None] = supervision.try_limit,
     ) -> None:
+        self._supervise = supervise
+        self._dead = config.mesh.dead
         robots = {name: config.robot(name) for name in local.dials}
         self._addresses = {peer: monikers.of_robot(robots[peer]) for peer, we_dial in local.dials.items() if we_dial}
         callers = [peer for peer, we_dial in local.dials.items() if not we_dial]
@@ -74,9 +83,11 @@ class Network:
             return tcp.dial(address)
         if isinstance(address, monikers.Rfcomm):
             try:
-                return rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
+                pipe = rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
             except LocalError as error:  # no Bluetooth here, and no configured neighbour that needs it
                 raise ConnectionError(str(error)) from None
+            self._supervise(self._radio.adapter, address.address, self._dead)
+            return pipe
         assert self._air is not None
         return sim.dial(address.path, self._air, peer)
 

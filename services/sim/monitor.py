@@ -16,6 +16,7 @@ from swarm.messages import (
     Links,
     Pose,
     Status,
+    Target,
     Truth,
     read,
 )
@@ -23,6 +24,9 @@ from swarm.slow import SLOW, Slow
 
 SLOW_TRUTH_S = 0.2
 """s between two messages of the truth's slow copy."""
+
+
+_TRUTHS = {Truth: "truth", Target: "target", LedChange: "leds"}
 
 
 @dataclass
@@ -69,13 +73,11 @@ class Monitor:
                 self._samples[name].__setitem__,
             )
 
-    def truth(self, robot: str, message: Truth | LedChange) -> None:
-        """Publish where a robot really is, or what its LEDs show."""
-        topic = "leds"
+    def truth(self, robot: str, message: Truth | Target | LedChange) -> None:
+        """Publish where a robot or the target really is, or what a robot's LEDs show."""
         if isinstance(message, Truth):
-            topic = "truth"
             self._slow[robot].publish(message, message.t)
-        self._buses[robot].publish(key(robot, "sim", topic), message)
+        self._buses[robot].publish(key(robot, "sim", _TRUTHS[type(message)]), message)
 
     def ask_status(self) -> None:
         """Ask every service for its status, and the app for its members: what was published before we were connected

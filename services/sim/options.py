@@ -6,6 +6,7 @@ from pathlib import Path
 
 from services.sim.core.noise import ERRORS
 from services.sim.quantities import (
+    AppSetting,
     Cut,
     Off,
     Press,
@@ -26,7 +27,6 @@ from services.sim.virtual.body import MODELS
 from swarm import conduct
 from swarm.conduct import Conduct
 from swarm.errors import ConfigError
-from swarm.settings import Setting
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
@@ -41,11 +41,14 @@ class Options:
     """What `swarm sim` was asked for. Lengths in m, times in s, rates in bytes/s."""
 
     app: str | None
+    """What the run is about."""
+    beside: tuple[str, ...]
+    """Other apps that each robot runs meanwhile."""
     robots: int | None
     topology: str | None
     config: Path | None
     algorithm: str | None
-    settings: tuple[Setting, ...]
+    settings: tuple[AppSetting, ...]
     step_size: float | None
     """The thesis' unit, 1/cm^2."""
     latency: float
@@ -99,10 +102,11 @@ def parser() -> argparse.ArgumentParser:
         "Lay hands on a robot: swarm push r0, swarm lay r1 back, swarm press r2 A.",
     )
     p.add_argument(
-        "app",
-        nargs="?",
+        "apps",
+        nargs="*",
         metavar="APP",
-        help="consensus, localization or a file with an app; none: just balance",
+        help="consensus, localization or a file with an app; none: just balance. Each robot runs further ones beside "
+        "the first, which the run is about",
     )
     swarm = p.add_argument_group("the swarm")
     swarm.add_argument("--robots", type=at_least(1), metavar="N", help="number of robots (3, or as the replay has)")
@@ -112,8 +116,9 @@ def parser() -> argparse.ArgumentParser:
     swarm.add_argument("--config", type=Path, metavar="FILE", help="take the swarm from this swarm.toml instead")
     app = p.add_argument_group("the app")
     app.add_argument("--algorithm", metavar="NAME", help="which algorithm of the app")
-    app.add_argument("--set", dest="settings", action="append", type=setting, default=[], metavar="[ROBOT.]NAME=VALUE",
-                     help="a parameter of the app, for all robots or for one")  # fmt: skip
+    app.add_argument("--set", dest="settings", action="append", type=setting, default=[],
+                     metavar="[APP/][ROBOT.]NAME=VALUE",
+                     help="a parameter of the first app or of the one named, for all robots or for one")  # fmt: skip
     app.add_argument("--step-size", type=positive, metavar="G", help="gradient step in the thesis' unit, 1/cm^2")
     app.add_argument(
         "--replay", type=Path, metavar="DIR", help="feed the measurements recorded in DIR (k.csv for robot k)"
@@ -185,7 +190,7 @@ def parser() -> argparse.ArgumentParser:
 
 def parse(arguments: list[str]) -> Options:
     """Read the command line; argparse ends the process with code 2 and a message where it is wrong."""
-    read = _tuples(parser().parse_args(arguments))
+    read = _tuples(parser().parse_intermixed_args(arguments))
     options = Options(conduct=conduct.of(read), **vars(read))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
@@ -222,6 +227,8 @@ def parse(arguments: list[str]) -> Options:
 
 
 def _tuples(namespace: argparse.Namespace) -> argparse.Namespace:
+    apps = vars(namespace).pop("apps")
+    namespace.app, namespace.beside = (apps[0] if apps else None), tuple(apps[1:])
     for name in ("settings", "cuts", "offs", "presses"):
         setattr(namespace, name, tuple(getattr(namespace, name)))
     return namespace

@@ -8,10 +8,12 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from services.mesh.core.delay import MAX_LOSS
 from swarm import settings
 from swarm.errors import AppError
+from swarm.keys import is_name
 from swarm.settings import Setting
 
 _DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
@@ -124,10 +126,21 @@ def press(text: str) -> Press:
     return Press(match[1], match[2].upper(), duration(match[3]))
 
 
-def setting(text: str) -> Setting:
-    """A parameter `value=0.5` or, of one robot, `r2.value=3`."""
+class AppSetting(NamedTuple):
+    """A parameter of an app."""
+
+    app: str
+    """Empty: of the first one."""
+    setting: Setting
+
+
+def setting(text: str) -> AppSetting:
+    """A parameter `value=0.5` or, of one robot, `r2.value=3`; with `led_sync/` before it, of that app."""
+    app, slash, rest = text.partition("/") if "/" in text.partition("=")[0] else ("", "", text)
+    if slash and not is_name(app):
+        raise argparse.ArgumentTypeError(f"{text!r}: {app!r} is no app's name")
     try:
-        return settings.parse(text)
+        return AppSetting(app, settings.parse(rest))
     except AppError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 

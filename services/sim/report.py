@@ -1,7 +1,7 @@
 """What a run found: one object for programs, one table for people."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from services.sim import scene
@@ -49,6 +49,8 @@ class Outcome:
     """When the run began, by the witness' clock, s."""
     moves_from: float = math.inf
     """When a target that moves began to, by the clock of the trajectories, s."""
+    beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)
+    """Of other apps that the robots ran meanwhile."""
 
     def target(self, t: float) -> tuple[float, float]:
         """Where the target was at a time of the trajectories, m."""
@@ -88,6 +90,14 @@ def summary(outcome: Outcome) -> Json:
         "missing": list(outcome.missing),
         **({"scene": dict(outcome.scene)} if outcome.scene else {}),
     }
+    if outcome.beside:
+        report["beside"] = {
+            app: {
+                "iterations": max(min((path.last for path in others.values()), default=0), 0),
+                "result": {name: result(path) for name, path in others.items()},
+            }
+            for app, others in outcome.beside.items()
+        }
     if outcome.computed_s is not None:
         report["virtual"] = True
         report["computed_s"] = round(outcome.computed_s, 3)
@@ -178,12 +188,25 @@ def table(report: Json, outcome: Outcome) -> str:
     for name in names[:MOST_ROWS]:
         path = outcome.trajectories.get(name, trajectory.EMPTY)
         rows.append((name, str(max(path.last, 0)), *_cells(outcome, name), str(outcome.restarts[name])))
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    lines.insert(1, "  ".join("-" * width for width in widths))
+    lines = _aligned(rows)
+    for app, others in outcome.beside.items():
+        rows = [("robot", "iterations", f"result of {app}, which ran beside")]
+        rows += [(name, str(max(others[name].last, 0)), _results(others[name])) for name in names[:MOST_ROWS]]
+        lines += ["", *_aligned(rows)]
     if len(names) > MOST_ROWS:
         lines.append(f"... and {len(names) - MOST_ROWS} robots more (--json has all)")
     return "\n".join([*lines, "", *_sentences(report, outcome)])
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    lines.insert(1, "  ".join("-" * width for width in widths))
+    return lines
+
+
+def _results(path: Trajectory) -> str:
+    return ", ".join(f"{name}={_short(value)}" for name, value in (result(path) or {}).items()) or "-"
 
 
 def _headings(outcome: Outcome) -> tuple[str, ...]:
@@ -203,8 +226,7 @@ def _cells(outcome: Outcome, name: str) -> tuple[str, ...]:
             f"{100 * math.dist((x, y), target):.2f}",
         )
     if outcome.scenario.app:
-        values = result(path) or {}
-        return (", ".join(f"{key}={_short(value)}" for key, value in values.items()) or "-",)
+        return (_results(path),)
     body = outcome.bodies.get(name)
     return ("-", "-") if body is None else (body.fault or body.mode, f"{math.degrees(body.tilt):.1f}")
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
+from services.apps import loader
 from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Options
@@ -21,11 +22,12 @@ from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.world import World
 from swarm import air, clock
+from swarm.conduct import Conduct
 from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import LocalError
 from swarm.hands import do
-from swarm.recording import trajectory
+from swarm.recording import folder, trajectory
 from swarm.recording.reader import SUFFIX
 
 SERVICE_MODULES = {
@@ -67,7 +69,13 @@ class Run:
             (run_dir / name).mkdir()
         (run_dir / "swarm.toml").write_text(dump(scenario.config))
         self._services = (*SERVICE_MODULES, *([f"app/{scenario.app}"] if scenario.app else []))
-        self._processes = Processes(self._environment())
+        self._beside = {f"app/{each.app}": each for each in scenario.beside}
+        number = os.urandom(8)
+        if scenario.program is not None and scenario.beside:  # else the apps' processes begin the folder all alike
+            digest = loader.load(scenario.program).digest
+            about = folder.describe(scenario.app or "", int.from_bytes(number, "big"), options.seed, digest)
+            folder.begin(self._records, about, {})
+        self._processes = Processes(self._environment(number.hex()))
         self._monitor = Monitor(run_dir, names, scenario.app)
         self._orders = Orders(run_dir, self._processes, names, self._start_app)
         self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
@@ -105,8 +113,10 @@ class Run:
                 # An app has named its fault on the bus; else the end of the log is all there is.
                 reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
                 said = f"{child.robot} {child.service} {child.given_up}{reason}"
-                if child.service not in self._services:  # an app that somebody has started meanwhile
+                if child.service not in self._services:  # another app: beside, or one that somebody has started
                     self._progress.say(said)
+                    if child.service in self._beside:
+                        self._problems.append(f"{child.robot} {child.service} {child.given_up}: {child.last_words()}")
                     continue
                 self._problems.append(said)
                 self._stop = True
@@ -144,20 +154,17 @@ class Run:
         for service, module in SERVICE_MODULES.items():
             self._processes.add(name, service, [module], directory)
         if self._scenario.app is not None and self._scenario.program is not None:
-            limit = [] if self._scenario.iterations is None else ["--iterations", str(self._scenario.iterations)]
-            limit += self._scenario.conduct.words
-            self._processes.add(
-                name,
-                f"app/{self._scenario.app}",
-                [APP_SERVICE, self._scenario.program, *limit],
-                directory,
-            )
+            words = [APP_SERVICE, self._scenario.program, *_words(self._scenario.conduct)]
+            self._processes.add(name, f"app/{self._scenario.app}", words, directory)
+        for service, beside in self._beside.items():
+            words = [APP_SERVICE, beside.program, *_words(self._scenario.conduct_beside)]
+            self._processes.add(name, service, words, directory)
 
     def _start_app(self, robot: str, app: str) -> None:
         """One of the built-in apps, on order."""
         self._processes.add(robot, f"app/{app}", [APP_SERVICE, app], self._run_dir / robot)
 
-    def _environment(self) -> dict[str, str]:
+    def _environment(self, run: str) -> dict[str, str]:
         options = self._options
         link = {
             "latency": options.latency,
@@ -169,7 +176,7 @@ class Run:
         return {
             "SWARM_CONFIG": str(self._run_dir / "swarm.toml"),
             "SWARM_RECORD": str(self._records),
-            "SWARM_RUN": os.urandom(8).hex(),  # frames of another run, should one still be about, are told apart by it
+            "SWARM_RUN": run,  # frames of another run, should one still be about, are told apart by it
             "SWARM_SEED": str(options.seed),
             "SWARM_SIM_LYING": self._scenario.lying or "",
             "SWARM_SIM_LINK": ",".join(f"{name}={value}" for name, value in link.items() if value is not None),
@@ -238,6 +245,10 @@ class Run:
         paths = {}
         if self._scenario.app is not None:
             paths = {name: trajectory.read(self._records / f"{name}.{self._scenario.app}{SUFFIX}") for name in names}
+        beside = {
+            each.app: {name: trajectory.read(self._records / f"{name}.{each.app}{SUFFIX}") for name in names}
+            for each in self._beside.values()
+        }
         firsts = [path.first_reached() for path in paths.values()]
         reached = [at for at in firsts if at is not None]
         if len(reached) == len(names):
@@ -258,7 +269,13 @@ class Run:
             witness=self._world.look(lambda witness: witness),
             began=self._commanded,
             moves_from=self._moves_from,
+            beside=beside,
         )
+
+
+def _words(conduct: Conduct) -> list[str]:
+    """For an app's host."""
+    return [*([] if conduct.last is None else ["--iterations", str(conduct.last)]), *conduct.words]
 
 
 def _make_records(directory: Path) -> None:

@@ -9,7 +9,7 @@ import random
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from services.apps import loader
 from services.apps.localization.guard import check_step_size, limit_step_size
@@ -62,6 +62,14 @@ SHORTEST_ITERATION = 1e-3
 """s: a run that ends by its time does no more iterations than these."""
 
 
+class Beside(NamedTuple):
+    """An app that each robot runs beside the one that the run is about: as long as that one does."""
+
+    app: str
+    program: str
+    """As of a `Scenario`."""
+
+
 @dataclass(frozen=True)
 class Scenario:
     """A run, ready to start."""
@@ -82,6 +90,9 @@ class Scenario:
     synthetic: bool
     """Whether they were made up: then there are no estimates to compare with."""
 
+    beside: tuple["Beside", ...]
+    """Other apps on each robot."""
+
     steps: bool
     """Whether the app has iterations; one that only reacts to events has none."""
 
@@ -90,6 +101,11 @@ class Scenario:
 
     notes: tuple[str, ...]
     """What to tell before it starts."""
+
+    @property
+    def conduct_beside(self) -> Conduct:
+        """How other apps go: as long as the first one does, or as there are measurements for."""
+        return replace(self.conduct, last=self.iterations if self.recordings else None, rule=None)
 
     @property
     def recorded(self) -> dict[str, Recording]:
@@ -109,6 +125,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
     if recordings and len(recordings) != len(base.robots):
         raise ConfigError(f"{options.replay} holds {len(recordings)} robots, the swarm has {len(base.robots)}")
     app = loader.load(options.app) if options.app is not None else None
+    apps = _apps(app, options)
     config = replace(
         base,
         robots=tuple(
@@ -127,17 +144,18 @@ def build(options: Options, run_dir: Path) -> Scenario:
         # An average over three seconds would be of places that the target has left.
         moving = replace(config.simulation, target_velocity=options.target_velocity)
         config = replace(config, simulation=moving, dwm=replace(config.dwm, window=1, position_window=WINDOW))
-    if app is not None:
-        config = replace(config, apps={**config.apps, app.name: _parameters(config, app, options)})
-        app.check(config)
+    for each in apps:
+        parameters = _parameters(config, each, options, first=each is app)
+        config = replace(config, apps={**config.apps, each.name: parameters})
+        each.check(config)
     for cut in options.cuts:
         if not config.auto and cut.b not in config.neighbours(cut.a):
             raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
     for off in options.offs:
         if off.robot not in config.names:
             raise ConfigError(f"--off {off.robot}: the robots are {', '.join(config.names)}")
-        if app is not None and any(issubclass(kind, EventApp) for kind in app.algorithms.values()):
-            raise ConfigError(f"--off {off.robot}: {app.name} has no lockstep whose members could change")
+        if odd := [each.name for each in apps if any(issubclass(kind, EventApp) for kind in each.algorithms.values())]:
+            raise ConfigError(f"--off {off.robot}: {odd[0]} has no lockstep whose members could change")
     for press in options.presses:
         if press.robot not in config.names:
             raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
@@ -161,10 +179,27 @@ def build(options: Options, run_dir: Path) -> Scenario:
         conduct=replace(options.conduct, last=iterations),
         recordings=recorded,
         synthetic=options.noise is not None,
+        beside=tuple(Beside(each.name, _program(each)) for each in apps[1:]),
         steps=app is not None and not _reacts_only(app),
-        lying=options.lying or (STANDING_UP_FROM if app is not None and app.name == "stand_up" else None),
-        notes=(*_step_size(config, app, {} if options.noise else recorded), *_buttons(app, options)) if app else (),
+        lying=options.lying or (STANDING_UP_FROM if any(each.name == "stand_up" for each in apps) else None),
+        notes=tuple(
+            note
+            for each in apps
+            for note in (*_step_size(config, each, {} if options.noise else recorded), *_buttons(each, options))
+        ),
     )
+
+
+def _apps(app: loader.App | None, options: Options) -> tuple[loader.App, ...]:
+    """The app that the run is about, and those beside it; whose parameters are given must be among them."""
+    apps = () if app is None else (app, *map(loader.load, options.beside))
+    names = [each.name for each in apps]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigError(f"{twice[0]} is there twice: a robot runs an app once")
+    for name, setting in options.settings:
+        if name and name not in names:
+            raise ConfigError(f"--set {name}/{setting.text}: the apps are {', '.join(names)}")
+    return apps
 
 
 def _study(config: Config, options: Options, iterations: int | None, run_dir: Path) -> dict[str, Recording]:
@@ -294,17 +329,19 @@ def _place(index: int) -> tuple[float, float]:
     return (1.0 + radius * math.cos(angle), 1.0 + radius * math.sin(angle))
 
 
-def _parameters(config: Config, wanted: loader.App, options: Options) -> App:
-    """The app's parameters: the file's, then the thesis' starting values, then what the command line sets."""
+def _parameters(config: Config, wanted: loader.App, options: Options, *, first: bool) -> App:
+    """The app's parameters: the file's, then the thesis' starting values, then what the command line sets; `first`: it
+    is the one that options mean which name none."""
     app = config.app(wanted.name)
     common: dict[str, Value] = dict(app.parameters)
     robots: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}
-    if options.algorithm is not None:
+    if options.algorithm is not None and first:
         common["algorithm"] = options.algorithm
-    if options.step_size is not None:
+    if options.step_size is not None and first:
         common["step_size"] = options.step_size * 1e4  # 1/cm^2 in 1/m^2
     if wanted.name == "consensus" and "value" not in common:
         starts = START_VALUES.get(len(config.names), tuple(float(index) for index in range(len(config.names))))
         for robot, value in zip(config.names, starts, strict=True):
             robots.setdefault(robot, {}).setdefault("value", value)
-    return on_top(App(common, robots), options.settings, config.names)
+    settings = [it for app, it in options.settings if app == wanted.name or (first and not app)]
+    return on_top(App(common, robots), settings, config.names)

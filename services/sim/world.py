@@ -22,7 +22,7 @@ from swarm.codec import MAX_PAYLOAD, decode
 from swarm.config import Config
 from swarm.core.hands import DOOR, Place, pack
 from swarm.errors import PayloadError
-from swarm.messages import LedChange, Truth
+from swarm.messages import LedChange, Target, Truth
 from swarm.paths import socket_path
 
 SOCKET = "world.sock"
@@ -69,10 +69,11 @@ class World:
     """Owns the true poses; works in a thread of its own until closed."""
 
     def __init__(
-        self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth | LedChange], None]
+        self, run_dir: Path, config: Config, seed: int, publish: Callable[[str, Truth | Target | LedChange], None]
     ) -> None:
-        """`publish(robot, message)` is called from the world's thread: 10 times a second with each robot's truth, and
-        whenever its LEDs have changed."""
+        """`publish(robot, message)` is called from the world's thread: 10 times a second with each robot's truth (and
+        that of a target that moves), and whenever its LEDs have changed."""
+        self._simulation = config.simulation
         self._publish = publish
         self._publish_at = dict.fromkeys(config.names, 0.0)
         self._run_dir = run_dir
@@ -166,3 +167,6 @@ class World:
             # From when it was due, not from now: reports come every 40 ms, and 100 is no multiple of that.
             self._publish_at[report.robot] = max(due + TRUTH_PERIOD_S, report.t)
             self._publish(report.robot, Truth(report.t, report.x, report.y, report.heading, report.tilt))
+            if self._simulation.moving:
+                target = self._simulation.target_after(report.t - self._modules.moves_from)
+                self._publish(report.robot, Target(report.t, *target))

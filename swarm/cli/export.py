@@ -22,18 +22,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--csv", type=Path, metavar="DIR", help="the thesis' layouts: <k>.csv of each robot, no header")
     parser.add_argument("--table", type=Path, metavar="DIR", help="tables with a header: k, t, states, results")
     parser.add_argument("--mcap", type=Path, metavar="FILE", help="all robots in one file, on one time axis")
-    parser.add_argument("--app", default="", help="where several were recorded")
+    parser.add_argument(
+        "--app", default="", metavar="NAME", help="where robots ran several (the one that the run is about)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """0; an error where there is nothing to export."""
     if not (args.csv or args.table or args.mcap):
         raise LocalError("say what to make of the run: --csv DIR, --table DIR or --mcap FILE")
-    recorded = Run(args.run)
+    recorded = Run(args.run, args.app)
     if args.csv:
-        _write(args.csv, _lines(recorded) or _layouts(recorded, args.app))
+        _write(args.csv, _lines(recorded) or _layouts(recorded))
     if args.table:
-        _write(args.table, _tables(recorded, args.app))
+        _write(args.table, _tables(recorded))
     if args.mcap:
         _merge(recorded, args.mcap)
     for damage in recorded.damage:
@@ -61,12 +63,12 @@ def _lines(recorded: Run) -> dict[str, str]:
     return {name: "".join(lines[topic]) for name, topic in files.items()}
 
 
-def _layouts(recorded: Run, app: str) -> dict[str, str]:
+def _layouts(recorded: Run) -> dict[str, str]:
     """A run of ours in the thesis' layouts. Robots are numbered in the order of their names."""
     began = recorded.epoch + recorded.origin
     files = {}
-    for channel in recorded.states(app):
-        paths = recorded.trajectories(app, channel)
+    for channel in recorded.states():
+        paths = recorded.trajectories(channel=channel)
         prefix = f"{channel}/" if channel else ""
         for robot, path in paths.items():
             number = recorded.robots.index(robot)
@@ -86,18 +88,17 @@ def _layouts(recorded: Run, app: str) -> dict[str, str]:
 def _measured(recorded: Run, robot: str) -> dict[int, tuple[float, float, float]]:
     """Measurements of a robot by the state that they gave: the one of step k gave state k + 1."""
     found = {}
-    for sample in recorded.samples(f"swarm/{robot}/app/*/measurement"):
+    for sample in recorded.samples(f"swarm/{robot}/app/{recorded.app}/measurement"):
         message = sample.message
         found[message["k"] + 1] = (message["distance"], message["x"], message["y"])
     return found
 
 
-def _tables(recorded: Run, app: str) -> dict[str, str]:
-    app = app or next(iter(recorded.apps), "")
+def _tables(recorded: Run) -> dict[str, str]:
     files = {}
-    for channel in recorded.states(app):
-        for robot, path in recorded.trajectories(app, channel).items():
-            files[".".join(filter(None, (robot, app, channel, "csv")))] = _table(path)
+    for channel in recorded.states():
+        for robot, path in recorded.trajectories(channel=channel).items():
+            files[".".join(filter(None, (robot, recorded.app, channel, "csv")))] = _table(path)
     return files
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from swarm.cli.plots import figure
 from swarm.errors import LocalError
-from swarm.plotting import events, mesh, places, states, style
+from swarm.plotting import events, journeys, mesh, places, states, style
 from swarm.recording.run import Run
 
 HELP = "draw a recorded run: states, map, mesh, LEDs, floods, ..."
@@ -19,8 +19,8 @@ KINDS: dict[str, Callable[[Any, Run], None]] = {
     "map": places.scene,
     "mesh": mesh.mesh,
     "leds": events.leds,
-    "floods": events.floods,
-    "unicasts": events.unicasts,
+    "floods": journeys.floods,
+    "unicasts": journeys.unicasts,
     "standup": events.standup,
 }
 
@@ -43,6 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, what to draw, and where."""
     parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
     parser.add_argument("--kind", choices=KINDS, help="what to draw (by the app)")
+    parser.add_argument("--app", default="", metavar="NAME",
+                        help="where robots ran several (the one that the run is about)")  # fmt: skip
     parser.add_argument("--column", action="append", default=[], metavar="NAME", help="of the states, may be repeated")
     parser.add_argument("--label", action="append", default=[], metavar="NAME=TEXT",
                         help='what stands at the axis of a state, e.g. "value=x / m"')  # fmt: skip
@@ -52,11 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0; an error where there is nothing to draw."""
-    recorded = Run(args.run)
+    recorded = Run(args.run, args.app)
     labels = dict(_label(text) for text in args.label)
     kind = args.kind or ("states" if args.column or labels else _of(recorded))
     draw = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
-    path = args.output or Path(f"{args.run.resolve().stem}-{kind}.png")
+    name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
+    path = args.output or Path(f"{name}.png")
     with figure(path, settings=style.RC, layout="constrained") as made:
         draw(made, recorded)
         for axes in made.axes if args.between else ():
@@ -76,7 +79,7 @@ def _label(text: str) -> tuple[str, str]:
 
 
 def _of(recorded: Run) -> str:
-    kind = next((OF_APP[app] for app in recorded.apps if app in OF_APP), "states")
+    kind = OF_APP.get(recorded.app, "states")
     # Imported from the thesis' files there are states alone.
     needed = {"leds": "/leds", "standup": "/balancer/state", "floods": "/asked", "unicasts": "/asked"}.get(kind, "")
     return kind if any(topic.endswith(needed) for topic in recorded.topics) else "states"

@@ -1,10 +1,12 @@
-"""Bytes of the Host Controller Interface for one question: how strong is the signal of a connection (Bluetooth Core
-Specification, volume 4, part E, 7.5.4 Read RSSI), and of the kernel calls around it (Linux: net/bluetooth/hci_sock.h).
+"""Bytes of the Host Controller Interface: how strong is the signal of a connection, and how long may it be silent
+(Bluetooth Core Specification, volume 4, part E, 7.5.4 Read RSSI, 7.3.42 Write Link Supervision Timeout); and of the
+kernel calls around them (Linux: net/bluetooth/hci_sock.h).
 
-All little endian. The kernel lets everybody ask this, root or not: its filter of commands for unprivileged sockets
-allows the status parameters, of which this is one.
+All little endian. The kernel lets everybody ask for the signal, root or not: its filter of commands for unprivileged
+sockets allows the status parameters. Setting anything takes CAP_NET_RAW.
 """
 
+import errno
 import struct
 from typing import NamedTuple
 
@@ -18,6 +20,12 @@ COMPLETE, STATUS = 0x0E, 0x0F
 
 READ_RSSI = 0x05 << 10 | 0x0005
 """Opcode: group 5, status parameters; command 5."""
+
+WRITE_SUPERVISION = 0x03 << 10 | 0x0037
+"""Opcode: group 3, controller and baseband; command 0x37."""
+
+SLOT = 0.000625
+"""s; the unit of times."""
 
 ACL = 1
 """Type of the connections that RFCOMM runs over."""
@@ -37,7 +45,16 @@ SOL_HCI, HCI_FILTER = 0, 2
 FILTER = struct.pack("<IIIHxx", 1 << EVENT, 1 << COMPLETE | 1 << STATUS, 0, 0)
 """struct hci_filter, 16 bytes: event packets, of these two kinds, of any command."""
 
+HINTS = {
+    errno.EAFNOSUPPORT: "this kernel has no Bluetooth",
+    errno.EPERM: "this takes CAP_NET_RAW",
+    errno.ENODEV: "the own Bluetooth adapter is not there or switched off (bluetoothctl list)",
+    errno.ENETDOWN: "the own Bluetooth adapter is switched off (bluetoothctl power on)",
+}
+"""What an error of a raw HCI socket means for us."""
+
 _COMMAND = struct.Struct("<BHBH")
+_SUPERVISION = struct.Struct("<BHBHH")
 _COMPLETE = struct.Struct("<BBBBHBHb")
 _STATUS = struct.Struct("<BBBBBH")
 _CONNECTION = struct.Struct("<6sBxH6sBBHI")
@@ -57,6 +74,23 @@ class Reading(NamedTuple):
 def read_rssi(handle: int) -> bytes:
     """The command."""
     return _COMMAND.pack(COMMAND, READ_RSSI, 2, handle)
+
+
+def write_supervision(handle: int, seconds: float) -> bytes:
+    """The command: so long may nothing come over a connection until it is over, up to 40.9 s."""
+    slots = round(seconds / SLOT)
+    if not 0 < slots <= 0xFFFF:
+        raise LocalError(f"a supervision time-out of {seconds:g} s: expected 0.000625 to 40.9")
+    return _SUPERVISION.pack(COMMAND, WRITE_SUPERVISION, 4, handle, slots)
+
+
+def written_supervision(packet: bytes) -> int | None:
+    """The status in the answer to it, 0 = fine; None where the packet is something else."""
+    if len(packet) >= 7 and packet[:2] == bytes((EVENT, COMPLETE)) and packet[4] | packet[5] << 8 == WRITE_SUPERVISION:
+        return packet[6]
+    if len(packet) == _STATUS.size and packet[1] == STATUS and _STATUS.unpack(packet)[5] == WRITE_SUPERVISION:
+        return packet[3]
+    return None
 
 
 def reading(packet: bytes) -> Reading | None:
@@ -116,3 +150,9 @@ def connection_handle(filled: bytes | bytearray) -> int:
     """The connection's handle in it."""
     handle: int = _CONNECTION.unpack(bytes(filled))[2]
     return handle
+
+
+def explained(error: OSError) -> str:
+    """What an error of a raw HCI socket means, in words."""
+    text, hint = error.strerror or str(error), HINTS.get(error.errno or 0)
+    return f"{text}: {hint}" if hint else text

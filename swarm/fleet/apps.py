@@ -26,12 +26,14 @@ _PLAIN = re.compile(r"[A-Za-z0-9_.,:+=\[\]/-]+")
 """What a setting may hold: systemd splits its arguments at spaces, and knows quotes."""
 
 _START = """set -e; umask 022
-[ -z "{folder}" ] || {{ mkdir -p {folder}; head -c {size} >{folder}/new; mv {folder}/new {folder}/{name}.py; }}
-cat >{settings}.new; mv {settings}.new {settings}
+[ -z "{folder}" ] || {{ mkdir -p {folder}; head -c {size} >{folder}/new; mv {folder}/new {folder}/{name}.py
+sync {folder}/{name}.py {folder} {apps}; }}
+cat >{settings}.new; sync {settings}.new; mv {settings}.new {settings}; sync {directory}
 systemctl restart --no-block {unit}
 find {apps} -mindepth 1 -maxdepth 1 -name "{name}-????????????" ! -path "{folder}" -exec rm -rf {{}} +"""
 """For the robot's shell, in single quotes: the app lies in a folder that is named by its content, and one renamed file
-says both where it is and how it is run. Whatever breaks before that has changed nothing."""
+says both where it is and how it is run. Whatever breaks before that has changed nothing, and a robot that loses its
+power after it still has both when it comes back: it could not join this run again with the settings of another."""
 
 _KNOWN = f"""cd {SETTINGS} 2>/dev/null || exit 0
 for each in *.env; do [ ! -e $each ] || echo $(sha256sum <$each) $each $(sed -n s/^APP=//p $each); done"""
@@ -67,6 +69,7 @@ class Start:
             folder=folder,
             size=len(source or b""),
             name=name,
+            directory=SETTINGS,
             settings=f"{SETTINGS}/{name}.env",
             unit=self.unit,
             apps=APPS,

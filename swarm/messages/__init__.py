@@ -75,6 +75,7 @@ if TYPE_CHECKING:
         MemberChange,
         Members,
         MeshGraph,
+        Passed,
         Progress,
         Reminder,
         SendRequest,
@@ -88,7 +89,7 @@ if TYPE_CHECKING:
         Watch,
     )
     from swarm.messages.service import Status
-    from swarm.messages.sim import LedChange, Truth
+    from swarm.messages.sim import LedChange, Target, Truth
 
 __all__ = [
     "AppEpoch",
@@ -131,6 +132,7 @@ __all__ = [
     "Notice",
     "Odometry",
     "Parameters",
+    "Passed",
     "Pose",
     "Progress",
     "Range",
@@ -149,6 +151,7 @@ __all__ = [
     "Status",
     "Stop",
     "Stopped",
+    "Target",
     "Topology",
     "TopologyRequest",
     "TopologySet",
@@ -177,11 +180,11 @@ _NAMES = {
     "dwm": "Measurement Pose Range Ranges",
     "mesh": (
         "Arm Clock Echo EchoRequest Flooded FloodRequest GraphRobot HoldLink Links LinkState Member "
-        "MemberChange Members MeshGraph Progress Reminder SendRequest Sent Stop Stopped Topology TopologyRequest "
-        "TopologySet View Watch"
+        "MemberChange Members MeshGraph Passed Progress Reminder SendRequest Sent Stop Stopped Topology "
+        "TopologyRequest TopologySet View Watch"
     ),
     "service": "Status",
-    "sim": "LedChange Truth",
+    "sim": "LedChange Target Truth",
 }
 """What each module has for others."""
 

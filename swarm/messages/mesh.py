@@ -174,6 +174,27 @@ class Sent:
 
 
 @dataclass(frozen=True, slots=True)
+class Passed:
+    """A message of an app, or the answer to one, was handed to a neighbour, on `swarm/<robot>/mesh/passed` of each
+    robot on its way: so one sees which way it took, and when. Not of messages larger than a packet."""
+
+    t: float
+    app: str
+    """Empty for an answer on its way: it does not say to what."""
+    sender: str
+    """Whose message it is, also where this is the answer."""
+    to: str
+    number: int
+    """Counts what the sender's mesh has sent to that robot since its start."""
+    back: bool
+    """Whether it is the answer."""
+    next: str
+    """The neighbour."""
+    ticket: str
+    """At the sender; empty elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
 class Stop:
     """On `swarm/stop`: every robot switches its motors off."""
 
@@ -375,6 +396,7 @@ TOPICS: dict[tuple[str, str], type] = {
     ("mesh", "members"): Members,
     ("mesh", "flooded"): Flooded,
     ("mesh", "sent"): Sent,
+    ("mesh", "passed"): Passed,
     ("mesh", "stopped"): Stopped,
     ("mesh", "graph"): MeshGraph,
     ("mesh", "set/flood"): FloodRequest,

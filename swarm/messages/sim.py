@@ -15,6 +15,15 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
+class Target:
+    """Where the simulated target really is, on `swarm/<robot>/sim/target` of every robot at 10 Hz, where it moves."""
+
+    t: float
+    x: float
+    y: float
+
+
+@dataclass(frozen=True, slots=True)
 class LedChange:
     """The LEDs of a simulated robot as its ATmega's registers have them, on `swarm/<robot>/sim/leds` on change."""
 
@@ -27,6 +36,7 @@ class LedChange:
 
 TOPICS: dict[tuple[str, str], type] = {
     ("sim", "leds"): LedChange,
+    ("sim", "target"): Target,
     ("sim", "truth"): Truth,
     ("sim", "truth/slow"): Truth,
 }

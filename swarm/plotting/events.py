@@ -1,17 +1,15 @@
-"""What happened when: flashes of LEDs, floods and messages on their way, robots that stand up."""
+"""What happened when: flashes of LEDs, robots that stand up."""
 
 import math
 from bisect import bisect_left
 from collections import Counter
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 from swarm.errors import LocalError
 from swarm.plotting import style
 from swarm.recording.run import Run
 
-PANELS = 6
-"""Floods or messages shown, the last ones."""
 PERIODS = 8
 """Flashes shown in the panel of LEDs."""
 STANDING = "balancing"
@@ -49,17 +47,6 @@ def leds(figure: Any, run: Run) -> None:
     style.legend(bottom, len(robots))
 
 
-def floods(figure: Any, run: Run) -> None:
-    """Each flood from its start: when it reached whom, and when its origin knew that it was complete (thesis figures
-    3.13 and 3.14)."""
-    _journeys(figure, run, [it for it in _requests(run) if not it.to], "flood")
-
-
-def unicasts(figure: Any, run: Run) -> None:
-    """Each message from one robot to another: when it arrived, and when its sender knew (thesis figure 3.16)."""
-    _journeys(figure, run, [it for it in _requests(run) if it.to], "message")
-
-
 def standup(figure: Any, run: Run) -> None:
     """When each robot stands, and its tilt meanwhile (thesis figure 4.2).
 
@@ -93,91 +80,6 @@ def standup(figure: Any, run: Run) -> None:
                           color=colour)  # fmt: skip
     style.rows_of_robots(axes, robots)
     axes.set(xlabel="time / s", title="line: tilt (a row is ±110°), filled: it stands")
-
-
-class _Request(NamedTuple):
-    t: float
-    origin: str
-    ticket: str
-    to: str
-    size: int
-
-
-def _requests(run: Run) -> list[_Request]:
-    found = []
-    for sample in run.samples("swarm/*/app/*/asked"):
-        message = sample.message
-        origin = sample.topic.split("/")[1]
-        found.append(_Request(sample.t, origin, message["ticket"], message["to"], message["size"]))
-    return found
-
-
-def _journeys(figure: Any, run: Run, requests: list[_Request], what: str) -> None:
-    if not requests:
-        raise LocalError(f"{run.path}: no app has sent a {what} in this recording")
-    answers: dict[tuple[str, str], tuple[float, dict[str, Any]]] = {}
-    for sample in run.samples("swarm/*/mesh/flooded", "swarm/*/mesh/sent"):
-        message = sample.message
-        answers.setdefault((sample.topic.split("/")[1], message["ticket"]), (sample.t, message))
-    heard = [(sample.t, sample.topic.split("/")[1], sample.message) for sample in run.samples("swarm/*/app/*/heard")]
-    shown = requests[-PANELS:]
-    robots = list(run.robots)
-    columns = 1 if len(shown) == 1 else 2
-    rows = math.ceil(len(shown) / columns)
-    figure.set_size_inches(max(5.0, 3.7 * columns), rows * (1.1 + 0.24 * len(robots)))
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for axes in panels.flat[len(shown) :]:
-        axes.set_visible(False)
-    for axes, request in zip(panels.flat, shown, strict=False):
-        _journey(
-            axes, request, answers.get((request.origin, request.ticket)), _arrivals(request, requests, heard), robots
-        )
-    some = f" (the last {len(shown)} of {len(requests)})" if len(shown) < len(requests) else ""
-    figure.suptitle(f"bar: until its sender knows; dot: it has arrived{some}", fontsize=9)
-
-
-def _arrivals(
-    request: _Request, requests: list[_Request], heard: list[tuple[float, str, dict[str, Any]]]
-) -> list[tuple[float, str]]:
-    """When a request's payload came to whom: what came from its origin before that one's next request."""
-    later = [it.t for it in requests if it.origin == request.origin and it.t > request.t]
-    until = min(later, default=math.inf)
-    return [
-        (t, robot)
-        for t, robot, message in heard
-        if message["sender"] == request.origin
-        and message["flooded"] == (not request.to)
-        and request.t <= t < until
-        and request.to in ("", robot)
-    ]
-
-
-def _journey(
-    axes: Any,
-    request: _Request,
-    answer: tuple[float, dict[str, Any]] | None,
-    arrivals: list[tuple[float, str]],
-    robots: list[str],
-) -> None:
-    """One request's panel."""
-    row = robots.index(request.origin)
-    last = max((1e3 * (t - request.t) for t, _ in arrivals), default=1.0)
-    outcome = "no answer"
-    if answer is not None:
-        took = 1e3 * (answer[0] - request.t)
-        last = max(last, took)
-        axes.barh(row, took, height=0.5, color=style.COLOURS[0], alpha=0.85)
-        axes.annotate(f" {took:.0f} ms", (took, row), va="center", fontsize=7.5, color=style.COLOURS[0])
-        done = answer[1].get("complete", answer[1].get("delivered"))
-        outcome = ("complete" if not request.to else "delivered") if done else "not " + answer[1].get("problem", "")
-    for t, robot in arrivals:
-        at, after = robots.index(robot), 1e3 * (t - request.t)
-        axes.plot((0, after), (at, at), color="0.8", linewidth=1, zorder=1)
-        axes.plot(after, at, "o", color=style.COLOURS[1], markersize=5)
-    style.rows_of_robots(axes, robots)
-    way = f"{request.origin} to {request.to}" if request.to else f"from {request.origin} to {len(arrivals)} robots"
-    axes.set(xlim=(0, 1.16 * last), title=f"at {request.t:.1f} s, {request.size} B {way}: {outcome}")
-    axes.set_xlabel("time since it was sent / ms")
 
 
 def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[float, float]]]]:

@@ -1,8 +1,11 @@
 """Where things are: the map of robots, their paths, what they think where the target is, and their uncertainty."""
 
 import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from swarm import config
 from swarm.config import Config
@@ -13,8 +16,19 @@ from swarm.recording.run import Run
 
 Place = tuple[float, float]
 
+Spread = tuple[float, float, float]
+"""Variance of x, covariance, variance of y, m^2; NaN where they are not known."""
+
 SIGMAS = 2.0
 """Standard deviations of the ellipses drawn: 86 % of a plane's normal distribution."""
+
+
+class _Estimate(NamedTuple):
+    """Of the target, by one robot."""
+
+    t: float
+    place: Place
+    spread: Spread
 
 
 def scene(figure: Any, run: Run) -> None:
@@ -29,19 +43,13 @@ def scene(figure: Any, run: Run) -> None:
         for anchor in swarm.anchors:
             seen.append((anchor.x, anchor.y))
             axes.plot(anchor.x, anchor.y, "^", color=style.GREY, markersize=8, **_once(marks, "anchor"))
-        target = swarm.simulation.target
-        # Of real robots nobody knows where the target is.
-        if "localization" in run.apps and any(topic.endswith("/sim/truth") for topic in run.topics):
-            seen.append(target)
-            mark = "target's start" if swarm.simulation.moving else "target"
-            axes.plot(
-                *target,
-                "*",
-                color="black",
-                markersize=13,
-                zorder=5,
-                **_once(marks, mark),
-            )
+    way = _target(run, swarm)
+    if way:
+        seen += [place for _, place in way]
+        if len(way) > 1:
+            axes.plot(*zip(*(place for _, place in way), strict=True), "-", color="black", linewidth=1.4, zorder=4,
+                      **_once(marks, "target's way"))  # fmt: skip
+        axes.plot(*way[-1][1], "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
     tracks = paths(run)
     estimates = _estimates(run)
     robots = list(run.robots)
@@ -51,13 +59,18 @@ def scene(figure: Any, run: Run) -> None:
             _path(axes, tracks[name], colour, name, marks)
             seen += [place for place, _ in tracks[name]]
         if track := estimates.get(name):
-            axes.plot(*zip(*(place for place, _ in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
-            place, spread = track[-1]
+            axes.plot(*zip(*(it.place for it in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
+            t, place, spread = track[-1]
+            if len(way) > 1:  # it goes on after the last estimate
+                there = _at(way, t)
+                axes.plot(*zip(place, there, strict=True), ":", color=colour, linewidth=0.9, zorder=5)
+                axes.plot(*there, ".", color=colour, markersize=5, zorder=6,
+                          **_once(marks, "where the target was then"))  # fmt: skip
             axes.plot(
                 *place, "x", color=colour, markersize=7, markeredgewidth=1.6, zorder=6, **_once(marks, "estimate")
             )
             _ellipse(axes, place, spread, colour, marks)
-            seen += [place for place, _ in track[len(track) // 4 :]]
+            seen += [it.place for it in track[len(track) // 4 :]]
     if not seen:
         raise LocalError(f"{run.path}: no place is recorded: neither poses nor a target")
     frame(axes, seen)
@@ -96,23 +109,44 @@ def paths(run: Run) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
     return found
 
 
-def _estimates(run: Run) -> dict[str, list[tuple[Place, tuple[float, float, float] | None]]]:
+def _target(run: Run, swarm: Config | None) -> list[tuple[float, Place]]:
+    """Where the simulated target was, over time; of real robots nobody knows."""
+    if swarm is None or "localization" not in run.apps:
+        return []
+    topics = sorted(topic for topic in run.topics if topic.endswith("/sim/target"))
+    if topics:  # all robots have the same
+        return [(sample.t, (sample.message["x"], sample.message["y"])) for sample in run.samples(topics[0])]
+    simulated = any(topic.endswith("/sim/truth") for topic in run.topics)
+    return [(0.0, swarm.simulation.target)] if simulated else []
+
+
+def _at(way: Sequence[tuple[float, Place]], t: float) -> Place:
+    """The place on a way at time t, between two samples on the line between them."""
+    index = bisect_left(way, t, key=itemgetter(0))
+    if index in (0, len(way)):
+        return way[min(index, len(way) - 1)][1]
+    (before, (xa, ya)), (after, (xb, yb)) = way[index - 1], way[index]
+    share = (t - before) / (after - before)
+    return xa + share * (xb - xa), ya + share * (yb - ya)
+
+
+def _estimates(run: Run) -> dict[str, list[_Estimate]]:
     """Each robot's estimates of the target, with variances and covariance where it tells them."""
-    found: dict[str, list[tuple[Place, tuple[float, float, float] | None]]] = {}
+    found: dict[str, list[_Estimate]] = {}
     if "localization" not in run.apps:
         return found
     for name, path in run.trajectories("localization").items():
         if {"result.x", "result.y"} - set(path.columns):
             continue
         spread = ("result.var_x", "result.cov_xy", "result.var_y")
-        track = []
+        track: list[_Estimate] = []
         for k in sorted(path.rows):
             place = path.value(k, "result.x"), path.value(k, "result.y")
             if all(map(math.isfinite, place)):
-                values = tuple(path.value(k, column) for column in spread) if set(spread) <= set(path.columns) else None
-                track.append((place, values))
+                xx, xy, yy = (path.value(k, column) if column in path.columns else math.nan for column in spread)
+                track.append(_Estimate(path.times[k], place, (xx, xy, yy)))
         if track:
-            found[name] = track  # type: ignore[assignment]
+            found[name] = track
     return found
 
 
@@ -129,9 +163,9 @@ def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name
         _ellipse(axes, place, (dx * dx, last.get("correlation", 0.0) * dx * dy, dy * dy), colour, marks)
 
 
-def _ellipse(axes: Any, place: Place, spread: tuple[float, float, float] | None, colour: Any, marks: set[str]) -> None:
+def _ellipse(axes: Any, place: Place, spread: Spread, colour: Any, marks: set[str]) -> None:
     """Of two standard deviations, from variances and covariance."""
-    if spread is None or not all(map(math.isfinite, spread)):
+    if not all(map(math.isfinite, spread)):
         return
     from matplotlib.patches import Ellipse
 

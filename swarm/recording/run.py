@@ -2,6 +2,7 @@
 
 import heapq
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import groupby
 from pathlib import Path
@@ -22,8 +23,9 @@ DISORDER_S = 5.0
 class Run:
     """One run. `samples` streams from the files; nothing but the list of topics is kept."""
 
-    def __init__(self, path: Path) -> None:
-        """`path`: the run's folder, or one recording of it. Raises `RecordingError` where there is none."""
+    def __init__(self, path: Path, app: str = "") -> None:
+        """`path`: the run's folder, or one recording of it. `app`: which one is looked at where robots ran several.
+        Raises `RecordingError` where there is none."""
         self.path = path
         self.files = tuple(sorted(path.glob(f"*{SUFFIX}"))) if path.is_dir() else (path,)
         if not self.files:
@@ -46,6 +48,11 @@ class Run:
         self.epoch = clocks.epoch
         """The time of day at the zero of common time, s since 1970, as well as it is known; 0 in virtual time."""
         self.robots = tuple(sorted({topic.split("/")[1] for topic in self.topics if topic.count("/") > 2}, key=natural))
+        if app and app not in self.apps:
+            raise RecordingError(f"{path}: no app {app} is recorded; there are: {', '.join(self.apps) or 'none'}")
+        about = self.info.get("app", "")
+        self.app = app or (about if about in self.apps else next(iter(self.apps), ""))
+        """The app that is looked at: the one asked for, else the one that the run is about."""
         self.origin = self._origin()
         """Common time at which the first state was reached (without an app: of the first message); `samples` count from
         there."""
@@ -60,9 +67,9 @@ class Run:
         return [entries for known, entries in self._metadata if known == name]
 
     def states(self, app: str = "") -> dict[str, dict[str, str]]:
-        """The topics of an app's states (default: of the only or first app), by channel (the app itself is ``) and
+        """The topics of an app's states (default: of the one looked at), by channel (the app itself is ``) and
         robot."""
-        app = app or next(iter(self.apps), "")
+        app = app or self.app
         found: dict[str, dict[str, str]] = {}
         for topic in sorted((topic for topic in self.topics if is_state(topic)), key=natural):
             _, robot, _, name, *rest = topic.split("/")
@@ -91,12 +98,18 @@ class Run:
     def samples(self, *keys: str) -> Iterator[Sample]:
         """All messages of the topics that one of `keys` names (as on the bus `*` is any one chunk, `**` any number of
         them; none: all), in the order of common time, which counts from `origin`. What two apps of a robot have both
-        recorded comes once."""
+        recorded comes once, as often as one of them has it."""
         patterns = tuple(map(_pattern, keys))
-        merged = heapq.merge(*(self._ordered(file, patterns) for file in self.files), key=_order)
-        for _, same in groupby(merged, key=_order):
+        merged = heapq.merge(*(self._ordered(file, patterns) for file in self.files), key=_place)
+        for _, same in groupby(merged, key=_place):
             # What came at the same instant stays in the order of its writing.
-            yield from {sample.data: sample for sample in same}.values()
+            had: Counter[tuple[Path, bytes]] = Counter()
+            told: Counter[bytes] = Counter()
+            for file, sample in same:
+                had[file, sample.data] += 1
+                if had[file, sample.data] > told[sample.data]:
+                    told[sample.data] += 1
+                    yield sample
 
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
@@ -131,7 +144,7 @@ class Run:
     def _axis(self, clock: str) -> Axis:
         return self._axes.get(clock, float)
 
-    def _ordered(self, file: Path, patterns: tuple[re.Pattern[str], ...]) -> Iterator[Sample]:
+    def _ordered(self, file: Path, patterns: tuple[re.Pattern[str], ...]) -> Iterator[tuple[Path, Sample]]:
         """A file's messages by time: those written late are waited for."""
 
         def wanted(topic: str) -> bool:
@@ -143,9 +156,9 @@ class Run:
             heapq.heappush(waiting, (*_order(sample), number, sample))
             latest = max(latest, sample.t)
             while waiting[0][0] < latest - DISORDER_S:
-                yield heapq.heappop(waiting)[-1]
+                yield file, heapq.heappop(waiting)[-1]
         while waiting:
-            yield heapq.heappop(waiting)[-1]
+            yield file, heapq.heappop(waiting)[-1]
 
     def _origin(self) -> float:
         begun = self._begun[True] or self._begun[False]
@@ -162,6 +175,10 @@ def _pattern(key: str) -> re.Pattern[str]:
 def natural(text: str) -> tuple[object, ...]:
     """Sorts r10 behind r9."""
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text))
+
+
+def _place(entry: tuple[Path, Sample]) -> tuple[float, str]:
+    return _order(entry[1])
 
 
 def _order(sample: Sample) -> tuple[float, str]:

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 from swarm.bus_protocol import BusLike, Clock
 from swarm.errors import PayloadError
 from swarm.keys import key
-from swarm.messages import Flooded, FloodRequest, SendRequest, Sent, read
+from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent, read
 from swarm.slow import SLOW
 
 TOPICS = {
@@ -28,7 +28,9 @@ TOPICS = {
     "mesh/members": 0.0,
     "mesh/flooded": 0.0,
     "mesh/sent": 0.0,
+    "mesh/passed": 0.0,
     "sim/truth": 0.2,
+    "sim/target": 0.2,
     "sim/leds": 0.0,
 }
 """What is recorded of the robot's own keys, and the least time between two messages of a key, s."""
@@ -41,6 +43,9 @@ EARLY = 0.75
 
 MAX_WAITING = 4096
 """Messages that wait to be looked at; the oldest are lost."""
+
+MAX_ASKED = 256
+"""Requests that are told from their repetitions."""
 
 _log = logging.getLogger("record")
 
@@ -90,6 +95,7 @@ class Watch:
         self._prefix = key(robot, f"app/{app}")
         self._waiting: deque[tuple[str, bytes, float]] = deque(maxlen=MAX_WAITING)
         self._last: dict[str, float] = {}
+        self._asked: deque[str] = deque(maxlen=MAX_ASKED)
         self._least = {key(robot, topic): least for topic, least in TOPICS.items()}
         self.on_sample: Callable[[], None] = lambda: None
         """Called after each message: in virtual time `drain`, as there is no thread that would."""
@@ -104,7 +110,10 @@ class Watch:
 
         def take(name: str, payload: bytes) -> None:
             request = read(name, payload)
-            if isinstance(request, FloodRequest | SendRequest) and request.app == self._app:
+            if not isinstance(request, FloodRequest | SendRequest) or request.app != self._app:
+                return
+            if request.ticket not in self._asked:  # else it waits for its answer, and is repeated
+                self._asked.append(request.ticket)
                 self.asked(request)
 
         parameters = f"{self._prefix}/parameters"
@@ -146,6 +155,6 @@ class Watch:
         except PayloadError as error:
             _log.debug("not recorded: %s", error)
             return
-        if isinstance(message, Flooded | Sent) and message.app != self._app:
-            return
+        if isinstance(message, Flooded | Sent | Passed) and message.app not in ("", self._app):
+            return  # of another app; of an answer on its way nobody knows
         self._sink.write(name, getattr(message, "t", t), message)

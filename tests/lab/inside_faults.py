@@ -13,9 +13,10 @@ import pytest
 from inside_radio import SUPERVISION, adapters, bring_up, hci
 
 from lab.radio.remote import Radio
-from services.mesh.links import rfcomm
+from services.mesh.links import rfcomm, supervision
 from services.mesh.links.pipe import Pipe
 from swarm import clock
+from swarm.adapter import Adapter
 from swarm.errors import LocalError
 
 CHANNEL = 3
@@ -170,6 +171,51 @@ def test_a_short_silence_costs_nothing(radio: Radio, pair: Pair) -> None:
     assert not select.select([called], [], [], 1.0)[0]
     radio.order("mend", one=radio.addresses[0], other=radio.addresses[1])
     assert read(called) == b"through a cut"
+
+
+@pytest.mark.parametrize("limit", [None, 1.0])
+def test_a_silent_robot_takes_the_buffers_of_its_neighbours_until_its_connection_is_over(
+    radio: Radio, listener: rfcomm.Listener, pair: Pair, limit: float | None
+) -> None:
+    """A controller has eight for all its connections; the mesh's limit on silence lets the others have them back."""
+    other = rfcomm.Listener(mine(radio, 2), {})
+    silent = dial(radio, 0, 2)
+    called = accept(other)
+    for _ in range(20):  # until it may have more under way than RFCOMM's seven of the beginning
+        assert write(silent, b"x")
+        assert read(called) == b"x"
+    adapter = Adapter(radio.addresses[0])
+    if limit is not None:
+        supervision.limit(adapter, radio.addresses[2], limit)
+    radio.order("silence", address=radio.addresses[2])
+    began = time.monotonic()
+    for _ in range(12):
+        assert write(silent, bytes(900))
+    caller, living = pair
+    while not select.select([living], [], [], 0.2)[0]:
+        # The kernel looks for what waits only when more is written, as the mesh's heartbeats are.
+        assert write(caller, b"to the living")
+        assert time.monotonic() < began + PATIENCE
+    took = time.monotonic() - began
+    if limit is None:
+        assert took > SUPERVISION - 0.5, "the kernel serves all links alike by now: the limit is needless"
+    else:
+        assert took < SUPERVISION - 1.0
+    assert ended(silent) == "connection timed out"
+    adapter.close()
+    for pipe in (silent, called):
+        pipe.shutdown()
+        pipe.close()
+    other.close()
+
+
+def test_only_the_caller_limits_silence(radio: Radio, pair: Pair) -> None:
+    adapter = Adapter(radio.addresses[1])
+    with pytest.raises(LocalError, match="HCI status 0x0c"):
+        supervision.limit(adapter, radio.addresses[0], 1.0)
+    with pytest.raises(LocalError, match="no Bluetooth connection to 00:11:22:33:44:55"):
+        supervision.limit(adapter, "00:11:22:33:44:55", 1.0)
+    adapter.close()
 
 
 @pytest.mark.parametrize("how", ["absent", "out of range"])

@@ -1,5 +1,7 @@
 """The radio's core in virtual time: golden bytes, links, and what ends them."""
 
+import struct
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -158,6 +160,21 @@ def test_a_long_silence_ends_the_link_on_both_sides(world: World, how: str) -> N
     assert world.events(A) == [(Ev.DISCONNECTION_COMPLETE, hci.disconnected(one, Status.CONNECTION_TIMEOUT)[3:])]
     assert world.events(B) == [(Ev.DISCONNECTION_COMPLETE, hci.disconnected(other, Status.CONNECTION_TIMEOUT)[3:])]
     assert world.air.links() == []
+
+
+def test_who_has_paged_sets_how_long_a_silent_link_is_kept(world: World) -> None:
+    one, other = world.link(A, B)
+    world.tell(B, Op.WRITE_SUPERVISION, struct.pack("<HH", other, 3200))
+    world.tell(A, Op.WRITE_SUPERVISION, struct.pack("<HH", one + 1, 3200))
+    world.tell(A, Op.WRITE_SUPERVISION, struct.pack("<HH", one, 3200))  # 2 s
+    (refused,) = world.events(B)
+    assert refused[1][3:] == struct.pack("<BH", Status.COMMAND_DISALLOWED, other)
+    assert [body[3] for _, body in world.events(A)] == [Status.UNKNOWN_CONNECTION, Status.SUCCESS]
+    world.air.cut(A, B, world.now)
+    world.run(1.9)
+    assert world.events(A) == []
+    world.run(0.2)
+    assert world.codes(A) == world.codes(B) == [Ev.DISCONNECTION_COMPLETE]
 
 
 def test_a_page_that_nobody_hears_times_out(world: World) -> None:

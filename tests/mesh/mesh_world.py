@@ -255,7 +255,7 @@ class World:
                 self._flush(bot.ends[session])
         for action in bot.node.actions():
             if isinstance(action, Received):
-                if action.key.endswith(("/mesh/members", "/mesh/topology")):
+                if action.key.endswith(("/mesh/members", "/mesh/passed", "/mesh/topology")):
                     continue
                 bot.inbox.append((action.key, action.payload))
             elif isinstance(action, Dial):

@@ -14,7 +14,7 @@ from services.mesh.core.linking import Start
 from services.mesh.core.overlays import Overlays
 from swarm.codec import decode
 from swarm.keys import parse
-from swarm.messages import Flooded, FloodRequest, SendRequest, Sent
+from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent
 
 SILENCE = 3.0
 """s until both ends notice that a link has died without a word."""
@@ -67,6 +67,8 @@ class World:
         self.names = sorted(self.neighbours)
         self.bots: dict[str, Bot] = {}
         self.clock_error: dict[str, float] = {}
+        self.passed: list[tuple[str, Passed]] = []
+        """Who has told that a message was handed on."""
         self.messages: Counter[int] = Counter()
         self.bytes: Counter[int] = Counter()
         self.counting: Callable[[Transmit], int] = lambda packet: packet.overlay
@@ -157,6 +159,7 @@ class World:
         """Forget what was counted and received."""
         self.messages.clear()
         self.bytes.clear()
+        self.passed.clear()
         for bot in self.bots.values():
             bot.inbox.clear()
             bot.times.clear()
@@ -171,6 +174,8 @@ class World:
                 self._transmit(name, action)
             elif not isinstance(action, Received):
                 self.obey(name, action)
+            elif action.key.endswith("/mesh/passed"):
+                self.passed.append((name, decode(Passed, action.payload, action.key)))
             elif "/mesh/members" not in action.key:
                 bot.inbox.append((action.key, action.payload))
                 bot.times.append(self.now)

@@ -247,7 +247,11 @@ class Mesh:
 
     def __init__(self, name: str, air: RfcommAir, directory: Path) -> None:
         config, own = parse(CONFIG, Path("swarm.toml")), local(name)
-        self.network = Network(config, own, directory, open_bluetooth=air.open)
+        self.limits: list[tuple[str, str, float]] = []
+        """Own and other address, time-out of the mesh: whose silence was to be limited."""
+        self.network = Network(
+            config, own, directory, open_bluetooth=air.open, supervise=lambda *each: self.limits.append(each)
+        )
         self.counters: Counter[str] = Counter()
         relay = Relay(name, tuple(own.dials), config.relay)
         overlays = Overlays(
@@ -304,6 +308,8 @@ def test_meshes_meet_over_rfcomm_part_and_meet_again(air: RfcommAir, runtime: Pa
         sock.shutdown(socket.SHUT_RDWR)
     wait_until(lambda: near.state[:2] == far.state[:2] == ("up", 2))
     assert near.counters["transport_lost"] == 1
+    # With each dial, by who has dialled.
+    assert (near.limits, far.limits) == ([(A, B, 3.0)] * 2, [])
     near.stop()
     far.stop()
 

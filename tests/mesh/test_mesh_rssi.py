@@ -3,27 +3,25 @@ link has no radio. What this cannot show is a real controller's answer."""
 
 import argparse
 import errno
+import functools
 import json
 import os
-import socket
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from hci_controller import ADAPTERS, HANDLE, PEER, Controller, complete
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarm import adapter as adapters
+from swarm.adapter import Adapter
 from swarm.cli.measuring import rssi
 from swarm.cli.measuring.rssi import Signal
 from swarm.core import hci
 from swarm.errors import FrameError, LocalError
-
-ADAPTERS = {0: "00:1A:7D:DA:71:13", 3: "B8:27:EB:00:00:0A"}
-PEER = "B8:27:EB:00:00:0B"
-HANDLE = 0x000B
-
 
 # -- bytes ---------------------------------------------------------------------------------------------------
 
@@ -59,75 +57,6 @@ def test_every_reading_comes_through(status: int, handle: int, value: int) -> No
     assert hci.reading(packet) == hci.Reading(status, handle, value)
 
 
-# -- the kernel's sockets, as far as they matter ---------------------------------------------------------------
-
-
-class Controller:
-    """Adapters and one connection; `answers` makes the packets that follow a command."""
-
-    def __init__(self) -> None:
-        self.connected = {hci.packed_address(PEER): HANDLE}
-        self.values = [-60]
-        self.answers: Callable[[int], list[bytes]] = self.in_order
-        self.bound: int | None = None
-        self.filtered = b""
-        self.sockets: list[HciSocket] = []
-
-    def in_order(self, handle: int) -> list[bytes]:
-        value = self.values.pop(0) if len(self.values) > 1 else self.values[0]
-        return [complete(handle, value)]
-
-    def open(self) -> "HciSocket":
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        made = HciSocket(self, ours.detach(), theirs)
-        self.sockets.append(made)
-        return made
-
-    def ioctl(self, sock: object, request: int, buffer: bytearray) -> int:
-        match request:
-            case hci.DEVICE_LIST:
-                buffer[:2] = struct.pack("<H", len(ADAPTERS))
-                for place, number in enumerate(ADAPTERS):
-                    buffer[4 + 8 * place : 6 + 8 * place] = struct.pack("<H", number)
-            case hci.DEVICE_INFO:
-                (number,) = struct.unpack_from("<H", buffer)
-                buffer[10:16] = hci.packed_address(ADAPTERS[number])
-            case hci.CONNECTION_INFO:
-                if buffer[6] != hci.ACL or bytes(buffer[:6]) not in self.connected:
-                    raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
-                buffer[8:10] = struct.pack("<H", self.connected[bytes(buffer[:6])])
-        return 0
-
-
-class HciSocket(socket.socket):
-    def __init__(self, controller: Controller, fileno: int, other: socket.socket) -> None:
-        super().__init__(socket.AF_UNIX, socket.SOCK_SEQPACKET, 0, fileno)
-        self.controller = controller
-        self.other = other
-
-    def bind(self, address: object) -> None:
-        (self.controller.bound,) = address  # type: ignore[misc]
-
-    def setsockopt(self, level: int, option: int, value: object) -> None:  # type: ignore[override]
-        assert (level, option) == (hci.SOL_HCI, hci.HCI_FILTER)
-        self.controller.filtered = value  # type: ignore[assignment]
-
-    def send(self, data: bytes, flags: int = 0) -> int:  # type: ignore[override]
-        kind, opcode, length, handle = struct.unpack("<BHBH", data)
-        assert (kind, opcode, length) == (hci.COMMAND, hci.READ_RSSI, 2)
-        for packet in self.controller.answers(handle):
-            self.other.send(packet)
-        return len(data)
-
-    def close(self) -> None:
-        self.other.close()
-        super().close()
-
-
-def complete(handle: int, value: int, status: int = 0) -> bytes:
-    return struct.pack("<BBBBHBHb", hci.EVENT, hci.COMPLETE, 7, 1, hci.READ_RSSI, status, handle, value)
-
-
 @pytest.fixture
 def controller() -> Iterator[Controller]:
     made = Controller()
@@ -137,7 +66,7 @@ def controller() -> Iterator[Controller]:
 
 
 def signal(controller: Controller, adapter: str = ADAPTERS[3]) -> Signal:
-    return Signal(adapter, PEER, open_socket=controller.open, ioctl=controller.ioctl)
+    return Signal(Adapter(adapter, open_socket=controller.open, ioctl=controller.ioctl), PEER)
 
 
 def test_the_adapter_of_the_address_is_asked(controller: Controller) -> None:
@@ -166,7 +95,7 @@ def test_what_others_ask_the_adapter_is_not_taken_for_the_answer(controller: Con
 def test_no_reading_is_said(
     controller: Controller, answers: Callable[[int], list[bytes]], text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rssi, "TIMEOUT", 0.05)
+    monkeypatch.setattr(adapters, "TIMEOUT", 0.05)
     controller.answers = answers
     with pytest.raises(LocalError, match=text):
         signal(controller).read()
@@ -215,9 +144,9 @@ def test_readings_are_printed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    made = Signal
     monkeypatch.setattr(rssi, "PERIOD", 0.0)
-    monkeypatch.setattr(rssi, "Signal", lambda *each: made(*each, open_socket=controller.open, ioctl=controller.ioctl))
+    own = functools.partial(Adapter, open_socket=controller.open, ioctl=controller.ioctl)
+    monkeypatch.setattr(rssi, "Adapter", own)
     controller.values = [-60, -58, -62]
     assert rssi.run(args, "r0", "r1", runtime / "r0") == 0
     assert json.loads(capsys.readouterr().out)["rssi"] == [-60, -58, -62]
@@ -241,6 +170,6 @@ def test_a_kernel_without_bluetooth_is_said(
     def refuse(*_: object) -> None:
         raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
 
-    monkeypatch.setattr(rssi, "Signal", refuse)
+    monkeypatch.setattr(rssi, "Adapter", refuse)
     with pytest.raises(LocalError, match="this kernel has no Bluetooth"):
         rssi.run(args, "r0", "r1", runtime / "r0")

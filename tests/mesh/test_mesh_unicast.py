@@ -33,6 +33,45 @@ def test_three_hops_take_three_latencies_and_six_to_be_confirmed() -> None:
     assert world.messages[UNICAST] == 6
 
 
+def test_each_robot_on_the_way_tells_that_it_has_passed_a_message_and_its_answer_on() -> None:
+    world = World(line(4))
+    world.settle()
+    began = world.now
+    ticket = world.send("r0", "r3", b"hello")
+    world.run(1.0)
+    assert {(it.sender, it.to, it.number) for _, it in world.passed} == {("r0", "r3", 1)}
+    told = [(robot, it.next, it.back, it.app, it.ticket, round(it.t - began, 6)) for robot, it in world.passed]
+    assert told == [
+        ("r0", "r1", False, "test", ticket, 0.0),
+        ("r1", "r2", False, "test", "", 0.03),
+        ("r2", "r3", False, "test", "", 0.06),
+        ("r3", "r2", True, "test", "", 0.09),
+        ("r2", "r1", True, "", "", 0.12),
+        ("r1", "r0", True, "", "", 0.15),
+    ]
+
+
+def test_a_message_that_goes_another_way_tells_so() -> None:
+    world = World(ring(5))
+    world.settle()
+    world.send("r0", "r2", b"hello")
+    world.run(0.01)
+    world.cut("r1", "r2")
+    world.run(1.0)
+    out = [(robot, it.next) for robot, it in world.passed if not it.back]
+    assert out == [("r0", "r1"), ("r1", "r0"), ("r0", "r4"), ("r4", "r3"), ("r3", "r2")]
+
+
+def test_what_relay_rules_carry_is_not_told() -> None:
+    world = World(line(3))
+    world.settle()
+    key = "swarm/r0/rule/set/allowed"
+    world.step("r0", lambda overlays: overlays.send("r2", key, b"x", SYNC, world.now, latest=False))
+    world.run(1.0)
+    assert world.got("r2", "/allowed") == [b"x"]
+    assert [it.back for _, it in world.passed] == [True], "on its way an answer does not say to what"
+
+
 def test_neighbours_and_oneself_can_be_sent_to_at_once() -> None:
     world = World(line(2))
     world.run(0.1)  # the link is up, nobody has told anybody

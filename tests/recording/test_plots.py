@@ -11,6 +11,7 @@ from swarm.cli import main
 from swarm.cli.plot import KINDS
 from swarm.cli.plots import figure
 from swarm.plotting import style
+from swarm.plotting.journeys import Leg, Pass, legs
 from swarm.plotting.mesh import layout, spots
 from swarm.recording.run import Run
 
@@ -110,6 +111,62 @@ def test_the_moment_a_robot_stands_is_the_apps_own(runs, tmp_path):
     assert set(stood) == {"r0", "r1"}
     assert plot(runs / "stand_up", "-o", tmp_path / "x.svg") == 0
     assert all(f"{t:.1f} s" in (tmp_path / "x.svg").read_text() for t in stood.values())
+
+
+def test_a_messages_way_is_that_of_the_robots_that_tell_of_it():
+    out = [Pass(0.0, "r0", "r1", False), Pass(0.03, "r1", "r2", False)]
+    back = [Pass(0.06, "r2", "r3", True), Pass(0.09, "r3", "r0", True)]
+    assert legs([*back, *out], "r0", "r2", 0.061, 0.12) == [
+        Leg(0.0, "r0", "r1", False, 0.03),
+        Leg(0.03, "r1", "r2", False, 0.06),
+        Leg(0.06, "r2", "r3", True, 0.09),
+        Leg(0.09, "r3", "r0", True, 0.12),
+    ]
+
+
+def test_what_was_lost_on_a_link_arrived_by_the_next_try():
+    lost = Pass(0.0, "r0", "r1", False)
+    again = Pass(0.2, "r0", "r1", False)
+    assert legs([lost, again], "r0", "r1", 0.23, None) == [Leg(*lost, None), Leg(*again, 0.23)]
+    assert legs([lost], "r0", "r1", None, None) == [Leg(*lost, None)]
+
+
+def test_of_two_answers_the_sender_heeds_one():
+    out = [Pass(0.0, "r0", "r1", False), Pass(0.1, "r0", "r1", False)]
+    back = [Pass(0.13, "r1", "r0", True), Pass(0.13, "r1", "r0", True)]
+    found = legs([*out, *back], "r0", "r1", 0.13, 0.16)
+    assert [(it.t, it.until) for it in found] == [(0.0, 0.13), (0.1, 0.13), (0.13, 0.16)]
+
+
+def test_robots_clocks_may_differ_a_little():
+    passes = [Pass(1.0, "r0", "r1", False), Pass(0.995, "r1", "r2", False)]
+    assert [it.until for it in legs(passes, "r0", "r2", 1.03, None)] == [1.03, 0.995]
+
+
+def test_a_recorded_message_is_followed_over_all_links(runs):
+    """Thesis figure 3.16: on a line of four r1 sends to r3 over r2."""
+    run = Run(runs / "unicast_demo")
+    passes = [
+        (sample.topic.split("/")[1], it["next"], it["back"])
+        for sample in run.samples("swarm/*/mesh/passed")
+        if (it := sample.message)["sender"] == "r1"
+    ]
+    assert passes == [("r1", "r2", False), ("r2", "r3", False), ("r3", "r2", True), ("r2", "r1", True)]
+
+
+def test_a_target_that_moves_is_drawn_on_its_way(tmp_path):
+    record = tmp_path / "run"
+    moving = ("--algorithm", "moving", "--target-velocity", "0.1,0.05", "--seconds", "4")
+    _, outcome = simulate("localization", *moving, "--record", str(record))
+    run = Run(record)
+    way = [(sample.message["x"], sample.message["y"]) for sample in run.samples("swarm/r0/sim/target")]
+    assert way[0] == (0.5, 1.0)
+    assert way[-1] == pytest.approx((0.9, 1.2), abs=0.03)
+    assert math.dist(way[-1], outcome.targets()["r0"]) < 0.03
+    assert plot(record, "-o", tmp_path / "x.svg") == 0
+    text = (tmp_path / "x.svg").read_text()
+    assert "target's way" in text
+    assert "where the target was then" in text
 
 
 RING = [("r0", "r1"), ("r1", "r2"), ("r2", "r3"), ("r0", "r3")]

@@ -20,10 +20,12 @@ def test_durations_and_rates_have_units():
     assert quantities.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
     assert quantities.press("r4.a@1500ms") == Press("r4", "A", 1.5)
     assert quantities.velocity("0.1, -0.03") == (0.1, -0.03)
-    assert quantities.setting("value=0.5") == Setting(None, "value", 0.5)
-    assert quantities.setting("r2.value=3") == Setting("r2", "value", 3)
-    assert quantities.setting("weights=row") == Setting(None, "weights", "row")
-    assert quantities.setting("places=[0.5, 1]") == Setting(None, "places", (0.5, 1.0))
+    assert quantities.setting("value=0.5") == ("", Setting(None, "value", 0.5))
+    assert quantities.setting("r2.value=3") == ("", Setting("r2", "value", 3))
+    assert quantities.setting("weights=row") == ("", Setting(None, "weights", "row"))
+    assert quantities.setting("places=[0.5, 1]") == ("", Setting(None, "places", (0.5, 1.0)))
+    assert quantities.setting("led_sync/r1.tolerance=0.1") == ("led_sync", Setting("r1", "tolerance", 0.1))
+    assert quantities.setting("file=a/b") == ("", Setting(None, "file", "a/b"))
 
 
 @pytest.mark.parametrize(

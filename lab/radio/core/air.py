@@ -173,7 +173,7 @@ class Air:
 
     def connect(self, caller: Controller, called: Controller) -> None:
         """A page was accepted: both have the link."""
-        link = Link({each.address: each.new_handle() for each in (caller, called)})
+        link = Link({each.address: each.new_handle() for each in (caller, called)}, caller.address)
         self._links.append(link)
         for each in (called, caller):
             each.links[link.ends[each.address]] = link
@@ -215,7 +215,7 @@ class Air:
                 if link.silent_since == now and link in self._links:
                     self._end(link, Status.CONNECTION_TIMEOUT)
 
-            self.at(now + self.medium.supervision, over)
+            self.at(now + (self.medium.supervision if link.supervision is None else link.supervision), over)
 
     def _end(self, link: Link, reason: int) -> None:
         """The link ends for all that still have it."""

@@ -75,7 +75,7 @@ ANSWERED = {
 """Commands that have always the same result; the first are settings that make no difference here (event masks, filters,
 scan and inquiry parameters)."""
 
-OF_A_LINK = {0x080D: b"", 0x0811: b"", 0x0C28: b"", 0x0C37: b"", Op.READ_RSSI: b"\0"}
+OF_A_LINK = {0x080D: b"", 0x0811: b"", 0x0C28: b"", Op.READ_RSSI: b"\0"}
 """Commands that begin with a link's handle, and so do their results: what follows."""
 
 PAIRING = {
@@ -116,6 +116,7 @@ class Controller:
             Op.WRITE_CLASS: self._write,
             Op.WRITE_SIMPLE_PAIRING: self._write,
             Op.WRITE_PAGE_TIMEOUT: self._write,
+            Op.WRITE_SUPERVISION: self._supervise,
         }
 
     def _set_defaults(self) -> None:
@@ -358,6 +359,17 @@ class Controller:
             return
         self._status(op)
         self._air.disconnect(self, link, reason, now)
+
+    def _supervise(self, op: int, parameters: bytes, now: float) -> None:
+        handle, slots = struct.unpack("<HH", parameters)
+        link = self.links.get(handle)
+        if link is None:
+            code = Status.UNKNOWN_CONNECTION
+        elif link.central != self.address:
+            code = Status.COMMAND_DISALLOWED
+        else:
+            code, link.supervision = Status.SUCCESS, slots * SLOT
+        self._complete(op, bytes((code,)) + parameters[:2])
 
     # -- security --------------------------------------------------------------------------------------------
 

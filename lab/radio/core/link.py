@@ -12,6 +12,10 @@ class Link:
 
     ends: dict[str, int]
     """The handle that each side has for it; they differ."""
+    central: str
+    """The side that has paged; it alone sets the supervision time-out."""
+    supervision: float | None = None
+    """s without a sign of the other side until the link is over, where it was set; else as of the medium."""
     silent_since: float | None = None
     """Since when nothing gets through; None where it does."""
     gone: set[str] = field(default_factory=set)

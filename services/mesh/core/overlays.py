@@ -91,7 +91,7 @@ class Overlays:
         self._unicast = Unicast(
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
-            ended=self._requests.sent, on_large=self._on_large, counters=counters,
+            ended=self._requests.sent, passed=self._requests.passed, on_large=self._on_large, counters=counters,
         )  # fmt: skip
         self._requests.flood, self._requests.unicast = self._flood, self._unicast
         self._large = Large(

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from services.mesh.core import flood, packets
+from services.mesh.core.flights import Hop
 from services.mesh.core.flood import Flood
 from services.mesh.core.frames import BULK, CONTROL, PRIORITIES
 from services.mesh.core.linking import Linking
@@ -20,6 +21,7 @@ from swarm.keys import key as key_of
 from swarm.messages import (
     Flooded,
     FloodRequest,
+    Passed,
     Progress,
     Reminder,
     SendRequest,
@@ -71,6 +73,7 @@ class Requests:
             TopologySet: key_of(me, "mesh", "topology_set"),
         }
         self._progress_key = key_of(me, "mesh", "progress")
+        self._passed_key = key_of(me, "mesh", "passed")
 
     def request_flood(self, request: FloodRequest) -> None:
         """The answer goes to `mesh/flooded`."""
@@ -131,6 +134,16 @@ class Requests:
         if isinstance(token, _Ticket):
             self._end(Sent(self._now(), token.ticket, token.app, to, not problem, problem))
 
+    def passed(self, hop: Hop) -> None:
+        """This robot has handed a message, or the answer to one, to a neighbour: told of those of apps. What an answer
+        was to is not known on its way."""
+        app = app_of(hop.key)
+        if not app and (hop.key or not hop.back):
+            return
+        ticket = hop.token.ticket if isinstance(hop.token, _Ticket) else ""
+        passed = Passed(self._now(), app, hop.sender, hop.to, hop.number, hop.back, hop.next_hop, ticket)
+        self._to_bus(self._passed_key, encode(passed), CONTROL)
+
     def _answer_flood(self, token: _Ticket, robots: tuple[str, ...], *, complete: bool, problem: str) -> None:
         answer = Flooded(self._now(), token.ticket, token.app, robots, complete, problem)
         self._end(answer)
@@ -156,6 +169,12 @@ class Requests:
 
     def _tell(self, answer: Answer) -> None:
         self._to_bus(self._keys[type(answer)], encode(answer), CONTROL)
+
+
+def app_of(key: str) -> str:
+    """The app that a message's key belongs to, `swarm/<sender>/app/<app>/send/<to>`; empty where it is no app's."""
+    chunks = key.split("/")
+    return chunks[3] if len(chunks) == 6 and chunks[2] == "app" and chunks[4] == "send" else ""
 
 
 def _problem(app: str, priority: str) -> str:

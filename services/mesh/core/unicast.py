@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 from services.mesh.core import packets, pieces
 from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.flights import Flight, Hop, Receiver
 from services.mesh.core.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.frames import BULK, SYNC, UNICAST
 from services.mesh.core.packets import Ack, Message
@@ -55,41 +56,6 @@ COUNTERS = ("unicast_duplicates", "unicast_expired", "unicast_forwarded", "unica
 _NEVER = float("inf")
 
 
-class Flight:
-    """An own message until its end."""
-
-    __slots__ = ("began", "deadline", "key", "next_at", "number", "payload", "priority", "to", "token", "tries", "via",
-                 "wait")  # fmt: skip
-
-    def __init__(
-        self, token: object, to: str, key: str, payload: bytes, priority: int, now: float, deadline: float
-    ) -> None:
-        self.token = token
-        self.to = to
-        self.key = key
-        self.payload = payload
-        self.priority = priority
-        self.began = now
-        self.deadline = deadline
-        self.number = 0
-        self.tries = 0
-        self.wait = 0.0
-        self.next_at = _NEVER
-        self.via: str | None = None
-        """The neighbour it was handed to; None where there was no route."""
-
-
-class Receiver:
-    """Own messages to one robot."""
-
-    __slots__ = ("flights", "next_number", "waiting")
-
-    def __init__(self) -> None:
-        self.next_number = 1
-        self.flights: dict[int, Flight] = {}
-        self.waiting: deque[Flight] = deque()
-
-
 class Unicast:
     """The unicast overlay of one robot. Calls with `now` must not go back in time."""
 
@@ -104,12 +70,13 @@ class Unicast:
         admits: Callable[[str, str], bool],
         deliver: Callable[[str, bytes, int], None],
         ended: Callable[[object, str, str], None],
+        passed: Callable[[Hop], None],
         on_large: Callable[[Packet, float], None],
         counters: Counter[str],
     ) -> None:
         """`admits(sender, key)` says what may come in; `ended(token, to, problem)` is called once for each `send`,
-        with an empty problem where the message was delivered; `on_large(packet, now)` takes what comes for this robot
-        about large messages."""
+        with an empty problem where the message was delivered; `passed(hop)` each time that this robot hands a message
+        or an answer to a neighbour; `on_large(packet, now)` takes what comes for this robot about large messages."""
         self._me = me
         self._incarnation = incarnation
         self._robots = robots
@@ -118,6 +85,7 @@ class Unicast:
         self._admits = admits
         self._deliver = deliver
         self._ended = ended
+        self._passed = passed
         self._counters = counters
         self._on_large = on_large
         self.transfers = Transfers(
@@ -220,6 +188,7 @@ class Unicast:
         for at, to, data, priority in self._custody.pop(peer, ()):
             if at + CUSTODY_TIME >= now and (route := self._route(to)) is not None:
                 self._counters["unicast_rerouted"] += 1
+                self._passed(_hop(_decoded(data), route.next_hop))
                 self._hand_over(route.next_hop, to, data, priority, now)
         for flight in self._flights():
             if flight.via == peer:
@@ -277,6 +246,7 @@ class Unicast:
             message = Message(
                 self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, _ttl(route)
             )  # fmt: skip
+            self._passed(_hop(message, route.next_hop)._replace(token=flight.token))
             self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message),
                                 flight.priority))  # fmt: skip
 
@@ -337,6 +307,7 @@ class Unicast:
         route = self._route(message.sender)
         if route is not None:
             ack = ack._replace(ttl=_ttl(route))
+            self._passed(_hop(ack, route.next_hop)._replace(key=message.key))
             self._hand_over(route.next_hop, message.sender, packets.encode_ack(ack), min(priority, SYNC), now)
         else:
             self._counters["unicast_no_route"] += 1
@@ -366,6 +337,7 @@ class Unicast:
             self._counters["unicast_no_route"] += 1
         else:
             self._counters["unicast_forwarded"] += 1
+            self._passed(_hop(packet, route.next_hop))
             ttl = packet.ttl - 1
             if isinstance(packet, Message):
                 data = packets.encode_message(packet._replace(ttl=ttl))
@@ -384,6 +356,16 @@ class Unicast:
 def limit_of(priority: int) -> int:
     """Bytes that a message of a class may have."""
     return MAX_LARGE if priority == BULK else packets.MAX_MESSAGE
+
+
+def _decoded(data: bytes) -> Message | Ack:
+    return packets.decode_message(data) if packets.kind_of(data) == packets.MESSAGE else packets.decode_ack(data)
+
+
+def _hop(packet: Message | Ack, next_hop: str) -> Hop:
+    if isinstance(packet, Message):
+        return Hop(packet.sender, packet.to, packet.number, next_hop, back=False, key=packet.key)
+    return Hop(packet.to, packet.sender, packet.number, next_hop, back=True)
 
 
 def _ttl(route: Route) -> int:

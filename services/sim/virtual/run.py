@@ -7,12 +7,9 @@ import os
 import random
 import time as real_time
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 from services.apps import loader
-from services.apps.changes import in_force
-from services.apps.recorder import Recorder
 from services.mesh.core.delay import AirModel
 from services.sim import scene
 from services.sim.core.witness import Witness
@@ -20,21 +17,18 @@ from services.sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from services.sim.options import parse as arguments_of
 from services.sim.report import Json, Outcome, summary
 from services.sim.scenario import Scenario, build
-from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.event_host import VirtualEventHost
 from services.sim.virtual.hang import broken_off
 from services.sim.virtual.host import VirtualHost
-from services.sim.virtual.strand import Line, Teller, Told, VirtualStrand
-from services.sim.virtual.tape import Tape
+from services.sim.virtual.ledger import Ledger
+from services.sim.virtual.strand import Line, Teller, Told
 from services.sim.virtual.world import Launch, World
+from swarm.conduct import Conduct
 from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import ConfigError, LocalError
-from swarm.messages import AppEpoch, AppProgress
+from swarm.messages import AppEpoch
 from swarm.recording import folder
-from swarm.recording.plain import PlainRecording
-from swarm.recording.reader import SUFFIX
-from swarm.recording.watch import Watch
 
 STALLED = 60.0
 """s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
@@ -88,9 +82,8 @@ class Run:
             skew=options.clock_skew,
             witness=self._witness,
         )
-        self._tapes = {name: Tape(keep=self._rows) for name in names}
-        self._recordings: list[PlainRecording] = []
-        self._recorders: dict[str, Recorder] = {}
+        self._ledger = self._ledger_of(scenario.app or "")
+        self._beside = {each.app: self._ledger_of(each.app) for each in scenario.beside}
         self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
         self._running = set(names)
         self._missing_first = set(names) - self._late.keys()
@@ -111,27 +104,47 @@ class Run:
             return self._go()
 
     def _go(self) -> Outcome:
-        options, scenario, world = self._options, self._scenario, self.world
+        scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.program is not None:
-            app = loader.load(scenario.program)
-            number = random.Random(f"{options.seed} run").getrandbits(64)
-            if options.record is not None:
-                self._begin_record(options.record, app, number)
-            told = Told(self._advanced, self._ended, self._switched, self._progress)
+            told = Told(self._advanced, self._ended, self._switched, self._ledger.progress)
+            launches = [self._launch(loader.load(scenario.program), "", scenario.conduct, self._ledger, told)]
+            for each in scenario.beside:
+                ledger = self._beside[each.app]
+                told = Told(ledger.advanced, self._ended_beside, ledger.switched, ledger.progress)
+                launches.append(
+                    self._launch(loader.load(each.program), f" {each.app}", scenario.conduct_beside, ledger, told)
+                )
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds)
-            for name in scenario.config.names:
-                launch = Launch(app, number, scenario.conduct, scenario.recordings.get(name), told)
-                world.start_app(name, launch, after=self._late.get(name, 0.0))
+            for launch in launches:
+                for name in scenario.config.names:
+                    mine = launch._replace(recording=scenario.recordings.get(name))
+                    world.start_app(name, mine, after=self._late.get(name, 0.0))
         else:
             self._first_done()
         self._watch()
         ended_at = world.time.now
-        for recording in self._recordings:
-            recording.close()
+        for ledger in (self._ledger, *self._beside.values()):
+            ledger.close()
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
+
+    def _ledger_of(self, app: str) -> Ledger:
+        return Ledger(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
+
+    def _launch(self, app: loader.App, which: str, conduct: Conduct, ledger: Ledger, told: Told) -> Launch:
+        """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
+        tickets of requests begin with."""
+        place, scenario = self._options.record, self._scenario
+        number = random.Random(f"{self._options.seed} run{which}").getrandbits(64)
+        if place is not None:
+            files = {folder.CONFIG_FILE: dump(scenario.config).encode()}
+            if app.name not in loader.BUILT_IN:
+                files[f"{app.name}.py"] = Path(app.source).read_bytes()
+            folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
+            ledger.record(place, app, number)
+        return Launch(app, number, conduct, None, told)
 
     def _watch(self) -> None:
         """Let time pass until the run is over, looking now and then whether anything still moves."""
@@ -146,7 +159,8 @@ class Run:
 
     def _stalled(self) -> None:
         """Nothing has happened for long. For an app that waits for events that is the end; for others, a problem."""
-        hosts = [host for robot in self.world.robots.values() for host in robot.apps.values()]
+        app = self._scenario.app
+        hosts = [host for robot in self.world.robots.values() for name, host in robot.apps.items() if name == app]
         strands = [strand for host in hosts if isinstance(host, VirtualHost) for strand in host.strands.values()]
         tellers: list[Teller] = [*strands, *(host for host in hosts if isinstance(host, VirtualEventHost))]
         if tellers and all(_has_no_steps(each) for each in tellers):
@@ -160,52 +174,12 @@ class Run:
 
     def _advanced(self, teller: Teller, line: Line) -> None:
         """A robot has done an iteration."""
-        name = teller.robot
-        self._last_progress = now = self.world.time.now
-        if self._recorders:
-            if line.k == 0:
-                self._progress(teller)
-                if isinstance(teller, VirtualStrand) and not teller.part:
-                    self._recorders[name].parameters(in_force(teller.runner.app, line.t))
-            if line.measurement is not None:
-                self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
-            self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
-        if teller.part:
-            return
-        self._tapes[name].write(teller, line._replace(t=now) if self._options.clock_skew else line)
-        if self._started is None and (line.k >= 1 or _has_no_steps(teller)):
-            self._missing_first.discard(name)
+        self._last_progress = self.world.time.now
+        self._ledger.advanced(teller, line)
+        if not teller.part and self._started is None and (line.k >= 1 or _has_no_steps(teller)):
+            self._missing_first.discard(teller.robot)
             if not self._missing_first:
                 self._first_done()
-
-    def _progress(self, teller: Teller, phase: str = "") -> None:
-        """Record what has become of an app: it runs, waits, is done, or has failed."""
-        if not self._recorders:
-            return
-        reason = teller.reason or teller.obstacle
-        phase = phase or ("waiting" if teller.waiting or reason else "running")
-        now = self.world.robots[teller.robot].time.now
-        progress = AppProgress(now, phase, teller.runner.k, teller.waiting, reason)
-        self._recorders[teller.robot].progress(progress, teller.part)
-
-    def _begin_record(self, place: Path, app: loader.App, number: int) -> None:
-        """Begin the recording: one file for all robots, or one for each where each has a clock of its own."""
-        run = folder.describe(app.name, number, self._options.seed, app.digest)
-        folder.begin(place, run, {folder.CONFIG_FILE: dump(self._scenario.config).encode()})
-        names = self._scenario.config.names
-        if self._options.clock_skew:
-            files = {name: PlainRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in names}
-            self._recordings = list(files.values())
-        else:
-            self._recordings = [PlainRecording(place / f"{app.name}{SUFFIX}", run)]
-            files = dict.fromkeys(names, self._recordings[0])
-        self._recorders = {name: Recorder(files[name], name, app.name) for name in names}
-        self.world.records = {name: recorder.value for name, recorder in self._recorders.items()}
-        for name, robot in self.world.robots.items():
-            bus = VirtualBus(robot.router)
-            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), slow=False)
-            watch.on_sample = watch.drain
-            watch.hear_requests(bus, name)
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
@@ -220,7 +194,7 @@ class Run:
 
     def _ended(self, teller: Teller) -> None:
         """A robot is at its last iteration, or its app has failed: that ends the run."""
-        self._progress(teller, "fault" if teller.reason else "done")
+        self._ledger.ended(teller)
         if teller.reason:
             self._problems.append(f"{teller.robot} app {teller.reason}")
             if not self._scenario.conduct.drop:
@@ -231,16 +205,19 @@ class Run:
         self._running.discard(teller.robot)
         self._look_whether_over()
 
+    def _ended_beside(self, teller: Teller) -> None:
+        """An app beside is done, or has failed: the others go on."""
+        self._beside[teller.app].ended(teller)
+        if teller.reason:
+            self._problems.append(f"{teller.robot} {teller.app} {teller.reason}")
+
     def _switched(self, teller: Teller, epoch: AppEpoch) -> None:
         """The members have changed."""
         name = teller.robot
         self._last_progress = self.world.time.now
-        if self._recorders:
-            self._recorders[name].epoch(epoch, teller.part)
-            self._progress(teller)
+        self._ledger.switched(teller, epoch)
         if teller.part:
             return
-        self._tapes[name].go_back(epoch.k)
         if name in epoch.members:
             self._running.add(name)
         if (epoch.epoch, epoch.frames) > self._epoch:
@@ -265,7 +242,8 @@ class Run:
             seed=self._options.seed,
             started_s=started,
             seconds=0.0 if started is None else ended_at - started,
-            trajectories={name: tape.trajectory() for name, tape in self._tapes.items()} if self._scenario.app else {},
+            trajectories=self._ledger.trajectories() if self._scenario.app else {},
+            beside={name: ledger.trajectories() for name, ledger in self._beside.items()},
             bodies=dict.fromkeys(names),
             messages=frames,
             rss_mib={},

@@ -36,7 +36,9 @@ from swarm.core.hands import Act
 from swarm.devices import Devices
 from swarm.errors import AppError
 from swarm.event_app import Channel, EventApp, channels_of
+from swarm.keys import key
 from swarm.mesh_clock import MeshClock
+from swarm.messages import Target
 from swarm.overlays import Overlays
 from swarm.ranging import Ranging
 from swarm.recordings import Recording
@@ -44,6 +46,9 @@ from swarm.robot import Robot
 
 ASK_EVERY = 0.2
 """s between two looks whether an automatic topology links all robots yet, as the real host has it."""
+
+TARGET_PERIOD_S = 0.1
+"""s between two messages of where a target that moves is, as the real simulation has it."""
 
 LONGEST_UP = 3600.0
 """s since when robots may be up whose clocks are not one: so far their zeros lie apart."""
@@ -110,14 +115,14 @@ class World:
         self.modules = ModuleField(config)
         self._model = air
         self._mesh = mesh
-        self.records: dict[str, Callable[[str, float, Value], None]] = {}
-        """By robot, what `robot.record` calls, where the run is recorded."""
+        self.records: dict[tuple[str, str], Callable[[str, float, Value], None]] = {}
+        """By robot and app, what `robot.record` calls, where the run is recorded."""
         self._body = body
         self._lying = lying
         self._skew = skew
         self._witness = witness
         self._names = frozenset(config.names)
-        self._launched: dict[str, Launch] = {}
+        self._launched: dict[tuple[str, str], Launch] = {}
         self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
@@ -126,6 +131,8 @@ class World:
         meshes = {name: robot.mesh for name, robot in self.robots.items() if isinstance(robot.mesh, DelayMesh)}
         for each in meshes.values():
             each.link(meshes, self.air.cuts)
+        if config.simulation.moving:
+            self.time.soon(self._tell_target)
 
     def cut(self, a: str, b: str, at: float, seconds: float) -> None:
         """Let nothing pass between two robots from `at` on."""
@@ -135,7 +142,9 @@ class World:
         """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes. After
         `seconds` they start anew. The body stays as it is."""
         there = self.robots[robot]
-        begun = [(self._launched[robot], host.kept) for host in there.apps.values() if isinstance(host, VirtualHost)]
+        begun = [
+            (self._launched[robot, app], host.kept) for app, host in there.apps.items() if isinstance(host, VirtualHost)
+        ]
         for host in there.apps.values():
             assert isinstance(host, VirtualHost)  # `Run` lets no other app be switched off
             host.close()
@@ -165,7 +174,7 @@ class World:
 
     def start_app(self, robot: str, launch: Launch, after: float = 0.0) -> None:
         """Start an app's host after so many s; with an automatic topology it begins when that links all robots."""
-        self._launched[robot] = launch
+        self._launched[robot, launch.app.name] = launch
         if after:
             self.time.at(self.time.now + after, self._begin, robot, launch)
         else:
@@ -230,6 +239,14 @@ class World:
             app.name, EventRunner(instance, app.source), app.digest, place, self.config, inner, told
         )
 
+    def _tell_target(self) -> None:
+        """Where a target that moves is, for recordings."""
+        now = self.time.now
+        self.time.at(now + TARGET_PERIOD_S, self._tell_target)
+        place = Target(now, *self.config.simulation.target_after(now - self.modules.moves_from))
+        for name, robot in self.robots.items():
+            robot.dwm.bus.publish(key(name, "sim", "target"), place)
+
     def _live(self, robot: str, bus: VirtualBus) -> Live:
         if self.config.dwm.target is None:
             raise AppError("[dwm] target: expected the address of the target's module, this app needs it")
@@ -250,7 +267,7 @@ class World:
         robot.mesh_clock = MeshClock(bus, robot.name, now)
         robot.ranging = Ranging(bus, robot.name, now)
         robot.devices = Devices(bus, robot.name, now)
-        robot.recording = self.records.get(robot.name)
+        robot.recording = self.records.get((robot.name, robot.app))
 
     def _settle(self, latency: float) -> None:
         times = round(max(latency * 1e4, 1.0))

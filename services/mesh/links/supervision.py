@@ -1,0 +1,47 @@
+"""How long the radio keeps a silent connection.
+
+Its own time-out is 20 s, and a controller keeps what it could not deliver until then, in the few buffers that all its
+connections share (8 on the robots'). A robot that goes off thus takes the buffers of each of its neighbours, which fall
+silent towards all others (tests/lab/inside_faults.py shows it with Linux's own Bluetooth). So whoever has called sets
+a time-out below that of the mesh. It is the caller's to do: the called side's controller would refuse.
+"""
+
+import logging
+import threading
+
+from swarm.adapter import Adapter
+from swarm.core import hci
+from swarm.errors import LocalError
+
+SHARE = 2 / 3
+"""Of the mesh's own time-out: others that wait for a buffer meanwhile must not be taken for dead."""
+
+_log = logging.getLogger("mesh")
+_told: set[str] = set()
+_lock = threading.Lock()
+
+
+def limit(adapter: Adapter, peer: str, seconds: float) -> None:
+    """Let the connection to the Bluetooth address `peer` be over after so much silence. Raises `LocalError` where there
+    is no such connection or the adapter refuses, and OSError."""
+    status = adapter.ask(hci.write_supervision(adapter.handle(peer), seconds), hci.written_supervision)
+    if status:
+        raise LocalError(f"the adapter refuses: HCI status {status:#04x}")
+
+
+def try_limit(own: str, peer: str, dead: float) -> None:
+    """The same for a mesh that takes a robot for dead after that time, s. Links work without it, too: where it cannot
+    be done the reason is logged, once."""
+    try:
+        adapter = Adapter(own)
+        try:
+            limit(adapter, peer, SHARE * dead)
+        finally:
+            adapter.close()
+    except (LocalError, OSError) as error:
+        text = str(error) if isinstance(error, LocalError) else hci.explained(error)
+        with _lock:
+            if text in _told:
+                return
+            _told.add(text)
+        _log.warning("a robot that goes off may keep its neighbours' links waiting for 20 s: %s", text)
