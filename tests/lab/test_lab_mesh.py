@@ -43,7 +43,7 @@ def simulate(shape: str, share: Path) -> None:
 
 @pytest.fixture(scope="module")
 def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
-    with Machine(lab_image, tmp_path_factory.mktemp("mesh"), "robots", init=PLAIN, alone=True, memory_mb=1536) as made:
+    with Machine(lab_image, tmp_path_factory.mktemp("mesh"), "robots", init=PLAIN, cores=2, memory_mb=1536) as made:
         for name in ("swarm", "stranger"):
             new_key_file(made.share / f"{name}.key", int(time.time()))
         yield made
