@@ -1,16 +1,22 @@
 """CPU time of one robot's bus, mesh and app for 100 lockstep iterations, read from /proc in mid-run.
 
 All that those processes do in that time is in it: the links' heartbeats, the other services' messages on the bus, and
-the app's state for whoever watches. With simulated links a robot's mesh is its own radio, too. With links over sockets
-it does what it does on a robot: TCP differs from RFCOMM in how the socket is made, frames are authenticated, and the
-radio is a process apart (`bench.radio`), whose time is not counted, as kernel and controller are on a robot.
+the app's state for whoever watches. With links over sockets a robot's mesh does what it does on a robot: TCP differs
+from RFCOMM in how the socket is made, frames are authenticated, and the radio is a process apart (`bench.radio`), whose
+time is not counted, as kernel and controller are on a robot. With simulated links a mesh is its own radio, too.
+
+A robot has its processors for itself. Where the processes of six share two cores, each finds others' data in the caches
+whenever it wakes, and pays for that. So one robot is there with all its processes, and its neighbours (their meshes'
+real cores and links, their locksteps) are one process, `bench.peers`; what it takes among six is told beside it.
 """
 
 import os
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
+from bench import one_sim
 from bench.rows import Row
 from bench.simulation import Simulation
 from swarm.simulations import pid_file
@@ -20,8 +26,24 @@ SERVICES = ("bus", "mesh", "app/consensus")
 LIMIT_S = 0.2
 """The thesis' one process takes 0.09 to 0.20 s for as much."""
 
-LINKS = {"sockets": ("bench.socket_sim",), "simulated links": ("swarm.cli", "sim")}
-"""What runs the simulation, by kind of links."""
+
+class Kind(NamedTuple):
+    """How robots are measured."""
+
+    name: str
+    program: tuple[str, ...]
+    """What runs the simulation."""
+    robots: tuple[str, ...]
+    """Whose processes count."""
+
+
+ONE = Kind("one robot", ("bench.one_sim",), (one_sim.ROBOT,))
+KINDS = (
+    ONE,
+    Kind("six on two cores", ("bench.socket_sim",), NAMES),
+    Kind("six on two cores, simulated links", ("swarm.cli", "sim"), NAMES),
+)
+TOPOLOGIES = ("line", "full")
 
 REPEATS = 3
 WARM_UP = 60
@@ -30,17 +52,18 @@ ITERATIONS = 300
 
 def rows() -> Iterator[Row]:
     """Measure; yields rows as they are there. Runs of all kinds take turns: the machine is not always the same."""
-    kinds = [(topology, links) for topology in ("line", "full") for links in LINKS]
-    found: dict[tuple[str, str], list[dict[str, float]]] = {kind: [] for kind in kinds}
+    measured = [(topology, kind) for topology in TOPOLOGIES for kind in KINDS]
+    found: dict[tuple[str, Kind], list[dict[str, float]]] = {each: [] for each in measured}
     for _ in range(REPEATS):
-        for kind, runs in found.items():
-            runs.append(_measure(*kind))
-    for (topology, links), runs in found.items():
+        for (topology, kind), runs in found.items():
+            runs.append(measure(topology, kind))
+    for (topology, kind), runs in found.items():
+        goal = 1.0 if kind is ONE else None
         for service in SERVICES:
             share = statistics.median(run[service] for run in runs)
-            yield Row(f"{topology} 6, {links}, {service}, a robot and 100 iterations", share, "s", LIMIT_S, 1.0)
+            yield Row(f"{topology} 6, {kind.name}, {service}, a robot and 100 iterations", share, "s", LIMIT_S, goal)
         total = statistics.median(sum(run.values()) for run in runs)
-        yield Row(f"{topology} 6, {links}, the three, a robot and 100 iterations", total, "s", LIMIT_S, 1.0)
+        yield Row(f"{topology} 6, {kind.name}, the three, a robot and 100 iterations", total, "s", LIMIT_S, goal)
 
 
 def cpu_s(pid: int) -> float:
@@ -49,18 +72,19 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _measure(topology: str, links: str) -> dict[str, float]:
-    """s by service, the mean of all robots."""
+def measure(topology: str, kind: Kind) -> dict[str, float]:
+    """s by service, the mean of the robots that count."""
     options = ("--robots", str(len(NAMES)), "--topology", topology, "--seconds", "600")
-    with Simulation("consensus", *options, program=LINKS[links]) as simulation:
-        simulation.wait_for("r0", WARM_UP)
+    watched = kind.robots[0]
+    with Simulation("consensus", *options, program=kind.program) as simulation:
+        simulation.wait_for(watched, WARM_UP)
         pids = {
-            service: [int(pid_file(simulation.run_dir, name, service).read_text()) for name in NAMES]
+            service: [int(pid_file(simulation.run_dir, name, service).read_text()) for name in kind.robots]
             for service in SERVICES
         }
         before = {service: sum(map(cpu_s, each)) for service, each in pids.items()}
-        first = simulation.trajectory("r0").last
-        simulation.wait_for("r0", first + ITERATIONS)
+        first = simulation.trajectory(watched).last
+        simulation.wait_for(watched, first + ITERATIONS)
         after = {service: sum(map(cpu_s, each)) for service, each in pids.items()}
-        hundreds = (simulation.trajectory("r0").last - first) / 100
-        return {service: (after[service] - before[service]) / len(NAMES) / hundreds for service in SERVICES}
+        hundreds = (simulation.trajectory(watched).last - first) / 100
+        return {service: (after[service] - before[service]) / len(kind.robots) / hundreds for service in SERVICES}

@@ -9,8 +9,9 @@ from dataclasses import replace
 from bench import radio
 from services.mesh import __main__ as mesh
 from swarm import service
-from swarm.config import load, who_am_i
+from swarm.config import Config, load, who_am_i
 from swarm.config.dump import dump
+from swarm.config.load import parse
 from swarm.paths import runtime_dir
 
 PORT, KEY = "BENCH_PORT", "BENCH_KEY"
@@ -19,14 +20,24 @@ PORT, KEY = "BENCH_PORT", "BENCH_KEY"
 
 def main() -> None:
     """Give this robot a configuration of its own, and go on as the mesh does."""
-    config, port = load(), os.environ[PORT]
-    robots = [replace(robot, link=f"tcp:{radio.in_range(i)}:{port}") for i, robot in enumerate(config.robots)]
-    listen = f"{radio.of_robot(config.names.index(who_am_i(config)))}:{port}"
-    settings = replace(config.mesh, insecure=False, key=os.environ[KEY], listen=listen)
+    config = load()
     own = runtime_dir() / "mesh.toml"
-    own.write_text(dump(replace(config, robots=tuple(robots), mesh=settings)))
+    own.write_text(dump(_wired(config, who_am_i(config))))
     os.environ["SWARM_CONFIG"] = str(own)
     mesh.main()
+
+
+def of_robot(config: Config, robot: str) -> Config:
+    """The configuration of one robot whose links are such sockets."""
+    return parse(dump(_wired(config, robot)), config.path)
+
+
+def _wired(config: Config, robot: str) -> Config:
+    port = os.environ[PORT]
+    robots = [replace(each, link=f"tcp:{radio.in_range(i)}:{port}") for i, each in enumerate(config.robots)]
+    listen = f"{radio.of_robot(config.names.index(robot))}:{port}"
+    settings = replace(config.mesh, insecure=False, key=os.environ[KEY], listen=listen)
+    return replace(config, robots=tuple(robots), mesh=settings)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
 """The process around one app: one bus, one ticker and one lock file for all its lockstep channels.
 
-Threads. Zenoh's thread feeds the strands and may send what that gives, but never runs a step: an author's step
-may take its time, and a blocked callback would hold up every key of the process. Each strand has a worker for its
-steps, so that a slow channel holds up no other. A ticker runs the timers and publishes states and progress.
+Threads. Each strand has a worker for its steps, so that a slow channel holds up no other. An app's only worker takes
+neighbours' frames itself while it has nothing to do: handing each step over to another thread would cost as much as
+the step. Zenoh's thread feeds the strands and may send what that gives, but never runs a step: an author's step may
+take its time, and a blocked callback would hold up every key of the process. A ticker runs the timers and publishes
+states and progress.
 """
 
 import hashlib
+import queue
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +22,8 @@ from services.apps.hold import Hold
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
-from services.apps.worker import CLOSE_WITHIN, Latest, Worker
+from services.apps.steps import Steps
+from services.apps.worker import CLOSE_WITHIN, Latest, Queue, Worker
 from swarm import clock
 from swarm.app import SyncApp
 from swarm.codec import Value, decode
@@ -28,6 +32,7 @@ from swarm.core import together
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError, PayloadError
 from swarm.keys import key
+from swarm.lane import Lane, of_app
 from swarm.messages import Links, SetAppEpoch, Topology
 from swarm.service import Service
 
@@ -75,6 +80,9 @@ class Host:
         assert held is not None
         if not links.kept:
             topology.save(service.runtime, name, run, links)
+        self._lane = Lane(service.runtime, of_app(name))
+        self._listens = None if len(parts) == 1 else threading.Thread(target=self._listen, name="frames", daemon=True)
+        self._closing = False
         self._connections: dict[str, int] = {}
         self._workers: dict[str, Worker] = {}
         self._by_schema: dict[int, Worker] = {}
@@ -84,16 +92,17 @@ class Host:
             runner = Runner(part.app, source, conduct.tolerance)
             schema = schema_of(runner, part.channel, digest)
             terms = Terms(run, schema, conduct.last, conduct.rule, conduct.drop, conduct.after)
+            birth, measurements = held.incarnation, part.measurements
+            todo: Queue = Steps(self._lane, self._take) if self._listens is None else queue.SimpleQueue()
             worker = Worker(
-                service, name, part.channel, runner, terms, held.incarnation, links, part.measurements, recorder
+                service, self._lane, todo, name, part.channel, runner, terms, birth, links, measurements, recorder
             )
             self._notes[terms.notes] = worker
             if not part.channel:
                 self._let_change(name, runner, run, recorder)
             self._workers[part.channel] = self._by_schema[schema] = worker
+        # Of neighbours, and of another process of this app on this robot: there must not be one.
         service.bus.subscribe(key(service.robot, "mesh", "frames", name), self._on_frames)
-        # What another process of this app on this robot says: there must not be one.
-        service.bus.subscribe(key(service.robot, f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
         service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
@@ -102,6 +111,8 @@ class Host:
         for worker in self._workers.values():
             worker.start()
         self._ticks.start()
+        if self._listens is not None:
+            self._listens.start()
 
     @property
     def failed(self) -> bool:
@@ -130,11 +141,30 @@ class Host:
         """End the threads and let go of the files. A step that runs is waited for, but not for ever."""
         for worker in self._workers.values():
             worker.stop()
+        self._closing = True
+        if self._listens is not None:
+            self._lane.wake()
+            self._listens.join(CLOSE_WITHIN)
         self._ticks.join(CLOSE_WITHIN)
         closed = [worker.close() for worker in self._workers.values()]
         self._hold.close()
-        if all(closed) and self._own_claim is not None:
-            self._own_claim.close()
+        if all(closed):
+            self._lane.close()
+            if self._own_claim is not None:
+                self._own_claim.close()
+
+    # On the thread that takes frames from the lane: the only worker's, or one for all
+
+    def _listen(self) -> None:
+        while not self._closing:
+            if (data := self._lane.wait()) is not None:
+                self._take(data)
+
+    def _take(self, data: bytes) -> None:
+        try:
+            self._on_frames("", data)
+        except Exception:
+            self._service.log.exception("frames cannot be taken")
 
     # On Zenoh's thread
 
@@ -227,6 +257,10 @@ class Host:
         told_ready = False
         workers = tuple(self._workers.values())
         while not self._service.stopping.wait(self._pause()):
+            if self._listens is None and any(worker.busy for worker in workers):
+                # Who would take frames runs a step that takes its time; neighbours get answers all the same.
+                while (data := self._lane.take()) is not None:
+                    self._take(data)
             news = [worker.tick() for worker in workers]
             self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
             if not told_ready and all(worker.begun for worker in workers) and not self.failed:

@@ -1,9 +1,9 @@
 """Files, thread and keys of one strand of an app: a lockstep with its snapshot, recording, state and progress."""
 
-import queue
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from services.apps import topology
 from services.apps.ballots import BallotFile, told
@@ -15,11 +15,13 @@ from services.apps.runner import Runner
 from services.apps.snapshot import SnapshotFile
 from swarm import clock
 from swarm.codec import Value, encode
+from swarm.core import together
 from swarm.core.epoch_actions import Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import first
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Save, Send
 from swarm.errors import AppError, SwarmError
 from swarm.keys import key
+from swarm.lane import MESH, Lane
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement, SetAppEpoch, Topology
 from swarm.service import Service
 from swarm.slow import APP_STATE_S, Slow
@@ -45,12 +47,24 @@ class Latest:
     state: dict[str, Value]
 
 
+class Queue(Protocol):
+    """Where steps wait."""
+
+    def put(self, step: Compute | Renew | None, /) -> None:
+        """Behind all others; None: the worker is to look whether it shall end."""
+
+    def get(self) -> Compute | Renew | None:
+        """The oldest one; waits for it."""
+
+
 class Worker:
     """Runs one strand: takes its frames, runs its steps in a thread of its own, keeps its files."""
 
     def __init__(
         self,
         service: Service,
+        lane: Lane,
+        todo: Queue,
         app: str,
         part: str,
         runner: Runner,
@@ -60,10 +74,11 @@ class Worker:
         measurements: Measurements | None,
         recorder: Recorder | None,
     ) -> None:
-        """`part`: name of the channel within the app, empty for an app that is one lockstep. Raises `LocalError` where
-        its files cannot be had."""
+        """`todo`: its steps, of which it takes one after the other. `part`: name of the channel within the app, empty
+        for an app that is one lockstep. Raises `LocalError` where its files cannot be had."""
         self.latest: Latest | None = None
         self._service = service
+        self._lane = lane
         self._runner = runner
         self._part = part
         self._recorder = recorder
@@ -80,10 +95,12 @@ class Worker:
         self._notes = f"{self._prefix}/{terms.notes}"
         self._channel = self._strand.channel
         self._sync = f"{self._prefix}/{self._channel.text}"
+        self._hosts = f"{key(service.robot, 'mesh', 'frames')}/{app}"
+        self._said = ""
         self._measurements = measurements
         self._lock = threading.Lock()  # around the strand
         self._app_lock = threading.Lock()  # around the app, taken first: results are looked at between steps only
-        self._todo: queue.SimpleQueue[Compute | Renew | None] = queue.SimpleQueue()
+        self._todo = todo
         self._closing = False
         self._step_began: float | None = None
         self._measuring: float | None = None
@@ -117,6 +134,11 @@ class Worker:
     def begun(self) -> bool:
         """Whether it has its first state."""
         return self._strand.begun
+
+    @property
+    def busy(self) -> bool:
+        """Whether it runs a step, or waits for what a step needs."""
+        return self._step_began is not None or self._measuring is not None
 
     @property
     def stuck(self) -> bool:
@@ -252,6 +274,8 @@ class Worker:
         except Exception as error:
             self._service.log.exception("the app host has a fault of its own")
             self._fail(f"fault of the app host: {error!r}")
+        while not self._closing:  # after a fault neighbours still get answers
+            self._todo.get()
 
     # On the ticker's thread
 
@@ -356,7 +380,7 @@ class Worker:
                 if self._channel is not self._strand.channel:
                     self._channel = self._strand.channel
                     self._sync = f"{self._prefix}/{self._channel.text}"
-                self._service.bus.publish(self._sync if to is None else f"{self._sync}/{to}", data, urgent=True)
+                self._send(self._sync if to is None else f"{self._sync}/{to}", data)
             case Advanced(k, _):
                 self.latest = Latest(k, self._strand.computed_at, self._runner.state())
                 if self._recorder is not None:
@@ -365,6 +389,15 @@ class Worker:
                 self._todo.put(action)
             case Fault(reason):
                 self._tell(reason)
+
+    def _send(self, name: str, data: bytes) -> None:
+        """A frame to the mesh. The first one of a channel goes to the app's hosts on this robot, too: another process
+        that runs this app finds out that it is not the only one (R6)."""
+        if self._said != self._sync:
+            self._said = self._sync
+            self._service.bus.publish(self._hosts, together.pack([(name, data)]), urgent=True)
+        if not self._lane.send(MESH, [(name, data)]):
+            self._service.bus.publish(name, data, urgent=True)
 
     def _keep(self, write: Callable[[], None]) -> None:
         try:

@@ -30,6 +30,7 @@ from swarm.config import Config
 from swarm.core import together
 from swarm.keyfile import read_keys
 from swarm.keys import key
+from swarm.lane import MESH, Lane, of_app
 from swarm.messages import Clock, Links
 from swarm.paths import state_dir
 from swarm.service import Service
@@ -38,7 +39,8 @@ _REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links` and `mesh/clock` when nothing changes."""
 
 
-def _local(config: Config, me: str) -> Local:
+def local_of(config: Config, me: str) -> Local:
+    """What a robot's links have in common, by its configuration."""
     own, settings = config.robot(me), config.mesh
     return Local(
         robot=me,
@@ -60,7 +62,9 @@ _log = logging.getLogger("mesh")
 class _Mesh(Runner):
     """A runner that publishes its links and keeps the topology; the newest state is always the last one."""
 
-    def __init__(self, node: Node, network: Network, service: Service, heard: Callable[[str, bytes], None]) -> None:
+    def __init__(
+        self, node: Node, network: Network, service: Service, lane: Lane, heard: Callable[[str, bytes], None]
+    ) -> None:
         """`heard(key, payload)` gets what came in, besides the bus."""
         super().__init__(
             node,
@@ -69,7 +73,10 @@ class _Mesh(Runner):
             deliver=self._to_bus,
             changed=self.report,
             keep=self._keep_topology,
+            lane=lane,
+            show=partial(service.bus.publish, urgent=True),
         )
+        self._hosts = lane
         self._service = service
         self._bus = service.bus
         self._counters = service.counters
@@ -98,7 +105,8 @@ class _Mesh(Runner):
     def _to_bus(self, messages: Sequence[Received]) -> None:
         # Hosts of apps hear this one message, and whoever listens to the frames themselves hears those.
         for app, frames in by_app(messages).items():
-            self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
+            if not self._hosts.send(of_app(app), frames):
+                self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
         for each in messages:
             self._heard(each.key, each.payload)
             if len(each.payload) <= MAX_BINARY:
@@ -110,7 +118,7 @@ class _Mesh(Runner):
 def main() -> None:
     """Run until SIGTERM."""
     with Service("mesh") as this:
-        local = _local(this.config, this.robot)
+        local = local_of(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
         start = Start(ground, local.dials, keep.load(state_dir(), ground))
         relay = Relay(this.robot, (), this.config.relay, this.config.names)
@@ -129,7 +137,8 @@ def main() -> None:
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
         tell = Tell(this.robot, len(this.config.names), this.runtime)
-        mesh = _Mesh(node, network, this, tell.heard)
+        lane = Lane(this.runtime, MESH)
+        mesh = _Mesh(node, network, this, lane, tell.heard)
         Door(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
         tell.begin(this.bus, mesh)
         mesh.start()
@@ -141,6 +150,7 @@ def main() -> None:
                 this.watchdog()
         tell.close()
         mesh.stop()
+        lane.close()
         network.close()
 
 

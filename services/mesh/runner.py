@@ -23,6 +23,9 @@ from services.mesh.core.overlays import Overlays
 from services.mesh.core.session import Session
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
+from swarm.core import together
+from swarm.errors import PayloadError
+from swarm.lane import MESH, Lane
 from swarm.messages import EchoRequest, HoldLink, LinkState
 
 _CHUNK = 4096
@@ -63,15 +66,20 @@ class Runner:
         deliver: Callable[[Sequence[Received]], None],
         changed: Callable[[], None],
         keep: Callable[[], None],
+        lane: Lane,
+        show: Callable[[str, bytes], None],
     ) -> None:
         """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(messages)` for what came
-        in, `changed()` when a link did, `keep()` when there is another topology to be kept."""
+        in, `changed()` when a link did, `keep()` when there is another topology to be kept. What hosts of apps send
+        comes by the `lane`, and `show(key, payload)` tells others of it."""
         self._node = node
         self._listeners = listeners
         self._dial = dial
         self._deliver = deliver
         self._changed = changed
         self._keep = keep
+        self._lane = lane
+        self._show = show
         self._lock = threading.Lock()
         self._pipes: dict[Session, Pipe] = {}
         self._blocked: dict[Session, Pipe] = {}
@@ -87,8 +95,9 @@ class Runner:
         """Begin to dial and to listen."""
         self._thread.start()
 
-    def publish(self, source: int, key: str, payload: bytes) -> None:
-        """A sample of the own bus; may be called on Zenoh's thread, never waits for a socket."""
+    def publish(self, source: int | None, key: str, payload: bytes) -> None:
+        """A sample of the own bus, `source` as of `Node.publish`. May be called on Zenoh's thread, never waits for a
+        socket."""
         with self._lock:
             self._node.publish(source, key, payload, clock.now())
             actions = self._carry_out()
@@ -259,9 +268,9 @@ class Runner:
                 self._report(actions)
 
     def _wait(self, pipes: list[tuple[Session, Pipe]], blocked: list[tuple[Session, Pipe]], deadline: float) -> None:
-        """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it."""
+        """Wait for the first of: bytes, callers, frames of apps, room in a full socket, the deadline; and handle it."""
         now = clock.now()
-        readers: list[int | Listener | Pipe] = [self._wake, *self._listeners]
+        readers: list[int | Listener | Pipe | Lane] = [self._wake, *self._listeners, self._lane]
         changing: dict[Pipe, float] = {}
         for _, pipe in pipes:
             if (change := pipe.next_change(now)) is not None:
@@ -274,6 +283,8 @@ class Runner:
         if self._wake in readable:
             with contextlib.suppress(BlockingIOError):
                 os.eventfd_read(self._wake)
+        if self._lane in readable:
+            self._take_lane()
         now = clock.now()
         arrivals: list[tuple[Session, Pipe, bytes]] = []
         for session, pipe in pipes:
@@ -302,6 +313,23 @@ class Runner:
                         self._flush(session, pipe)
                 actions = self._carry_out()
             self._report(actions)
+
+    def _take_lane(self) -> None:
+        """What the host of an app sends to neighbours: one datagram, links have their turn before the next."""
+        if (data := self._lane.take()) is None:
+            return
+        try:
+            parts = list(together.unpack(data))
+        except PayloadError as error:
+            _log.warning("%s: %s", MESH, error)
+            return
+        with self._lock:
+            for key, payload in parts:
+                self._node.publish(None, key, payload, clock.now())
+            actions = self._carry_out()
+        self._report(actions)
+        for key, payload in parts:
+            self._show(key, payload)
 
     def _accept(self, listener: Listener) -> None:
         try:

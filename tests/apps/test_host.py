@@ -7,6 +7,7 @@ import platform
 import random
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from services.apps.runner import Runner
 from swarm.codec import decode, encode
 from swarm.config import load
 from swarm.core import together
+from swarm.core.lockstep_frames import Channel
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
 from swarm.recording.run import Run
 
@@ -243,6 +245,22 @@ def test_a_second_process_of_an_app_is_refused(make_rig: MakeRig) -> None:
     assert first.poll() is None
     first.terminate()
     assert first.wait(60) == 0
+
+
+def test_an_app_stops_that_hears_of_a_newer_process_of_its_own(make_rig: MakeRig) -> None:
+    """A lock keeps a second one from starting; where that fails, each says that it is there."""
+    rig = make_rig("", ("r0", "r1"))
+    said: list[bytes] = []
+    rig.buses["r0"].subscribe("swarm/r0/mesh/frames/consensus", lambda key, payload: said.append(payload))
+    rig.start("r0", "apps", "consensus", SWARM_RUN="a1")
+    wait_until(lambda: bool(said))
+    ((name, frame),) = together.unpack(said[0])
+    sync, channel = name.rsplit("/", 1)
+    newer = replace(Channel.parse(channel), incarnation=2)
+    assert (sync, Channel.parse(channel).incarnation) == ("swarm/r0/app/consensus/sync", 1)
+    rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", together.pack([(f"{sync}/{newer.text}", frame)]))
+    rig.until_phase("fault", "r0")
+    assert "another process runs this app on r0" in rig.progress["r0"].reason
 
 
 def test_an_app_that_raises_is_named_and_the_others_wait_for_it(make_rig: MakeRig) -> None:

@@ -17,7 +17,9 @@ from services.mesh.core import frames
 from services.mesh.core.frames import Hello
 from swarm.bus import Bus, Router
 from swarm.codec import MAX_BINARY, encode
+from swarm.core import together
 from swarm.keyfile import new_key_file, read_keys, rotate
+from swarm.lane import MESH, Lane, of_app
 from swarm.messages import HoldLink, LinkState, Status, read
 from swarm.paths import bus_endpoint
 
@@ -203,6 +205,31 @@ def test_messages_reach_neighbours_and_nobody_else(build: Build, kind: str) -> N
     for robot in swarm.robots.values():
         assert robot.mesh is not None
         assert stop(robot.mesh) == 0
+
+
+def test_hosts_of_apps_are_reached_the_short_way_and_others_see_it(build: Build) -> None:
+    swarm = build()
+    swarm.start()
+    swarm.talk("r0", "r1")
+    packed: list[bytes] = []
+    swarm["r1"].bus.subscribe("swarm/r1/mesh/frames/consensus", lambda key, payload: packed.append(payload))
+    key = SYNC.format("r0")
+    parts = [(key, b"by the lane")]
+    here, there = (Lane(swarm[name].directory, of_app("consensus")) for name in ("r0", "r1"))
+    swarm["r0"].samples.clear()
+    for wrong in ([("swarm/r1/app/consensus/sync/a", b"not r0's to say")], [("swarm/r0/balancer/set/mode", b"")]):
+        assert here.send(MESH, wrong)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        sock.sendto(b"no parts", str(swarm["r0"].directory / MESH))
+    assert here.send(MESH, parts)
+    while there.wait() != together.pack(parts):
+        pass  # `talk` repeats itself, so another "hello" may still be under way
+    for name in ("r0", "r1"):
+        wait_until(lambda name=name: (key, b"by the lane") in swarm[name].samples, what="others see it")
+    there.close()
+    assert here.send(MESH, parts)
+    wait_until(lambda: together.pack(parts) in packed, what="it goes over the bus where the host has no lane")
+    here.close()
 
 
 @pytest.mark.parametrize("victim", ["r0", "r1"])

@@ -34,6 +34,7 @@ from services.mesh.runner import Runner
 from swarm import clock
 from swarm.config import parse
 from swarm.errors import LocalError
+from swarm.lane import Lane
 
 A, B, C = (f"B8:27:EB:00:00:0{digit}" for digit in "ABC")
 STRANGER = "00:11:22:33:44:55"
@@ -273,6 +274,7 @@ class Mesh:
             counters=self.counters,
         )
         self.inbox: list[tuple[str, bytes]] = []
+        self.lane = Lane(directory, f"{name}.lane")
         self.runner = Runner(
             node,
             listeners=self.network.listeners,
@@ -280,6 +282,8 @@ class Mesh:
             deliver=lambda messages: self.inbox.extend((each.key, each.payload) for each in messages),
             changed=lambda: None,
             keep=lambda: None,
+            lane=self.lane,
+            show=lambda key, payload: None,
         )
         self.runner.start()
 
@@ -290,6 +294,7 @@ class Mesh:
 
     def stop(self) -> None:
         self.runner.stop()
+        self.lane.close()
         self.network.close()
 
 

@@ -129,8 +129,9 @@ class Node:
             session.transport_down(reason)
             self._digest(session, now)
 
-    def publish(self, source: int, key: str, payload: bytes, now: float) -> None:
-        """A sample of the own bus; `source` is the index of the subscription that delivered it."""
+    def publish(self, source: int | None, key: str, payload: bytes, now: float) -> None:
+        """A sample of the own bus; `source` is the index of the subscription that delivered it, None for what came
+        another way."""
         for send in self._relay.publish(source, key, payload, now):
             self._send(send, now)
 

@@ -158,10 +158,10 @@ class Relay:
                     leg.held, leg.next_at = old.held, old.next_at
                     self._held.append(leg)
 
-    def publish(self, source: int, key: str, payload: bytes, now: float) -> list[Send]:
-        """What leaves because of a sample that subscription number `source` delivered."""
+    def publish(self, source: int | None, key: str, payload: bytes, now: float) -> list[Send]:
+        """What leaves because of a sample that subscription number `source` delivered; None: none did."""
         route = self._routes.get(key) or self._find(key)
-        if route.source != source:
+        if source is not None and route.source != source:
             return []
         sends = []
         for leg in route.legs:

@@ -1,0 +1,38 @@
+"""One robot of `swarm sim` with all its processes; the others are one process that plays them (`bench.peers`).
+
+`python -m bench.one_sim ARGUMENTS`, as of `swarm sim`, links as in `bench.socket_sim`. It runs until it is ended.
+"""
+
+import math
+
+from bench import socket_sim
+from services.sim import __main__ as sim
+from services.sim import run
+from services.sim.run import Run
+from swarm import service
+
+ROBOT = "r2"
+"""The one that is there; on a line it has two neighbours."""
+
+PEERS = "peers"
+
+
+class OneRobot(Run):
+    """Starts the processes of one robot, and in place of the first of the others the one that plays them all."""
+
+    def _start_robot(self, name: str) -> None:
+        if name == ROBOT:
+            super()._start_robot(name)
+        elif self._processes.find(self._scenario.config.names[0], PEERS) is None:
+            self._processes.add(name, PEERS, ["bench.peers"], self._run_dir / name)
+
+
+def main() -> int:
+    """Like `bench.socket_sim`. For the simulation the swarm never starts, since most robots have no bus."""
+    sim.Run = OneRobot  # type: ignore[attr-defined]
+    run.START_LIMIT_S = math.inf
+    return socket_sim.main()
+
+
+if __name__ == "__main__":
+    service.run(main)

@@ -1,0 +1,133 @@
+"""The neighbours of one robot, and theirs, in one process: their meshes' real cores, threads and links, with the
+lockstep and the app behind each, but no bus and nothing else of a robot. See `bench.one_sim`.
+"""
+
+import os
+import random
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+from functools import partial
+
+from bench import one_sim, socket_mesh
+from services.apps import loader
+from services.apps.host import schema_of
+from services.apps.runner import Runner as App
+from services.mesh.__main__ import local_of
+from services.mesh.core.events import Received
+from services.mesh.core.frames import NONCE_SIZE
+from services.mesh.core.gather import by_app
+from services.mesh.core.linking import Start
+from services.mesh.core.node import Node
+from services.mesh.core.overlays import Overlays
+from services.mesh.core.relay import Relay
+from services.mesh.core.topology import Ground
+from services.mesh.network import Network
+from services.mesh.runner import Runner
+from swarm import clock, log, service
+from swarm.app import SyncApp
+from swarm.config import Config, load
+from swarm.core.lockstep import Channel, Compute, Lockstep, Send
+from swarm.errors import FrameError
+from swarm.keys import key
+from swarm.lane import Lane
+from swarm.paths import runtime_dir
+from swarm.process import die_with_parent
+
+APP = "consensus"
+LOOK_S = 0.05
+"""s between two looks at the locksteps' timers; what is lost at the start is asked for by them."""
+
+
+class Peer:
+    """One neighbour."""
+
+    def __init__(self, config: Config, robot: str, run: int) -> None:
+        """`config`: its own."""
+        local, relay, counters = local_of(config, robot), Relay(robot, (), config.relay, config.names), Counter[str]()
+        overlays = Overlays(
+            robot,
+            config.names,
+            incarnation=time.time_ns() // 1000,
+            random=random.random,
+            counters=counters,
+            start=Start(Ground(config.names, config.edges, auto=config.auto), local.dials),
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+        )
+        nonce = partial(os.urandom, NONCE_SIZE)
+        network = Network(config, local, runtime_dir())
+        self._mesh = Runner(
+            Node(local, relay, overlays, random=random.random, nonce=nonce, counters=counters),
+            listeners=network.listeners,
+            dial=network.dial,
+            deliver=self._take,
+            changed=lambda: None,
+            keep=lambda: None,
+            lane=Lane(runtime_dir(), f"{robot}.lane"),
+            show=lambda *_: None,
+        )
+        app = loader.load(APP)
+        instance = app.make(config, robot)
+        assert isinstance(instance, SyncApp)
+        self._app = App(instance, app.source)
+        self._channel = Channel(run, 0, 1, schema_of(self._app, "", app.digest))
+        self._lockstep = Lockstep(robot, config.neighbours(robot), self._channel, self._app.size)
+        self._key = f"{key(robot, 'app', APP, 'sync')}/{self._channel.text}"
+        self._lock = threading.RLock()
+        self._began = False
+
+    def start(self) -> None:
+        """Begin at iteration 0."""
+        self._mesh.start()
+        with self._lock:
+            self._lockstep.start(self._app.start(None)[0], clock.now())
+            self._began = True
+            self._carry_out()
+
+    def look(self) -> None:
+        """Do what is due."""
+        with self._lock:
+            self._lockstep.handle_timer(clock.now())
+            self._carry_out()
+
+    def _take(self, messages: Sequence[Received]) -> None:
+        """On the mesh's thread."""
+        with self._lock:
+            for name, frame in by_app(messages).get(APP, ()) if self._began else ():
+                _, sender, _, _, _, text, *_ = name.split("/")
+                try:
+                    self._lockstep.receive(sender, Channel.parse(text), frame, clock.now())
+                except FrameError:  # what robots say about the members
+                    continue
+            self._carry_out()
+
+    def _carry_out(self) -> None:
+        while actions := self._lockstep.actions():
+            for action in actions:
+                if isinstance(action, Compute):
+                    own, private = self._app.step(action.k, action.own, action.values, None)
+                    self._lockstep.computed(own, private, clock.now())
+                elif isinstance(action, Send):
+                    name = self._key if action.to is None else f"{self._key}/{action.to}"
+                    self._mesh.publish(None, name, action.data)
+
+
+def main() -> None:
+    """All robots but one, until killed."""
+    die_with_parent()
+    log.setup("peers")
+    config, run = load(), int(os.environ["SWARM_RUN"], 16)
+    names = [name for name in config.names if name != one_sim.ROBOT]
+    peers = [Peer(socket_mesh.of_robot(config, name), name, run) for name in names]
+    for peer in peers:
+        peer.start()
+    while True:
+        time.sleep(LOOK_S)
+        for peer in peers:
+            peer.look()
+
+
+if __name__ == "__main__":
+    service.run(main)
