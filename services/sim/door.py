@@ -43,9 +43,12 @@ class Door:
 
     def look(self, now: float) -> None:
         """Report and take acts when it is time; called at every write to the bus."""
-        while self._robot.atmega.led_changes:
-            t, (red, yellow, green) = self._robot.atmega.led_changes.popleft()
-            self._tell({"robot": self._name, "t": t, "red": red, "yellow": yellow, "green": green})
+        changes = self._robot.atmega.led_changes
+        while changes:
+            t, (red, yellow, green) = changes[0]
+            if not self._tell({"robot": self._name, "t": t, "red": red, "yellow": yellow, "green": green}):
+                break  # a world on a busy machine has no room for a moment: it hears of it at the next look
+            changes.popleft()
         if now < self._next:
             return
         self._next = now + REPORT_S

@@ -180,7 +180,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         recordings=recorded,
         synthetic=options.noise is not None,
         beside=tuple(Beside(each.name, _program(each)) for each in apps[1:]),
-        steps=app is not None and not _reacts_only(app),
+        steps=app is not None and not _reacts_only(config, app),
         lying=options.lying or (STANDING_UP_FROM if any(each.name == "stand_up" for each in apps) else None),
         notes=tuple(
             note
@@ -217,8 +217,8 @@ def _study(config: Config, options: Options, iterations: int | None, run_dir: Pa
     return made
 
 
-def _reacts_only(app: loader.App) -> bool:
-    kind = next(iter(app.algorithms.values()))
+def _reacts_only(config: Config, app: loader.App) -> bool:
+    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
     return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
 
 

@@ -12,6 +12,8 @@ from swarm.recording.run import Run
 
 PERIODS = 8
 """Flashes shown in the panel of LEDs."""
+NEAR_MS, FAR_MS = 20.0, 60.0
+"""Differences between flashes up to which the scale is linear, and beyond which it is not."""
 STANDING = "balancing"
 """The balancer's mode when a robot stands."""
 
@@ -30,12 +32,14 @@ def leds(figure: Any, run: Run) -> None:
     period = sorted(periods)[len(periods) // 2] if periods else 1.0
     end = max(times[-1] for times in flashes.values())
     begin = end - PERIODS * period
+    farthest = 0.0
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
         for on, off in lit[name]:
             if off >= begin and on <= end + period / 2:
                 top.barh(index, off - on, left=on, height=0.62, color=colour)
         offsets = [(t, 1e3 * _nearest(first, t)) for t in flashes[name]]
+        farthest = max([farthest, *(abs(offset) for _, offset in offsets)])
         bottom.plot(*zip(*offsets, strict=True), "." if len(offsets) > 60 else style.mark(index), color=colour,
                     markersize=3.2, label=name)  # fmt: skip
     style.rows_of_robots(top, robots)
@@ -44,6 +48,12 @@ def leds(figure: Any, run: Run) -> None:
         xlabel="time / s",
         ylabel=f"flash after that of {robots[0]} / ms",
     )
+    if farthest > FAR_MS:  # before they are together; afterwards milliseconds are to be seen
+        bottom.set_yscale("symlog", linthresh=NEAR_MS, linscale=2.0)
+        far = [10.0**power for power in range(2, 5) if 10.0**power < 3 * farthest]
+        ticks = [*(-tick for tick in far), -NEAR_MS, -NEAR_MS / 2, 0.0, NEAR_MS / 2, NEAR_MS, *far]
+        bottom.set_yticks(sorted(ticks), [f"{tick:g}" for tick in sorted(ticks)])
+        bottom.minorticks_off()
     style.legend(bottom, len(robots))
 
 

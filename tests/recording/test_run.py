@@ -88,6 +88,25 @@ def test_what_two_apps_of_a_robot_recorded_comes_once_and_in_order(tmp_path):
     assert found == list(range(10))
 
 
+def test_what_one_app_recorded_twice_comes_twice(tmp_path):
+    """Two copies of a message that a robot hands on in one moment."""
+    pose = ("dwm/pose", 1.0, Pose(1.0, 7, 0.0, 0.0, None, 90, "ekf"))
+    write(tmp_path / "r0.a.mcap", "r0", "boot", 0.0, pose, pose)
+    write(tmp_path / "r0.b.mcap", "r0", "boot", 0.0, pose)
+    assert [sample.message["sequence"] for sample in Run(tmp_path).samples()] == [7, 7]
+
+
+def test_the_app_that_is_looked_at_is_that_of_the_run_or_the_one_asked_for(tmp_path):
+    (tmp_path / "run.toml").write_text('app = "x"\n')
+    write(tmp_path / "r0.a.mcap", "r0", "boot", 0.0, ("app/a/state", 1.0, AppState(1.0, 3, {"v": 1.0}, {})))
+    write(tmp_path / "r0.x.mcap", "r0", "boot", 0.0, state(0, 1.0))
+    assert Run(tmp_path).app == "x"
+    assert list(Run(tmp_path).trajectories()["r0"].rows) == [0]
+    assert list(Run(tmp_path, "a").trajectories()["r0"].rows) == [3]
+    with pytest.raises(RecordingError, match="no app b is recorded; there are: a, x"):
+        Run(tmp_path, "b")
+
+
 def test_a_single_file_is_a_run_too_and_none_is_an_error(tmp_path):
     with pytest.raises(RecordingError, match="there is no recording"):
         Run(tmp_path)

@@ -13,10 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.sim.core.hands import Hands
-from services.sim.world import World
-from swarm import clock
+from services.sim.door import WORLD_SOCKET, Door
+from services.sim.world import LedReport, World
+from swarm import clock, datagrams
 from swarm import config as configuration
 from swarm.bus import Bus
+from swarm.codec import decode
 from swarm.core.hands import Lay, Place, Press, Push, Unplug, check, pack, unpack
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import BalancerState, Buttons, LedChange, SetMode, Truth, read
@@ -121,6 +123,26 @@ def test_a_body_that_is_put_down_lies_where_it_was() -> None:
     assert rig.run(8).balancer.mode == "balancing"
     Hands(rig.robot).do(Place(9.0, 9.0, 0.0, 0.0, True), rig.now)
     assert rig.body.x < 3.0, "a body in its hand begins at its own place"
+
+
+def test_a_change_of_leds_waits_for_room_at_a_busy_world(runtime: Path) -> None:
+    rig, place = upright(), runtime / "r0"
+    place.mkdir()
+    door = Door("r0", rig.robot, place, 0.0)
+    with contextlib.closing(door._socket), contextlib.closing(datagrams.listen(runtime, WORLD_SOCKET)) as world:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other, contextlib.suppress(BlockingIOError):
+            other.setblocking(False)
+            while True:
+                other.sendto(b"full", str(runtime / WORLD_SOCKET))
+        rig.robot.atmega.led_changes.clear()
+        rig.robot.atmega.led_changes.append((7.0, (False, True, False)))
+        door.look(1.0)
+        with contextlib.suppress(BlockingIOError):
+            while world.recv(100) == b"full":
+                pass
+        door.look(1.01)
+        told = decode(LedReport, world.recv(100), WORLD_SOCKET)
+        assert told == LedReport("r0", 7.0, red=False, yellow=True, green=False)
 
 
 class Robot:

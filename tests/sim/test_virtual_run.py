@@ -188,6 +188,12 @@ def test_an_app_that_waits_for_events_ends_when_nothing_happens():
     assert report["result"]["r1"] == {"presses": 1}
 
 
+def test_an_app_that_never_rests_and_has_no_iterations_ends():
+    report, _ = simulate("led_sync", "--algorithm", "thesis", "--robots", "2")
+    assert report["problems"] == []
+    assert report["seconds"] == 120.0
+
+
 def test_a_periodic_app_follows_an_automatic_topology(tmp_path):
     """A link that is cut is made up for by others: whom an app has as neighbours is who tells it its state."""
     app = tmp_path / "near.py"

@@ -96,6 +96,15 @@ def test_a_robot_has_its_place_its_lights_its_ellipse_and_its_fault(page: Any) -
     assert near(page, 2.0, 0.0)[BAD] > 20
 
 
+def test_a_target_that_moves_is_where_it_is_told_to_be(page: Any) -> None:
+    apart(page)
+    before = inked(page, 1.0, 0.5)
+    tell(page, r1={"sim/target": {"t": AT, "x": 1.0, "y": 0.5}})
+    assert inked(page, 1.0, 0.5) > before
+    tell(page, r1={"sim/target": {"t": AT, "x": 1.5, "y": 0.5}})
+    assert inked(page, 1.0, 0.5) == before
+
+
 def test_links_have_the_colour_of_their_state_and_the_thickness_of_their_traffic(page: Any) -> None:
     apart(page)
 

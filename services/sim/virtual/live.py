@@ -17,8 +17,8 @@ from swarm.view.feed import Publisher
 from swarm.view.picture import Picture
 
 TOPICS = (
-    "sim/truth", "sim/leds", "balancer/state", "balancer/fault", "mesh/links", "mesh/clock", "mesh/stopped",
-    "mesh/topology", "app/*/state", "app/*/progress", "app/*/*/state", "app/*/*/progress",
+    "sim/truth", "sim/target", "sim/leds", "balancer/state", "balancer/fault", "mesh/links", "mesh/clock",
+    "mesh/stopped", "mesh/topology", "app/*/state", "app/*/progress", "app/*/*/state", "app/*/*/progress",
 )  # fmt: skip
 """Of a robot, below its name. The filters of `dwm` cost more than all else, and the true pose is there."""
 

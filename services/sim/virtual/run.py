@@ -32,6 +32,8 @@ from swarm.recording import folder
 
 STALLED = 60.0
 """s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
+ENDLESS = 120.0
+"""s of virtual time after the start, and the last button, at which an app without iterations ends that never rests."""
 LOOK_EVERY = 1.0
 """s of virtual time between two looks whether it is to end."""
 
@@ -149,8 +151,11 @@ class Run:
     def _watch(self) -> None:
         """Let time pass until the run is over, looking now and then whether anything still moves."""
         time, seconds = self.world.time, self._options.seconds
+        lasts = seconds
+        if seconds is None and self._scenario.app is not None and not self._scenario.steps:
+            lasts = ENDLESS + max((press.at for press in self._options.presses), default=0.0)
         while True:
-            end = _NEVER if seconds is None or self._started is None else self._started + seconds
+            end = _NEVER if lasts is None or self._started is None else self._started + lasts
             if not time.run(min(time.now + LOOK_EVERY, end)) or time.now >= end:
                 return
             if seconds is None and self._scenario.app is not None and time.now > self._last_progress + STALLED:

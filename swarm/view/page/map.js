@@ -75,6 +75,15 @@ export class SwarmMap {
     return found;
   }
 
+  // Where the target really is: where it is told to be where it moves, else where the configuration has it.
+  target() {
+    for (const name of this.store.names) {
+      const told = this.store.get(name, "sim/target");
+      if (told) return { name: "target", x: told.x, y: told.y };
+    }
+    return this.store.swarm?.target;
+  }
+
   // Every robot's estimate of the target, where its app reports x and y.
   targets() {
     const found = [];
@@ -92,7 +101,8 @@ export class SwarmMap {
   // All that has a place, with room to move: the map does not follow each step.
   fit(places, targets, width, height) {
     const points = [...(this.store.swarm?.anchors ?? []), ...places.values()];
-    if (this.store.swarm?.target) points.push(this.store.swarm.target);
+    const target = this.target();
+    if (target) points.push(target);
     // An estimate that is far off must not make everything else small.
     const apart = (name) => Math.max(...points.map((each) => each[name])) - Math.min(...points.map((each) => each[name]));
     const far = points.length ? 2 * Math.max(1, apart("x"), apart("y")) : FAR, [first = { x: 0, y: 0 }] = points;
@@ -214,7 +224,8 @@ export class SwarmMap {
 
   // Counts how often it has changed.
   drawBelow(view, ratio, width, height) {
-    const store = this.store, marks = [view.x, view.y, view.scale, width, height, theme.version, store.swarm, store.trailed];
+    const store = this.store, target = this.target();
+    const marks = [view.x, view.y, view.scale, width, height, theme.version, store.swarm, store.trailed, target?.x, target?.y];
     if (same(marks, this.belowMarks)) return this.belows;
     this.belowMarks = marks;
     this.belows = (this.belows ?? 0) + 1;
@@ -224,7 +235,7 @@ export class SwarmMap {
     c.fillRect(0, 0, width, height);
     pen.grid(view, width, height);
     for (const anchor of store.swarm?.anchors ?? []) pen.anchor(anchor);
-    if (store.swarm?.target) pen.target(store.swarm.target);
+    if (target) pen.target(target);
     if (store.names.length <= CROWD) {
       for (const [name, trail] of store.trails) if (trail.length > 1) pen.trail(trail, store.colour(name));
     }
