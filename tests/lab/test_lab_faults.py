@@ -13,6 +13,6 @@ pytestmark = [pytest.mark.lab, pytest.mark.timeout(600)]
 
 @pytest.mark.parametrize("words", ["-k 'not thousand'", "-k thousand"], ids=["each fault", "a thousand connections"])
 def test_links_over_real_sockets(machine: Callable[..., Machine], words: str) -> None:
-    robot = machine("r0", init=PLAIN, cores=2)
+    robot = machine("r0", init=PLAIN, alone=True)
     robot.start()
     run_tests(robot, f"tests/lab/inside_faults.py {words}", 500)

@@ -1,0 +1,220 @@
+"""Three robots, each a machine with its own kernel, systemd, I2C bus and radio: put into operation from the host as
+from a laptop, they find the target; one loses its power in the middle of it, boots again and joins again."""
+
+import json
+import math
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lab.radio.remote import Radio, address
+from lab.robot import disk
+from lab.vm.build import Image
+from lab.vm.machine import Machine
+from swarm.keyfile import new_key_file
+
+pytest_plugins = ("lab_fixtures",)
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(3000)]
+
+NAMES = ("r0", "r1", "r2")
+TARGET = (1.3, 0.8)
+"""With it a module has four in reach, as many as it ranges to."""
+PLACES = {"r0": (0.4, 0.5), "r1": (1.7, 0.4), "r2": (1.1, 1.7)}
+COLD_START_S = 90.0
+"""From power to the target, at most, by a robot's own clock: three machines at once are slower than robots."""
+DROP_AFTER_S = 5.0
+LATENCY_S = 0.15
+"""One way, by the host's clock: some 0.03 s by those of three machines at once."""
+PATIENCE_S = 900.0
+"""For each thing to happen: it only bounds a failure."""
+SEEDS = 12
+"""Simulations that tell how far off such a swarm is: errors of modules are drawn."""
+
+CONFIG = f"""network = "lab"
+[topology]
+shape = "full"
+[dwm]
+source = "serial:/run/lab/{{robot}}/dwm.tty"
+target = "C933"
+[[anchors]]
+address = "D001"
+x = 0.0
+y = 0.0
+[[anchors]]
+address = "D002"
+x = 2.0
+y = 0.0
+[[anchors]]
+address = "D003"
+x = 0.0
+y = 2.0
+[simulation]
+target = [{TARGET[0]}, {TARGET[1]}]
+[simulation.places]
+"""
+
+
+def config() -> str:
+    places = "".join(f"{name} = [{x}, {y}, 0.0]\n" for name, (x, y) in PLACES.items())
+    robots = "".join(
+        f'[[robots]]\nname = "{name}"\nlink = "rfcomm:{address(number)}"\n' for number, name in enumerate(NAMES)
+    )
+    return CONFIG + places + robots
+
+
+class Laptop:
+    """The commands of a researcher, with a folder for what they need."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.config = folder / "swarm.toml"
+        self.config.write_text(config())
+        self._ssh = folder / "ssh_config"
+
+    def knows(self, machines: list[Machine]) -> None:
+        """How robots are reached: another port after each boot, and over one connection each, since a machine may take
+        longer to let one in than the commands have patience."""
+        lines = []
+        for machine in machines:
+            words = machine.ssh_words()
+            options = "".join(f"  {words[at + 1].replace('=', ' ')}\n" for at, word in enumerate(words) if word == "-o")
+            lines.append(
+                f"Host {machine.name}\n  HostName 127.0.0.1\n  User root\n  Port {machine.port}\n"
+                f"  IdentityFile {machine.folder / 'ssh_key'}\n  ControlPath {self.folder}/%p\n{options}"
+            )
+        self._ssh.write_text("".join(lines))
+        for machine in machines:
+            if not (self.folder / str(machine.port)).exists():
+                words = ["ssh", "-F", str(self._ssh), "-M", "-N", "-f", machine.name]
+                subprocess.run(words, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def words(self, command: str) -> list[str]:
+        program, *rest = command.split()
+        module = {"swarm": "swarm.cli", "z_sub": "swarm.cli.z_sub"}[program]
+        own = ["--config", str(self.config), "--ssh-config", str(self._ssh)]
+        return [sys.executable, "-m", module, *rest, *own]
+
+    def do(self, command: str, seconds: float = PATIENCE_S + 10) -> str:
+        """Its output; it must succeed."""
+        done = subprocess.run(self.words(command), capture_output=True, text=True, timeout=seconds)
+        assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
+        return done.stdout
+
+    @contextmanager
+    def watch(self, robot: str, keys: str) -> Iterator[Callable[[Callable[[Any], object], float], Any]]:
+        """What `z_sub --robot` shows: waits for a payload with which the condition is true, so many s at most."""
+        process = subprocess.Popen(
+            self.words(f"z_sub {keys} --robot {robot} --json"),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        lines: queue.Queue[str] = queue.Queue()
+        assert process.stdout is not None
+        reader = threading.Thread(target=lambda out: [lines.put(line) for line in out], args=(process.stdout,))
+        reader.start()
+        last: Any = None
+
+        def until(condition: Callable[[Any], object], seconds: float) -> Any:
+            nonlocal last
+            deadline = time.monotonic() + seconds
+            while (left := deadline - time.monotonic()) > 0:
+                with suppress(queue.Empty):
+                    last = json.loads(lines.get(timeout=left))["value"]
+                    if condition(last):
+                        return last
+            raise AssertionError(f"{keys} of {robot}: not within {seconds:g} s; the last one: {last}")
+
+        try:
+            yield until
+        finally:
+            process.terminate()
+            process.wait(20)
+            reader.join()
+            process.stdout.close()
+
+
+def simulated_error(laptop: Laptop) -> float:
+    """How far off the same swarm is in simulation, m: the worst of some seeds."""
+
+    def once(seed: int) -> float:
+        words = f"sim localization --virtual --iterations 200 --json --seed {seed} --config {laptop.config}".split()
+        done = subprocess.run([sys.executable, "-m", "swarm.cli", *words], capture_output=True, text=True, check=True)
+        return float(json.loads(done.stdout.splitlines()[-1])["error_cm"]) / 100
+
+    with ThreadPoolExecutor(2) as pool:
+        return max(pool.map(once, range(1, SEEDS + 1)))
+
+
+def boot(machine: Machine) -> None:
+    """Until it is a robot that can be reached."""
+    machine.start()
+    machine.run("systemctl start swarm.target ssh", PATIENCE_S)
+
+
+def off(state: Any) -> float:
+    return math.dist((state["result"]["x"], state["result"]["y"]), TARGET)
+
+
+def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
+    lab_image: Image, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    laptop = Laptop(tmp_path)
+    new_key_file(tmp_path / "swarm.key", int(time.time()))
+    simulated = simulated_error(laptop)
+    image = disk.robots(lab_image, tmp_path, config(), tmp_path / "swarm.key")
+    with Radio(tmp_path, len(NAMES), machines=True) as radio, ThreadPoolExecutor() as pool:
+        machines = [
+            Machine(image, tmp_path / name, name, radio=tmp_path / f"radio-{number}", steady=True)
+            for number, name in enumerate(NAMES)
+        ]
+        assert radio.addresses == [address(number) for number in range(len(NAMES))]
+        radio.order("medium", latency=LATENCY_S)
+        try:
+            began = time.monotonic()
+            list(pool.map(boot, machines))
+            laptop.knows(machines)
+            booted = time.monotonic() - began
+            laptop.do(f"swarm run localization --absent drop --drop-after {DROP_AFTER_S} --timeout {PATIENCE_S:.0f}")
+            with laptop.watch("r0", "swarm/r0/app/localization/state") as until:
+                found = until(lambda state: state["k"] > 50 and off(state) <= simulated, PATIENCE_S)
+            cold_start = float(machines[0].run("cat /proc/uptime").split()[0])
+            rejoined = power_cut(laptop, machines)
+            laptop.do(f"swarm stop localization --timeout {PATIENCE_S:.0f}")
+            laptop.do(f"swarm fetch --into {tmp_path / 'runs'}")
+        finally:
+            for machine in machines:
+                machine.kill()
+    record_property(
+        "measured",
+        f"booted {booted:.0f} s, target after {cold_start:.0f} s, {100 * off(found):.1f} cm off (simulated: up to "
+        f"{100 * simulated:.1f}), booted and joined again {rejoined:.0f} s",
+    )
+    assert {path.name.split(".")[0] for path in (tmp_path / "runs").glob("localization-*/*.mcap")} == set(NAMES)
+    assert cold_start <= COLD_START_S
+
+
+def power_cut(laptop: Laptop, machines: list[Machine]) -> float:
+    """r2 goes off and on again; s from its power until it is a member again."""
+    epochs = "swarm/r0/app/localization/epoch"
+    with laptop.watch("r0", epochs) as until:
+        machines[2].kill()
+        without = until(lambda epoch: epoch["members"] == ["r0", "r1"], PATIENCE_S)
+        began = time.monotonic()
+        boot(machines[2])
+        laptop.knows(machines)
+        laptop.do(f"swarm start localization --robots r2 --timeout {PATIENCE_S:.0f}")
+        again = until(lambda epoch: epoch["members"] == list(NAMES), PATIENCE_S)
+    assert again["epoch"] > without["epoch"]
+    with laptop.watch("r2", "swarm/r2/app/localization/state") as until:
+        until(lambda state: state["k"] > again["k"] + 20 and off(state) < 0.3, PATIENCE_S)
+    return time.monotonic() - began
