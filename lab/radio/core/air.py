@@ -31,7 +31,7 @@ class Medium:
     page: float = 0.05
     """s until a robot that listens has heard a page."""
     supervision: float = 20.0
-    """s without a sign of the other side until a link is over (the standard's default)."""
+    """s without a sign of the other side until a link is over (the standard's default), or sooner where its host asks."""
     range: float = math.inf
     """m; robots that are placed hear each other so far."""
 
@@ -215,7 +215,7 @@ class Air:
                 if link.silent_since == now and link in self._links:
                     self._end(link, Status.CONNECTION_TIMEOUT)
 
-            self.at(now + (self.medium.supervision if link.supervision is None else link.supervision), over)
+            self.at(now + min(self.medium.supervision, link.supervision), over)
 
     def _end(self, link: Link, reason: int) -> None:
         """The link ends for all that still have it."""

@@ -1,5 +1,6 @@
 """What the air knows of one link between two controllers."""
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -14,8 +15,8 @@ class Link:
     """The handle that each side has for it; they differ."""
     central: str
     """The side that has paged; it alone sets the supervision time-out."""
-    supervision: float | None = None
-    """s without a sign of the other side until the link is over, where it was set; else as of the medium."""
+    supervision: float = math.inf
+    """s without a sign of the other side until the link is over, as set by that side's host."""
     silent_since: float | None = None
     """Since when nothing gets through; None where it does."""
     gone: set[str] = field(default_factory=set)
