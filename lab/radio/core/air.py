@@ -31,7 +31,7 @@ class Medium:
     page: float = 0.05
     """s until a robot that listens has heard a page."""
     supervision: float = 20.0
-    """s without a sign of the other side until a link is over (the standard's default), sooner where its host says so."""
+    """s without a sign of the other side until a link is over (the standard's default); a host may ask for less."""
     range: float = math.inf
     """m; robots that are placed hear each other so far."""
 
