@@ -79,8 +79,9 @@ def test_killed_services_and_a_stopped_app_change_no_bit(undisturbed):
 @pytest.mark.parametrize("service", ["bus", "mesh", "dwm", "balancer", "app"])
 def test_one_killed_service_changes_no_bit(undisturbed, service):
     _, expected = undisturbed
-    with Simulation("consensus", "--iterations", "120", "--latency", "10ms") as simulation:
-        simulation.wait_for("r1", 40)
+    # Links slow enough for the run to outlast the start of the command that kills.
+    with Simulation("consensus", "--iterations", "120", "--latency", "50ms") as simulation:
+        simulation.wait_for("r1", 20)
         simulation.kill("r1", service)
         assert simulation.finish()["restarts"] == 1
         for name, path in expected.items():
