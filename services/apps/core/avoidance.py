@@ -30,7 +30,7 @@ class Barrier(NamedTuple):
     rate: float = 2.0
     """a, 1/s: how fast the room above D may be used up."""
     right: float = 1.0
-    """Share of the speed towards another one that is added to the right where somebody is in the way."""
+    """Share of the wished speed added to the right where somebody is in the way."""
 
     def least(self, place: Point, other: Point) -> float:
         """The least (p_i - p_j) . u_i, m^2/s."""
@@ -51,15 +51,14 @@ class _HalfPlane(NamedTuple):
 def way_round(place: Point, wish: Point, others: Sequence[Point], barrier: Barrier, speed: float) -> Point:
     """The allowed velocity nearest to `wish`, m/s, at most `speed` fast; `others` are where the other robots are."""
     planes = [_half_plane(place, other, barrier) for other in others]
-    x, y = wish = _at_most(wish, speed)
+    wish = _at_most(wish, speed)
+    pace = math.hypot(*wish)
+    x, y = wish
     for plane in planes:
         if plane.room(wish) < 0.0:  # the other one is ahead and near: pass it on its right
-            square = plane.x * plane.x + plane.y * plane.y
-            # The less, the more it is abeam: else a robot that is nearly past one that stands would want to turn about
-            # and go round it on the other side, and the two wishes would cancel.
-            share = max(0.0, -(wish[0] * plane.x + wish[1] * plane.y) / square)
-            x -= barrier.right * share * plane.y
-            y += barrier.right * share * plane.x
+            length = math.hypot(plane.x, plane.y)
+            x -= barrier.right * pace * plane.y / length
+            y += barrier.right * pace * plane.x / length
     return _at_most(_nearest((x, y), planes), speed)
 
 
