@@ -66,6 +66,15 @@ def test_two_that_meet_pass_each_other_on_the_right() -> None:
     assert right[1] > 0.05
 
 
+def test_one_that_is_nearly_past_another_goes_on() -> None:
+    """It does not turn about to go round it on the other side, which would bring it to rest."""
+    place, stands, goal = (0.49, 1.05), (0.19, 0.94), (0.575, 0.274)
+    far = math.dist(place, goal)
+    wish = (0.2 * (goal[0] - place[0]) / far, 0.2 * (goal[1] - place[1]) / far)
+    u = way_round(place, wish, [stands], BARRIER, 0.2)
+    assert u[0] * wish[0] + u[1] * wish[1] > 0.2 * 0.2**2
+
+
 @costly(100)
 @given(st.integers(0, 10**6), st.integers(2, 6))
 def test_without_errors_and_delays_they_keep_apart_whatever_they_wish(seed: int, count: int) -> None:

@@ -22,6 +22,10 @@ from typing import NamedTuple
 Point = tuple[float, float]
 
 
+ABEAM = 3.0
+"""Another one is nearly abeam where the speed towards it is less than the wished one divided by this: 19 degrees."""
+
+
 class Barrier(NamedTuple):
     """What is kept."""
 
@@ -51,14 +55,17 @@ class _HalfPlane(NamedTuple):
 def way_round(place: Point, wish: Point, others: Sequence[Point], barrier: Barrier, speed: float) -> Point:
     """The allowed velocity nearest to `wish`, m/s, at most `speed` fast; `others` are where the other robots are."""
     planes = [_half_plane(place, other, barrier) for other in others]
-    wish = _at_most(wish, speed)
-    pace = math.hypot(*wish)
-    x, y = wish
+    x, y = wish = _at_most(wish, speed)
+    pace = math.hypot(x, y)
     for plane in planes:
         if plane.room(wish) < 0.0:  # the other one is ahead and near: pass it on its right
             length = math.hypot(plane.x, plane.y)
-            x -= barrier.right * pace * plane.y / length
-            y += barrier.right * pace * plane.x / length
+            towards = -(wish[0] * plane.x + wish[1] * plane.y) / length
+            # Less where it is nearly abeam: else a robot that is nearly past one that stands would want to turn about
+            # and go round it on the other side, and the two wishes would cancel.
+            share = barrier.right * max(0.0, min(pace, ABEAM * towards)) / length
+            x -= share * plane.y
+            y += share * plane.x
     return _at_most(_nearest((x, y), planes), speed)
 
 
