@@ -95,7 +95,7 @@ class Worker:
         self._notes = f"{self._prefix}/{terms.notes}"
         self._channel = self._strand.channel
         self._sync = f"{self._prefix}/{self._channel.text}"
-        self._hosts = f"{key(service.robot, 'mesh', 'frames')}/{app}"
+        self._hosts = key(service.robot, "mesh", "frames", app)
         self._said = ""
         self._measurements = measurements
         self._lock = threading.Lock()  # around the strand

@@ -76,7 +76,6 @@ class _Mesh(Runner):
             lane=lane,
             show=partial(service.bus.publish, urgent=True),
         )
-        self._hosts = lane
         self._service = service
         self._bus = service.bus
         self._counters = service.counters
@@ -105,7 +104,7 @@ class _Mesh(Runner):
     def _to_bus(self, messages: Sequence[Received]) -> None:
         # Hosts of apps hear this one message, and whoever listens to the frames themselves hears those.
         for app, frames in by_app(messages).items():
-            if not self._hosts.send(of_app(app), frames):
+            if not self._lane.send(of_app(app), frames):
                 self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
         for each in messages:
             self._heard(each.key, each.payload)

@@ -26,6 +26,13 @@ class Controller:
         self.asked: list[bytes] = []
         self.refuses: OSError | None = None
 
+    def __enter__(self) -> "Controller":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for sock in self.sockets:
+            sock.close()
+
     def in_order(self, handle: int) -> list[bytes]:
         value = self.values.pop(0) if len(self.values) > 1 else self.values[0]
         return [complete(handle, value)]

@@ -59,10 +59,8 @@ def test_every_reading_comes_through(status: int, handle: int, value: int) -> No
 
 @pytest.fixture
 def controller() -> Iterator[Controller]:
-    made = Controller()
-    yield made
-    for sock in made.sockets:
-        sock.close()
+    with Controller() as made:
+        yield made
 
 
 def signal(controller: Controller, adapter: str = ADAPTERS[3]) -> Signal:

@@ -47,10 +47,8 @@ def test_times_that_no_controller_takes_are_refused(seconds: float) -> None:
 
 @pytest.fixture
 def controller() -> Iterator[Controller]:
-    made = Controller()
-    yield made
-    for sock in made.sockets:
-        sock.close()
+    with Controller() as made:
+        yield made
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ silent towards all others (tests/lab/inside_faults.py shows it with Linux's own 
 a time-out below that of the mesh. It is the caller's to do: the called side's controller would refuse.
 """
 
+import contextlib
 import logging
 import threading
 
@@ -33,11 +34,8 @@ def try_limit(own: str, peer: str, dead: float) -> None:
     """The same for a mesh that takes a robot for dead after that time, s. Links work without it, too: where it cannot
     be done the reason is logged, once."""
     try:
-        adapter = Adapter(own)
-        try:
+        with contextlib.closing(Adapter(own)) as adapter:
             limit(adapter, peer, SHARE * dead)
-        finally:
-            adapter.close()
     except (LocalError, OSError) as error:
         text = str(error) if isinstance(error, LocalError) else hci.explained(error)
         with _lock:
