@@ -70,7 +70,9 @@ def test_it_is_a_service_of_its_own_bus(bus_service: subprocess.Popen[str], runt
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_clean_stop_removes_the_socket(bus_service: subprocess.Popen[str], runtime: Path, number: signal.Signals) -> None:
+def test_a_clean_stop_removes_the_socket(
+    bus_service: subprocess.Popen[str], runtime: Path, number: signal.Signals
+) -> None:
     with Bus.of(runtime) as bus:
         assert bus.wait_connected(60)
         bus_service.send_signal(number)
