@@ -14,7 +14,6 @@ from conftest import wait_until
 from bench.simulation import Simulation, SimulationError, simulate
 from services.sim.virtual.run import simulate as virtual
 
-
 RUN = ("consensus", "--iterations", "120", "--latency", "10ms")
 
 
