@@ -1,20 +1,36 @@
 """One robot of `swarm sim` with all its processes; the others are one process that plays them (`bench.peers`).
 
+Nobody watches it, and nobody tells its bus where it really is: on a robot there is neither.
+
 `python -m bench.one_sim ARGUMENTS`, as of `swarm sim`, links as in `bench.socket_sim`. It runs until it is ended.
 """
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 
 from bench import socket_sim
 from services.sim import __main__ as sim
 from services.sim import run
+from services.sim.monitor import Monitor
 from services.sim.run import Run
 from swarm import service
+from swarm.messages import LedChange, Target, Truth
 
 ROBOT = "r2"
 """The one that is there; on a line it has two neighbours."""
 
 PEERS = "peers"
+
+
+class Away(Monitor):
+    """Hears and says nothing on the robots' buses."""
+
+    def __init__(self, run_dir: Path, names: Sequence[str], app: str | None) -> None:
+        super().__init__(run_dir, (), app)
+
+    def truth(self, robot: str, message: Truth | Target | LedChange) -> None:
+        """Keep it."""
 
 
 class OneRobot(Run):
@@ -30,6 +46,7 @@ class OneRobot(Run):
 def main() -> int:
     """Like `bench.socket_sim`. For the simulation the swarm never starts, since most robots have no bus."""
     sim.Run = OneRobot  # type: ignore[attr-defined]
+    run.Monitor = Away  # type: ignore[attr-defined]
     run.START_LIMIT_S = math.inf
     return socket_sim.main()
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from swarm import clock
 from swarm.bus_config import client_config, router_config
 from swarm.codec import MAX_BINARY, encode
 from swarm.errors import BusError, LocalError
@@ -40,8 +41,10 @@ OnSample = Callable[[str, bytes], None]
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
 _log = logging.getLogger("bus")
-_PUBLISHERS = 256
+_OUTLETS = 256
 """Keys that a session keeps declared; above, the oldest makes room."""
+_CERTAIN_S = 1.0
+"""s after which a router has told who listens."""
 _OPENING = 0.5
 """s that opening a session takes at most where there is a router."""
 
@@ -106,6 +109,57 @@ class Subscription:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
+class Audience:
+    """Whether anybody listens to a key, as far as the router has told."""
+
+    __slots__ = ("certain_at", "there")
+
+    def __init__(self) -> None:
+        self.doubt()
+
+    def doubt(self) -> None:
+        """It is to be found out anew, and is taken to be there until then."""
+        self.there, self.certain_at = True, clock.now() + _CERTAIN_S
+
+    def matched(self, status: zenoh.MatchingStatus) -> None:
+        """It has come, or is gone."""
+        if not self.certain_at:
+            self.there = status.matching
+
+
+class Outlet:
+    """A declared publisher: it costs half the CPU time of a plain put, and hardly any where nobody listens to its key.
+
+    Zenoh would not send that either. But a mesh with five neighbours has 200 such messages a second, and finds the code
+    that decides so out of the processor's caches each time: 8 % of the mesh's CPU time.
+    """
+
+    __slots__ = ("_listener", "_publisher", "audience")
+
+    def __init__(self, session: zenoh.Session, key: str, *, urgent: bool) -> None:
+        """Raises `zenoh.ZError` where the bus does not take the key."""
+        # Zenoh holds what it calls, so that must not be this: nothing would ever let go of it.
+        self.audience = Audience()
+        self._publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
+        )
+        self._listener = self._publisher.declare_matching_listener(_direct(self.audience.matched))
+
+    def put(self, payload: bytes, encoding: str) -> None:
+        """Send, where anybody may listen. Raises `zenoh.ZError`."""
+        audience = self.audience
+        if not audience.there:
+            return
+        self._publisher.put(payload, encoding=encoding)
+        if audience.certain_at and clock.now() >= audience.certain_at:
+            # In this order, since who comes meanwhile is told of by `matched`.
+            audience.certain_at, audience.there = 0.0, False
+            if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
+                audience.there = True
+
+
 class Bus:
     """A client session of one robot's router.
 
@@ -122,7 +176,7 @@ class Bus:
         self._pending: list[Callable[[zenoh.Session], object]] = []
         self._kept: list[object] = []
         self._subscriptions: set[Subscription] = set()
-        self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
+        self._outlets: dict[tuple[str, bool], Outlet] = {}
         self._watchers: list[Callable[[bool], None]] = []
         self._closed = False
         self._connected = threading.Event()
@@ -170,24 +224,19 @@ class Bus:
         if session is None:
             return
         try:
-            self._publisher(session, key, urgent).put(payload, encoding=encoding)
+            self._outlet(session, key, urgent).put(payload, encoding)
         except zenoh.ZError as error:
             if not self._closed:
                 _log.warning("put failed key=%s error=%s", key, _text(error))
 
-    def _publisher(self, session: zenoh.Session, key: str, urgent: bool) -> zenoh.Publisher:
-        """A declared publisher costs half the CPU time of a plain put, and nothing where nobody listens to its key."""
-        publishers = self._publishers
-        publisher = publishers.get((key, urgent))
-        if publisher is None:
-            for oldest in list(publishers)[: len(publishers) + 1 - _PUBLISHERS]:
-                publishers.pop(oldest, None)
-            publisher = publishers[key, urgent] = session.declare_publisher(
-                key,
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
-            )
-        return publisher
+    def _outlet(self, session: zenoh.Session, key: str, urgent: bool) -> Outlet:
+        outlets = self._outlets
+        outlet = outlets.get((key, urgent))
+        if outlet is None:
+            for oldest in list(outlets)[: max(0, len(outlets) + 1 - _OUTLETS)]:
+                outlets.pop(oldest, None)
+            outlet = outlets[key, urgent] = Outlet(session, key, urgent=urgent)
+        return outlet
 
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
         """Call `callback(key, payload)` for every sample of other sessions, until what is returned, or this client, is
@@ -322,6 +371,8 @@ class Bus:
             if self._closed:
                 return
             (self._connected.set if up else self._connected.clear)()
+            for outlet in tuple(self._outlets.values()):
+                outlet.audience.doubt()
             watchers = tuple(self._watchers)
         for watcher in watchers:
             watcher(up)

@@ -1,5 +1,6 @@
 """The bus adapter against a real router process: what holds over its death, its stop and its restart."""
 
+import gc
 import signal
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import Processes, wait_until
 
-from swarm.bus import Bus, Router
+from swarm.bus import Bus, Outlet, Router
 from swarm.codec import MAX_BINARY
 from swarm.errors import BusError, LocalError
 from swarm.messages import Leds, read
@@ -89,6 +90,40 @@ def test_what_is_heard_no_more(open_bus: Open) -> None:
     heard = len(once)
     talk(alice, "swarm/r0/test/x", on, b"later")
     assert len(once) == heard
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_who_comes_later_hears_what_nobody_heard_before(open_bus: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("swarm.bus._CERTAIN_S", 0.0)
+    alice, bob = open_bus(), open_bus()
+    alice.wait_connected(None)
+    outlet = ("swarm/r0/test/x", False)
+    for _ in range(2):
+
+        def alone() -> bool:
+            alice.publish("swarm/r0/test/x", b"nobody hears this")
+            return not alice._outlets[outlet].audience.there
+
+        wait_until(alone)
+        samples = Samples()
+        subscription = bob.subscribe("swarm/r0/**", samples)
+        wait_until(lambda: alice._outlets[outlet].audience.there)
+        alice.publish("swarm/r0/test/x", b"once")
+        wait_until(lambda: samples, what="what was said once arrives")  # noqa: B023 - called within the round
+        assert samples == [("swarm/r0/test/x", b"once")]
+        subscription.close()
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_keys_that_nobody_uses_any_more_are_let_go(open_bus: Open) -> None:
+    alice = open_bus()
+    alice.wait_connected(None)
+    wait_until(lambda: alice._session is not None)
+    for number in range(300):
+        alice.publish(f"swarm/r0/test/{number}", b"")
+    assert len(alice._outlets) == 256
+    gc.collect()
+    assert sum(isinstance(each, Outlet) for each in gc.get_objects()) <= 256, "Zenoh holds none of them"
 
 
 @pytest.mark.usefixtures("bus_service")

@@ -12,7 +12,7 @@ import logging
 import os
 import select
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
 from services.mesh.core.clock import ClockState
@@ -54,6 +54,20 @@ class Listener(Protocol):
         """Stop listening."""
 
 
+class Watched:
+    """The connections that the reading thread waits for, by descriptor. Made when they change: a robot with five
+    neighbours is woken 200 times a second, and would else ask each of them every time."""
+
+    __slots__ = ("blocked", "pipes", "restless", "steady")
+
+    def __init__(self, pipes: Mapping[Session, Pipe], blocked: Mapping[Session, Pipe]) -> None:
+        """`blocked`: those of them whose socket is full."""
+        self.pipes = {pipe.fileno(): (session, pipe) for session, pipe in pipes.items()}
+        self.restless = {fd: found for fd, found in self.pipes.items() if found[1].restless}
+        self.steady = [fd for fd in self.pipes if fd not in self.restless]
+        self.blocked = [pipe.fileno() for pipe in blocked.values()]
+
+
 class Runner:
     """Runs one node until `stop`."""
 
@@ -73,7 +87,7 @@ class Runner:
         in, `changed()` when a link did, `keep()` when there is another topology to be kept. What hosts of apps send
         comes by the `lane`, and `show(key, payload)` tells others of it."""
         self._node = node
-        self._listeners = listeners
+        self._listeners = {each.fileno(): each for each in listeners}
         self._dial = dial
         self._deliver = deliver
         self._changed = changed
@@ -83,10 +97,14 @@ class Runner:
         self._lock = threading.Lock()
         self._pipes: dict[Session, Pipe] = {}
         self._blocked: dict[Session, Pipe] = {}
+        self._other_pipes = True
+        """Whether these have changed since the reading thread looked at them."""
+        self._watched = Watched({}, {})
         self._ended: list[Pipe] = []
         self._dials: set[threading.Thread] = set()
         self._stopping = False
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._always = [self._wake, lane.fileno(), *self._listeners]
         self._deadline = 0.0
         self._turned = False
         self._thread = threading.Thread(target=self._run, name="mesh")
@@ -182,7 +200,7 @@ class Runner:
                 self._blocked.pop(action.session, None)
                 pipe.shutdown()
                 self._ended.append(pipe)
-                self._wake_up()
+                self._look_again()
         deadline, before = node.next_deadline(), self._deadline
         self._deadline = deadline
         if deadline < before and threading.get_ident() != self._thread.ident:
@@ -190,15 +208,25 @@ class Runner:
         return actions
 
     def _flush(self, session: Session, pipe: Pipe) -> None:
+        calm = not pipe.restless
         while pipe.flush():
             data = session.data_to_send(clock.now(), _CHUNK)
             if not data:
-                self._blocked.pop(session, None)
-                return
+                if self._blocked.pop(session, None) is not None:
+                    self._other_pipes = True
+                break
             pipe.offer(data)
-        if session not in self._blocked:
-            self._blocked[session] = pipe
-            self._wake_up()
+        else:
+            if session not in self._blocked:
+                self._blocked[session] = pipe
+                self._look_again()
+        if calm and pipe.restless:
+            self._look_again()
+
+    def _look_again(self) -> None:
+        """The reading thread waits for other descriptors from now on."""
+        self._other_pipes = True
+        self._wake_up()
 
     def _wake_up(self) -> None:
         os.eventfd_write(self._wake, 1)
@@ -240,7 +268,7 @@ class Runner:
                 self._node.dial_failed(peer, reason, clock.now())
             else:
                 self._pipes[self._node.dialled(peer, clock.now())] = pipe
-                self._wake_up()
+                self._look_again()
             actions = self._carry_out()
         self._report(actions)
 
@@ -252,12 +280,14 @@ class Runner:
                 if self._stopping:
                     return
                 ended, self._ended = self._ended, []
-                pipes, blocked = list(self._pipes.items()), list(self._blocked.items())
+                if self._other_pipes:
+                    self._watched = Watched(self._pipes, self._blocked)
+                    self._other_pipes = False
                 deadline = self._deadline
             self._turned = True
             for pipe in ended:
                 pipe.close()
-            self._wait(pipes, blocked, deadline)
+            self._wait(self._watched, deadline)
             # Timers come after what has arrived: a process that was stopped for a moment must not take its own
             # absence for the others' silence.
             if clock.now() >= self._deadline:
@@ -267,37 +297,35 @@ class Runner:
                     actions = self._carry_out()
                 self._report(actions)
 
-    def _wait(self, pipes: list[tuple[Session, Pipe]], blocked: list[tuple[Session, Pipe]], deadline: float) -> None:
+    def _wait(self, watched: Watched, deadline: float) -> None:
         """Wait for the first of: bytes, callers, frames of apps, room in a full socket, the deadline; and handle it."""
         now = clock.now()
-        readers: list[int | Listener | Pipe | Lane] = [self._wake, *self._listeners, self._lane]
-        changing: dict[Pipe, float] = {}
-        for _, pipe in pipes:
+        readers = self._always + watched.steady
+        for fd, (_, pipe) in watched.restless.items():
             if (change := pipe.next_change(now)) is not None:
-                changing[pipe] = change
                 deadline = min(deadline, change)
             if pipe.wants_read(now):
-                readers.append(pipe)
+                readers.append(fd)
         timeout = None if deadline == _NEVER else max(0.0, deadline - now)
-        readable, writable, _ = select.select(readers, [pipe for _, pipe in blocked], [], timeout)
+        readable, writable, _ = select.select(readers, watched.blocked, [], timeout)
         if self._wake in readable:
             with contextlib.suppress(BlockingIOError):
                 os.eventfd_read(self._wake)
-        if self._lane in readable:
+        if self._lane.fileno() in readable:
             self._take_lane()
         now = clock.now()
+        looked = [found for fd in readable if (found := watched.pipes.get(fd)) is not None]
+        for _, pipe in looked:
+            pipe.read(now)
+        looked += [found for fd, found in watched.restless.items() if fd not in readable]
         arrivals: list[tuple[Session, Pipe, bytes]] = []
-        for session, pipe in pipes:
-            if pipe in readable:
-                pipe.read(now)
-            elif changing.get(pipe, _NEVER) > now:
-                continue
+        for session, pipe in looked:
             while (data := pipe.take(now)) is not None:
                 arrivals.append((session, pipe, data))
                 if not data:
                     break
-        for listener in self._listeners:
-            if listener in readable:
+        for fd in readable:
+            if (listener := self._listeners.get(fd)) is not None:
                 self._accept(listener)
         if arrivals or writable:
             with self._lock:
@@ -308,8 +336,9 @@ class Runner:
                     else:
                         reason = pipe.fault or "closed by the other end"
                         self._node.transport_down(session, reason, now)
-                for session, pipe in blocked:
-                    if session in self._blocked and pipe in writable:
+                for fd in writable:
+                    session, pipe = watched.pipes[fd]
+                    if session in self._blocked:
                         self._flush(session, pipe)
                 actions = self._carry_out()
             self._report(actions)
@@ -342,5 +371,6 @@ class Runner:
                 pipe.close()
             else:
                 self._pipes[session] = pipe
+                self._other_pipes = True
             actions = self._carry_out()
         self._report(actions)

@@ -2,6 +2,7 @@
 
 import heapq
 import itertools
+import math
 import random
 from collections import Counter
 from collections.abc import Callable
@@ -101,8 +102,8 @@ class Link:
         if side.socket and side.wakes_at < self.now:
             side.wakes_at = line.free_at
             self.at(line.free_at, lambda: self.work(side))
-        deadline = session.next_deadline()
-        if deadline is not None and deadline != self._timers[side]:
+        deadline = session.deadline
+        if deadline < math.inf and deadline != self._timers[side]:
             self._timers[side] = deadline
             self.at(max(deadline, self.now), lambda: self._timer(side))
 

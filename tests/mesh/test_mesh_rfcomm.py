@@ -121,8 +121,10 @@ def test_a_reset_that_the_writer_meets_first_still_ends_the_connection(
     air: RfcommAir, listener: rfcomm.Listener
 ) -> None:
     near, far = dial(air), accept(listener)
+    assert not near.restless
     far.close()
     write(near, b"into the void")
+    assert near.restless, "who waits for it is to look at once, since the socket may never be readable"
     assert near.fault == "connection reset by peer"
     assert near.next_change(5.0) == 5.0, "the reader is to look, though its read would wait for ever"
     assert read(near) == b""

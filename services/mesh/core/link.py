@@ -1,7 +1,6 @@
 """One neighbour as a node keeps it: the connection in use, and what is told of all connections so far."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from services.mesh.core.dialler import Dialler
 from services.mesh.core.session import CONNECTING, DOWN, Session
@@ -79,39 +78,40 @@ class Link:
         """For the key `mesh/links`."""
         session = self.session
         if session is None:
-            state, rtt, sent, received = CONNECTING if self.attempt else DOWN, None, self.sent, self.received
-        else:
-            state, rtt = session.state, session.pulse.rtt
-            sent, received = self.sent + session.sent, self.received + session.received
-        reason = self.reason if session is None else ""
-        known = LinkState(
+            state = CONNECTING if self.attempt else DOWN
+            return LinkState(
+                self.peer,
+                state,
+                self.connection,
+                None,
+                self.sent,
+                self.received,
+                self.reason,
+                sent_bytes=self.sent_bytes,
+                received_bytes=self.received_bytes,
+                dropped=self.dropped,
+                refused=self.refused,
+            )
+        pulse, window = session.pulse, session.window
+        rtts = sorted(pulse.rtts)
+        return LinkState(
             self.peer,
-            state,
+            session.state,
             self.connection,
-            rtt,
-            sent,
-            received,
-            reason,
-            sent_bytes=self.sent_bytes,
-            received_bytes=self.received_bytes,
-            dropped=self.dropped,
-            refused=self.refused,
-        )
-        return known if session is None else self._with_session(known, session)
-
-    def _with_session(self, known: LinkState, session: Session) -> LinkState:
-        rtts = sorted(session.pulse.rtts)
-        return replace(
-            known,
+            pulse.rtt,
+            self.sent + session.sent,
+            self.received + session.received,
+            "",
             rtt_min=rtts[0] if rtts else None,
             rtt_median=rtts[len(rtts) // 2] if rtts else None,
             rtt_p99=rtts[len(rtts) * 99 // 100] if rtts else None,
-            sent_rate=session.pulse.sent_rate,
-            received_rate=session.pulse.received_rate,
+            sent_rate=pulse.sent_rate,
+            received_rate=pulse.received_rate,
             sent_bytes=self.sent_bytes + session.sent_bytes,
             received_bytes=self.received_bytes + session.received_bytes,
             queue=session.queue.waiting_bytes,
-            in_flight=session.window.in_flight,
-            window=int(session.window.limit),
+            in_flight=window.in_flight,
+            window=int(window.limit),
             dropped=self.dropped + session.queue.dropped,
+            refused=self.refused,
         )

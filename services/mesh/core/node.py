@@ -203,13 +203,13 @@ class Node:
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
-        # After each message, so without lists and generators: an idle link costs two calls.
+        # After each message, so without lists, generators and calls for each link.
         earliest = min(self.overlays.next_deadline(), self._gather.next_deadline())
         if (deadline := self._relay.next_deadline()) is not None and deadline < earliest:
             earliest = deadline
         for session in self._sessions:
-            if (deadline := session.next_deadline()) is not None and deadline < earliest:
-                earliest = deadline
+            if session.deadline < earliest:
+                earliest = session.deadline
         for link in self._links.values():
             if (
                 link.session is None

@@ -42,6 +42,11 @@ BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
 for each."""
 
+EARLY = 0.25
+"""Share of the time between heartbeats by which one may leave earlier, to go along with something else."""
+
+_NEVER = float("inf")
+
 SENT = ("sent_control", "sent_sync", "sent_bulk")
 """Which counter counts the messages of a class that left."""
 
@@ -57,7 +62,6 @@ class Session:
         "_clock",
         "_confirm",
         "_counters",
-        "_deadline",
         "_decoder",
         "_events",
         "_expected",
@@ -74,6 +78,7 @@ class Session:
         "_receipts",
         "_urgent",
         "_window",
+        "deadline",
         "dialled",
         "peer",
         "pulse",
@@ -137,7 +142,8 @@ class Session:
         self._heard = now
         self._heartbeat_at = now
         self._heartbeat_due = False
-        self._deadline = now + HANDSHAKE_TIMEOUT
+        self.deadline = now + HANDSHAKE_TIMEOUT
+        """When `handle_timer` wants to be called; it may turn out to be early, never late."""
 
     @property
     def is_up(self) -> bool:
@@ -175,10 +181,6 @@ class Session:
         """What happened since the last call."""
         events, self._events = self._events, []
         return events
-
-    def next_deadline(self) -> float | None:
-        """When `handle_timer` wants to be called. It may turn out to be early, never late."""
-        return None if self.state == DOWN else self._deadline
 
     # -- inputs ------------------------------------------------------------------------------------
 
@@ -227,9 +229,9 @@ class Session:
             self._end(code, reason)
 
     def handle_timer(self, now: float) -> None:
-        """Heartbeats, and what silence means. Call it at `next_deadline` or any other time."""
+        """Heartbeats, and what silence means. Call it at `deadline` or any other time."""
         if self.state == CONNECTING:
-            if now >= self._deadline:
+            if now >= self.deadline:
                 self._end(frames.SILENT, f"no handshake within {HANDSHAKE_TIMEOUT:g} s")
         elif self.is_up:
             # The same sums as in the deadline below: a difference could round to just short of it, for ever.
@@ -242,8 +244,7 @@ class Session:
             if now >= self._heartbeat_at:
                 self._heartbeat_due = True
                 self._heartbeat_at = now + self._local.heartbeat
-            patience = self._local.dead if self.state == SUSPECT else self._local.suspect
-            self._deadline = min(self._heartbeat_at, self._heard + patience)
+            self._set_deadline()
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
         """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
@@ -254,8 +255,14 @@ class Session:
         size = sum(map(len, chunks)) if chunks else 0
         bulk = False
         if self.is_up:
-            beat, self._heartbeat_due = self._heartbeat_due, False
+            # What leaves shortly before a heartbeat takes it along: else that would wake both ends once more. Not bulk:
+            # a heartbeat brings an acknowledgement, and those steer its window.
+            early = 0.0 if outbox.bulk_waits else EARLY * self._local.heartbeat
+            beat = self._heartbeat_due or now >= self._heartbeat_at - early
             if beat:
+                self._heartbeat_due = False
+                self._heartbeat_at = now + self._local.heartbeat
+                self._set_deadline()
                 self._beat(chunks, now)
             if (count := receipts.take(at_once=beat)) is not None:
                 chunks.append(flow.encode_ack(count))
@@ -289,6 +296,10 @@ class Session:
         data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)
         self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
         return data
+
+    def _set_deadline(self) -> None:
+        patience = self._local.dead if self.state == SUSPECT else self._local.suspect
+        self.deadline = min(self._heartbeat_at, self._heard + patience)
 
     def _beat(self, chunks: list[bytes], now: float) -> None:
         """A heartbeat, and what goes with it."""
@@ -397,7 +408,7 @@ class Session:
         self._decoder.limit = frames.MAX_FRAME
         self._events.append(LinkUp(self.peer, self._incarnation))
         self._heartbeat_at = now
-        self._deadline = now
+        self.deadline = now
         self.handle_timer(now)
 
     def _on_bind(self, bind: frames.Bind) -> None:
@@ -418,6 +429,7 @@ class Session:
     def _close(self, reason: str, code: int | None) -> None:
         was_up = self.is_up
         self.state = DOWN
+        self.deadline = _NEVER
         self._urgent = []
         self._heartbeat_due = False
         self._outbox.clear()

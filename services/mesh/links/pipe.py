@@ -36,6 +36,12 @@ class Pipe:
 
     # -- the reading thread's side ---------------------------------------------------------------------------
 
+    @property
+    def restless(self) -> bool:
+        """Whether `wants_read` and `next_change` are to be asked before each wait; else it is read when the socket is
+        readable. Once it is, it stays so."""
+        return self._unwritable
+
     def wants_read(self, now: float) -> bool:
         """Whether `read` is to be called when the socket is readable."""
         return not self._over

@@ -124,6 +124,11 @@ class SimPipe(Pipe):
         self._buffer = b""
         self._ended = False
 
+    @property
+    def restless(self) -> bool:
+        """Time changes it."""
+        return True
+
     def offer(self, data: bytes) -> None:
         """Take bytes to be written, and note when."""
         super().offer(_RECORD.pack(len(data), clock.now()) + data)
