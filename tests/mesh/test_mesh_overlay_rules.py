@@ -374,7 +374,7 @@ def test_a_fragment_that_is_changed_on_the_way_costs_its_connection_and_nothing_
 def test_the_lockstep_path_is_the_one_it_was() -> None:
     """One frame, no overlay header: the bytes of a message to a neighbour are untouched by overlays."""
     world = World([("r0", "r1")])
-    world.run(1.2)  # no heartbeat is due that would go along
+    world.run(1.0)
     (session,) = world.bots["r0"].ends
     session.data_to_send(world.now, 10_000)
     key = "swarm/r0/app/x/sync/a"

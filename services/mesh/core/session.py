@@ -43,7 +43,8 @@ BULK_WRITE = 1000
 for each."""
 
 EARLY = 0.25
-"""Share of the time between heartbeats by which one may leave earlier, to go along with something else."""
+"""Share of the time between heartbeats by which one leaves earlier where the robot is awake: so those of all its links
+leave together."""
 
 _NEVER = float("inf")
 
@@ -241,10 +242,11 @@ class Session:
             if now >= self._heard + self._local.suspect and self.state == UP:
                 self.state = SUSPECT
                 self._events.append(LinkSuspect())
-            if now >= self._heartbeat_at:
+            if now >= self._heartbeat_at - EARLY * self._local.heartbeat:
                 self._heartbeat_due = True
                 self._heartbeat_at = now + self._local.heartbeat
-            self._set_deadline()
+            patience = self._local.dead if self.state == SUSPECT else self._local.suspect
+            self.deadline = min(self._heartbeat_at, self._heard + patience)
 
     def data_to_send(self, now: float, max_bytes: int) -> bytes:
         """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
@@ -255,14 +257,8 @@ class Session:
         size = sum(map(len, chunks)) if chunks else 0
         bulk = False
         if self.is_up:
-            # What leaves shortly before a heartbeat takes it along: else that would wake both ends once more. Not bulk:
-            # a heartbeat brings an acknowledgement, and those steer its window.
-            early = 0.0 if outbox.bulk_waits else EARLY * self._local.heartbeat
-            beat = self._heartbeat_due or now >= self._heartbeat_at - early
+            beat, self._heartbeat_due = self._heartbeat_due, False
             if beat:
-                self._heartbeat_due = False
-                self._heartbeat_at = now + self._local.heartbeat
-                self._set_deadline()
                 self._beat(chunks, now)
             if (count := receipts.take(at_once=beat)) is not None:
                 chunks.append(flow.encode_ack(count))
@@ -296,10 +292,6 @@ class Session:
         data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)
         self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
         return data
-
-    def _set_deadline(self) -> None:
-        patience = self._local.dead if self.state == SUSPECT else self._local.suspect
-        self.deadline = min(self._heartbeat_at, self._heard + patience)
 
     def _beat(self, chunks: list[bytes], now: float) -> None:
         """A heartbeat, and what goes with it."""
