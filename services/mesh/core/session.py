@@ -42,10 +42,6 @@ BULK_WRITE = 1000
 """Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
 for each."""
 
-EARLY = 0.25
-"""Share of the time between heartbeats by which one leaves earlier where the robot is awake: so those of all its links
-leave together."""
-
 _NEVER = float("inf")
 
 SENT = ("sent_control", "sent_sync", "sent_bulk")
@@ -242,9 +238,9 @@ class Session:
             if now >= self._heard + self._local.suspect and self.state == UP:
                 self.state = SUSPECT
                 self._events.append(LinkSuspect())
-            if now >= self._heartbeat_at - EARLY * self._local.heartbeat:
+            if now >= self._heartbeat_at:
                 self._heartbeat_due = True
-                self._heartbeat_at = now + self._local.heartbeat
+                self._heartbeat_at = self._next_beat(now)
             patience = self._local.dead if self.state == SUSPECT else self._local.suspect
             self.deadline = min(self._heartbeat_at, self._heard + patience)
 
@@ -292,6 +288,12 @@ class Session:
         data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)
         self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
         return data
+
+    def _next_beat(self, now: float) -> float:
+        """Those of all links of a robot leave together: each time it wakes costs. Robots have moments of their own."""
+        period = self._local.heartbeat
+        wait = period - (now - self._local.incarnation % 1024 / 1024 * period) % period
+        return now + (wait if wait > period / 4 else wait + period)
 
     def _beat(self, chunks: list[bytes], now: float) -> None:
         """A heartbeat, and what goes with it."""
