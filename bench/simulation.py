@@ -22,11 +22,13 @@ class SimulationError(Exception):
 class Simulation:
     """One `swarm sim ARGUMENTS --json`, in directories of its own that go with it. A context."""
 
-    def __init__(self, *arguments: str, program: Sequence[str] = ("swarm.cli", "sim")) -> None:
-        """`program`: module, and its first arguments, that does what `swarm sim` does."""
+    def __init__(
+        self, *arguments: str, program: Sequence[str] = ("swarm.cli", "sim"), run_dir: Path | None = None
+    ) -> None:
+        """`program`: module, and its first arguments, that does what `swarm sim` does; `run_dir`: another's."""
         # Short, and not below a test's own directory: sockets' paths have at most 107 bytes.
         self._home = Path(tempfile.mkdtemp(prefix="swarm-"))
-        self.run_dir = self._home / "run"
+        self.run_dir = run_dir or self._home / "run"
         self.records = self._home / "records"
         self._readers: dict[Path, TrajectoryReader] = {}
         self._error = (self._home / "stderr").open("w+")

@@ -53,7 +53,7 @@ def talk(bus: Bus, key: str, samples: Samples, payload: bytes = b"hello") -> Non
     wait_until(arrived, what=f"{key} arrives")
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_a_message_travels_typed(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()
@@ -64,7 +64,7 @@ def test_a_message_travels_typed(open_bus: Open) -> None:
     assert read("swarm/r0/balancer/leds", dict(samples)["swarm/r0/balancer/leds"]) == Leds(1.0, True, False, True)
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_own_messages_do_not_come_back(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     own, other = Samples(), Samples()
@@ -75,7 +75,7 @@ def test_own_messages_do_not_come_back(open_bus: Open) -> None:
     assert {key for key, _ in own} == {"swarm/r0/test/y"}
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_what_is_heard_no_more(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     once, on = Samples(), Samples()
@@ -91,7 +91,7 @@ def test_what_is_heard_no_more(open_bus: Open) -> None:
     assert len(once) == heard
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_several_keys_one_callback(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()
@@ -103,7 +103,7 @@ def test_several_keys_one_callback(open_bus: Open) -> None:
     assert "swarm/r0/c/z" not in {key for key, _ in samples}
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_queries_carry_parameters_and_may_stay_unanswered(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     asked: list[dict[str, str]] = []
@@ -125,7 +125,7 @@ def test_queries_carry_parameters_and_may_stay_unanswered(open_bus: Open) -> Non
     assert {"sequence": "8"} in asked
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_tokens_come_and_go(open_bus: Open) -> None:
     alice, bob, late = open_bus(), open_bus(), open_bus()
     events = Samples()
@@ -152,7 +152,7 @@ def test_declared_before_the_router_is_there(open_bus: Open, processes: Processe
 
 
 def test_everything_works_again_after_the_router_was_killed(
-    open_bus: Open, processes: Processes, router: subprocess.Popen[str]
+    open_bus: Open, processes: Processes, bus_service: subprocess.Popen[str]
 ) -> None:
     alice, bob = open_bus(), open_bus()
     changes: list[bool] = []
@@ -172,8 +172,8 @@ def test_everything_works_again_after_the_router_was_killed(
         wait_until(answered)
         wait_until(lambda: tokens and tokens[-1][1], what="token")
         wait_until(lambda: changes and changes[-1], what="on_change")
-        router.kill()
-        router.wait()
+        bus_service.kill()
+        bus_service.wait()
         wait_until(lambda: not alice.connected and not bob.connected)
         wait_until(lambda: not tokens[-1][1], what="token gone")
         wait_until(lambda: not changes[-1], what="on_change")
@@ -181,19 +181,19 @@ def test_everything_works_again_after_the_router_was_killed(
             alice.publish("swarm/r0/test/lost", b"lost")
         samples.clear()
         replies.clear()
-        router = processes.router()
+        bus_service = processes.router()
         wait_until(lambda: alice.connected and bob.connected, what=f"reconnect {round_}")
     talk(alice, "swarm/r0/test/x", samples)
     assert ("swarm/r0/test/lost", b"lost") not in samples
 
 
-def test_on_change_tells_the_present_state_once(open_bus: Open, router: subprocess.Popen[str]) -> None:
+def test_on_change_tells_the_present_state_once(open_bus: Open, bus_service: subprocess.Popen[str]) -> None:
     bus = open_bus()
     assert bus.wait_connected(60)
     changes: list[bool] = []
     bus.on_change(changes.append)
     assert changes == [True]
-    router.kill()
+    bus_service.kill()
     wait_until(lambda: changes == [True, False])
 
 
@@ -212,7 +212,7 @@ with Bus(sys.argv[1]) as bus:
 """
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_a_stopped_subscriber_does_not_hold_up_the_others(open_bus: Open, processes: Processes, runtime: Path) -> None:
     stopped = processes.start("-c", SUBSCRIBER, bus_endpoint(runtime))
     assert stopped.stdout is not None
@@ -238,17 +238,17 @@ def test_a_stopped_subscriber_does_not_hold_up_the_others(open_bus: Open, proces
     assert (stopped.returncode, errors) == (0, "")
 
 
-def test_a_stopped_router_does_not_hold_up_a_publisher(open_bus: Open, router: subprocess.Popen[str]) -> None:
+def test_a_stopped_router_does_not_hold_up_a_publisher(open_bus: Open, bus_service: subprocess.Popen[str]) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()
     bob.subscribe("swarm/**", samples)
     talk(alice, "swarm/r0/test/x", samples)
-    router.send_signal(signal.SIGSTOP)
+    bus_service.send_signal(signal.SIGSTOP)
     for _ in range(300):
         started = time.monotonic()
         alice.publish("swarm/r0/test/y", bytes(60000))
         assert time.monotonic() - started < HELD_UP
-    router.send_signal(signal.SIGCONT)
+    bus_service.send_signal(signal.SIGCONT)
     talk(alice, "swarm/r0/test/x", samples, b"again")
 
 
@@ -269,7 +269,7 @@ def test_the_process_ends_while_no_router_is_there(processes: Processes, runtime
     assert (process.returncode, errors) == (0, "")
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_a_failing_callback_is_logged_and_the_session_lives(open_bus: Open, caplog: pytest.LogCaptureFixture) -> None:
     alice, bob = open_bus(), open_bus()
 
@@ -287,7 +287,7 @@ def test_a_failing_callback_is_logged_and_the_session_lives(open_bus: Open, capl
     talk(alice, "swarm/r0/test/good", samples, b"still alive")
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_a_callback_may_publish_ask_and_declare(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples, later = Samples(), Samples()
@@ -308,7 +308,7 @@ def test_a_callback_may_publish_ask_and_declare(open_bus: Open) -> None:
     talk(alice, "swarm/r0/test/later", later)
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()
@@ -342,7 +342,7 @@ def test_malformed_keys_are_refused_at_once(open_bus: Open, key: str) -> None:
             attempt(key)
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_publishing_under_a_malformed_key_is_logged(open_bus: Open, caplog: pytest.LogCaptureFixture) -> None:
     bus = open_bus()
     assert bus.wait_connected(60)
@@ -381,7 +381,7 @@ with zenoh.open(config) as session:
 """
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_stock_tools_reach_the_bus(open_bus: Open, processes: Processes, runtime: Path) -> None:
     """What Zenoh's own examples do for `-m client -e unixsock-stream/... --no-multicast-scouting`."""
     stock = processes.start("-c", STOCK, bus_endpoint(runtime))
@@ -395,13 +395,13 @@ def test_stock_tools_reach_the_bus(open_bus: Open, processes: Processes, runtime
     assert stock.communicate() == ("swarm/r0/balancer/leds application/msgpack\n", "")
 
 
-def test_few_threads(processes: Processes, router: subprocess.Popen[str], runtime: Path) -> None:
+def test_few_threads(processes: Processes, bus_service: subprocess.Popen[str], runtime: Path) -> None:
     """The one-worker runtime is in force: without it a client has 7 threads, a router 8."""
     client = processes.start("-c", SUBSCRIBER, bus_endpoint(runtime))
     assert client.stdout is not None
     assert client.stdout.readline() == "listening\n"
     assert len(list(Path(f"/proc/{client.pid}/task").iterdir())) <= 4
-    assert len(list(Path(f"/proc/{router.pid}/task").iterdir())) <= 5
+    assert len(list(Path(f"/proc/{bus_service.pid}/task").iterdir())) <= 5
 
 
 def test_importing_the_bus_pulls_in_nothing_heavy() -> None:

@@ -36,25 +36,25 @@ def inodes(pid: int) -> set[str]:
     return {link[len("socket:[") : -1] for link in links if link.startswith("socket:[")}
 
 
-def test_nothing_listens_on_the_network(router: subprocess.Popen[str], runtime: Path) -> None:
+def test_nothing_listens_on_the_network(bus_service: subprocess.Popen[str], runtime: Path) -> None:
     with Bus.of(runtime) as bus:
         assert bus.wait_connected(60)
-        for pid in (router.pid, os.getpid()):
+        for pid in (bus_service.pid, os.getpid()):
             own = inodes(pid)
             for table in ("tcp", "tcp6", "udp", "udp6", "raw", "raw6"):
                 lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
                 assert not own & {line.split()[9] for line in lines}, table
             listening = Path(f"/proc/{pid}/net/unix").read_text()
-            assert {line.split()[6] for line in listening.splitlines()[1:]} & inodes(router.pid)
+            assert {line.split()[6] for line in listening.splitlines()[1:]} & inodes(bus_service.pid)
 
 
-def test_only_owner_and_group_may_connect(runtime: Path, router: subprocess.Popen[str]) -> None:
+def test_only_owner_and_group_may_connect(runtime: Path, bus_service: subprocess.Popen[str]) -> None:
     mode = stat.S_IMODE((runtime / "bus.sock").stat().st_mode)
     assert mode == 0o770
-    assert stop(router) == 0
+    assert stop(bus_service) == 0
 
 
-def test_it_is_a_service_of_its_own_bus(router: subprocess.Popen[str], runtime: Path) -> None:
+def test_it_is_a_service_of_its_own_bus(bus_service: subprocess.Popen[str], runtime: Path) -> None:
     replies: list[Status] = []
     with Bus.of(runtime) as bus:
 
@@ -66,21 +66,23 @@ def test_it_is_a_service_of_its_own_bus(router: subprocess.Popen[str], runtime: 
         alive: list[str] = []
         bus.watch("swarm/r0/bus/alive", lambda key, _: alive.append(key))
         wait_until(lambda: alive)
-    assert (replies[0].state, replies[0].pid) == ("ready", router.pid)
+    assert (replies[0].state, replies[0].pid) == ("ready", bus_service.pid)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_clean_stop_removes_the_socket(router: subprocess.Popen[str], runtime: Path, number: signal.Signals) -> None:
+def test_a_clean_stop_removes_the_socket(
+    bus_service: subprocess.Popen[str], runtime: Path, number: signal.Signals
+) -> None:
     with Bus.of(runtime) as bus:
         assert bus.wait_connected(60)
-        router.send_signal(number)
-        assert router.wait(60) == 0
+        bus_service.send_signal(number)
+        assert bus_service.wait(60) == 0
     assert not (runtime / "bus.sock").exists()
 
 
-def test_a_stale_socket_is_removed(processes: Processes, router: subprocess.Popen[str], runtime: Path) -> None:
-    router.kill()
-    router.wait()
+def test_a_stale_socket_is_removed(processes: Processes, bus_service: subprocess.Popen[str], runtime: Path) -> None:
+    bus_service.kill()
+    bus_service.wait()
     assert (runtime / "bus.sock").exists()
     processes.router()
     with Bus.of(runtime) as bus:
@@ -93,14 +95,14 @@ def test_a_stale_socket_without_any_lock_file_is_removed(processes: Processes, r
     processes.router()
 
 
-@pytest.mark.usefixtures("router")
+@pytest.mark.usefixtures("bus_service")
 def test_a_second_bus_is_refused_and_the_first_goes_on(
-    processes: Processes, router: subprocess.Popen[str], runtime: Path
+    processes: Processes, bus_service: subprocess.Popen[str], runtime: Path
 ) -> None:
-    assert f"another bus is running there (pid {router.pid})" in refused(processes)
+    assert f"another bus is running there (pid {bus_service.pid})" in refused(processes)
     with Bus.of(runtime) as bus:
         assert bus.wait_connected(60)
-    assert router.poll() is None
+    assert bus_service.poll() is None
 
 
 def test_of_several_started_at_once_one_wins(processes: Processes, runtime: Path) -> None:

@@ -12,10 +12,11 @@ from typing import Any
 
 import pytest
 
-from swarm.bus import Bus
+from swarm.bus import Bus, Router
 from swarm.codec import decode, encode
 from swarm.core import together
 from swarm.messages import AppEpoch, AppProgress, AppState, Topology
+from swarm.paths import bus_endpoint
 from swarm.recording import trajectory
 
 NAMES = ("r0", "r1", "r2")
@@ -33,7 +34,10 @@ class Rig:
     The relay drops frames of iterations beyond `gate`, so that a test finds the swarm where it wants it.
     """
 
-    def __init__(self, directory: Path, names: Sequence[str] = NAMES, more: str = "") -> None:
+    def __init__(
+        self, directory: Path, names: Sequence[str] = NAMES, more: str = "", own_bus: Sequence[str] = ()
+    ) -> None:
+        """The buses are of this process, but for robots of `own_bus`: theirs can be killed."""
         self.directory = directory
         self.names = tuple(names)
         self.gate = 2**32
@@ -42,6 +46,7 @@ class Rig:
         self.records.mkdir()
         (directory / "swarm.toml").write_text(config_text(names, more))
         self.processes: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
+        self.routers: list[Router] = []
         self.buses: dict[str, Bus] = {}
         self.changed = threading.Condition()
         self.progress: dict[str, AppProgress] = {}
@@ -51,7 +56,10 @@ class Rig:
         """By key: what every app and channel has told last."""
         for name in names:
             (directory / name).mkdir()
-            self.start(name, "bus")
+            if name in own_bus:
+                self.start(name, "bus")
+            else:
+                self.routers.append(Router(bus_endpoint(directory / name)))
             bus = self.buses[name] = Bus.of(directory / name)
             bus.subscribe(f"swarm/{name}/app/*/progress", self._take(self.progress, name, AppProgress))
             bus.subscribe(f"swarm/{name}/app/**/progress", self._keep)
@@ -70,6 +78,8 @@ class Rig:
             process.kill()
         for bus in self.buses.values():
             bus.close()
+        for router in self.routers:
+            router.close()
         for process in self.processes.values():
             process.wait()
 

@@ -41,9 +41,14 @@ def config_of(
 
 
 class MemorySwarm:
-    """Runs an app on all robots; `trajectory[name][k]` is the packed state, `results[name][k]` what it reports."""
+    """Runs an app on all robots; `trajectory[name][k]` is the packed state, `results[name][k]` what it reports.
 
-    def __init__(self, app: str, config: Config, last: int, measure: MeasurementOf | None = None) -> None:
+    A result may take longer than a step: who wants only `final` says `every=False`, and `results` are those alone.
+    """
+
+    def __init__(
+        self, app: str, config: Config, last: int, measure: MeasurementOf | None = None, *, every: bool = True
+    ) -> None:
         found = loader.load(app)
         found.check(config)
         self.runners = {n: Runner(found.make(config, n, seed=1), found.source) for n in config.names}
@@ -54,6 +59,7 @@ class MemorySwarm:
         self.messages = 0
         self._config = config
         self._measure = measure
+        self._last, self._every = last, every
         self._cores: dict[str, Lockstep] = {}
         self._queue: list[tuple[str, str, bytes]] = []
         for name, runner in self.runners.items():
@@ -90,7 +96,8 @@ class MemorySwarm:
                     case Advanced(k, value):
                         assert k == len(self.trajectory[name]) == runner.k
                         self.trajectory[name].append(value)
-                        self.results[name].append(runner.result())
+                        if self._every or k == self._last:
+                            self.results[name].append(runner.result())
                         self.states[name].append(runner.state())
                     case Compute(k, own, values):
                         core.computed(*runner.step(k, own, values, self._measurement(name, k)), 0.0)

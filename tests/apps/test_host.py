@@ -38,8 +38,8 @@ MakeRig = Callable[..., Rig]
 def make_rig(runtime: Path) -> Iterator[MakeRig]:
     rigs: list[Rig] = []
 
-    def make(more: str = START, names: tuple[str, ...] = NAMES) -> Rig:
-        rigs.append(Rig(runtime, names, more))
+    def make(more: str = START, names: tuple[str, ...] = NAMES, own_bus: tuple[str, ...] = ()) -> Rig:
+        rigs.append(Rig(runtime, names, more, own_bus))
         return rigs[-1]
 
     yield make
@@ -128,7 +128,7 @@ def test_kills_at_any_moment(make_rig: MakeRig) -> None:
 
 
 def test_a_killed_bus_is_survived(make_rig: MakeRig) -> None:
-    rig = make_rig()
+    rig = make_rig(own_bus=("r1",))
     rig.gate = 15
     rig.start_all("consensus", "--iterations", "60")
     rig.until_k(15)

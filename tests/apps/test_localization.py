@@ -197,7 +197,7 @@ def test_the_origin_is_the_mean_of_the_anchors() -> None:
         m = exact(name, k)
         return Measurement(m.t, k, m.distance, m.x + 300, m.y - 200)
 
-    swarm = MemorySwarm("localization", config, 300, measure)
+    swarm = MemorySwarm("localization", config, 300, measure, every=False)
     for result in swarm.final.values():
         assert (result["x"], result["y"]) == pytest.approx((TARGET[0] + 300, TARGET[1] - 200), abs=1e-9)
 
@@ -209,7 +209,8 @@ def test_info_errs_no_more_than_least_squares_of_all_ranges(count: int, shape: s
     config = config_of(count, shape, "localization")
     for seed in range(60):
         readings = {name: noisy(name, seed) for name in config.names}
-        swarm = MemorySwarm("localization", config, 40, lambda name, k, readings=readings: readings[name])
+        frozen = lambda name, k, readings=readings: readings[name]  # noqa: E731
+        swarm = MemorySwarm("localization", config, 40, frozen, every=False)
         errors += [math.dist((r["x"], r["y"]), TARGET) ** 2 for r in swarm.final.values()]
         best = refine([(m.distance, m.x, m.y) for m in readings.values()], TARGET)
         central.append(math.dist(best, TARGET) ** 2)

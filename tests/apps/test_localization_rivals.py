@@ -19,9 +19,9 @@ GRAPHS = [(3, "line"), (6, "line"), (6, "loop"), (6, "thesis-d"), (6, "full")]
 ALGORITHMS = ("info", "nids", "flood", "diging", "thesis")
 
 
-def run(algorithm: str, count: int, shape: str, last: int, measure=exact, **parameters) -> MemorySwarm:
+def run(algorithm: str, count: int, shape: str, last: int, measure=exact, *, every=False, **parameters) -> MemorySwarm:
     config = config_of(count, shape, "localization", {"algorithm": algorithm, **parameters})
-    return MemorySwarm("localization", config, last, measure)
+    return MemorySwarm("localization", config, last, measure, every=every)
 
 
 def frozen(seed: int):
@@ -44,7 +44,7 @@ def least_squares(count: int, seed: int) -> tuple[float, float]:
 )
 def test_rounds_to_a_centimetre_on_exact_ranges(algorithm: str, rounds: tuple[int, ...]) -> None:
     for (count, shape), most in zip(GRAPHS, rounds, strict=True):
-        assert rounds_to(run(algorithm, count, shape, 90), TARGET) <= most
+        assert rounds_to(run(algorithm, count, shape, 90, every=True), TARGET) <= most
 
 
 @pytest.mark.parametrize(("count", "shape"), GRAPHS)
@@ -154,7 +154,7 @@ def test_every_algorithm_tells_that_two_places_fit(algorithm: str) -> None:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_noise_that_goes_on_leaves_no_bias(algorithm: str) -> None:
     parameters = {"step_size": 0.01} if algorithm in ("thesis", "diging") else {}
-    swarm = run(algorithm, 3, "line", 700, noisy, **parameters)
+    swarm = run(algorithm, 3, "line", 700, noisy, every=True, **parameters)
     late = [(r["x"], r["y"]) for results in swarm.results.values() for r in results[200:]]
     middle = statistics.fmean(x for x, _ in late), statistics.fmean(y for _, y in late)
     assert math.dist(middle, TARGET) < 0.015

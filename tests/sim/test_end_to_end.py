@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ from conftest import wait_until
 
 from bench.simulation import Simulation, SimulationError, simulate
 from services.sim.virtual.run import simulate as virtual
+
+RUN = ("consensus", "--iterations", "120", "--latency", "10ms")
 
 
 def processes_of(run_dir: Path) -> list[int]:
@@ -25,42 +28,40 @@ def processes_of(run_dir: Path) -> list[int]:
     return found
 
 
-@pytest.fixture(scope="module")
+@cache
 def undisturbed():
-    """One run that others are compared with: report and trajectories."""
-    with Simulation("consensus", "--iterations", "120", "--latency", "10ms") as simulation:
-        found = simulation.finish()
-        return found, {name: simulation.trajectory(name) for name in ("r0", "r1", "r2")}
-
-
-def test_consensus_ends_on_the_mean_and_reports_it(undisturbed):
-    report, paths = undisturbed
-    assert report["app"] == "consensus"
-    assert report["algorithm"] == "metropolis"
-    assert report["iterations"] == 120
-    assert report["error"] < 1e-9
-    assert report["problems"] == []
-    assert report["restarts"] == 0
-    assert report["messages_per_iteration"] > 3.5  # 2E, and those that are asked for again where a machine is busy
-    assert report["iteration_s_median"] > 0.010
-    assert report["rss_mib_per_robot"] > 20
-    assert paths["r0"].value(0, "value") == 0.5
-
-
-def test_virtual_time_gives_the_same_trajectory_bit_for_bit(undisturbed):
-    _, expected = undisturbed
-    report, outcome = virtual("consensus", "--iterations", "120", "--latency", "10ms", rows=True)
+    """The same run without disturbance, under virtual time: trajectories that others are compared with."""
+    report, outcome = virtual(*RUN, rows=True)
     assert report["virtual"]
     assert report["messages_per_iteration"] == pytest.approx(4, abs=0.5)
-    for name, path in expected.items():
-        assert outcome.trajectories[name].columns == path.columns
-        assert outcome.trajectories[name].rows == path.rows
+    return outcome.trajectories
 
 
-def test_killed_services_and_a_stopped_app_change_no_bit(undisturbed):
+def test_a_run_through_a_cut_link_is_the_undisturbed_one_bit_for_bit():
+    """Consensus ends on the mean and reports it; the cut holds the swarm up, and loses nothing."""
+    with Simulation(*RUN, "--cut", "r0-r1@0.3s,1s") as simulation:
+        report = simulation.finish()
+        assert report["app"] == "consensus"
+        assert report["algorithm"] == "metropolis"
+        assert report["iterations"] == 120
+        assert report["error"] < 1e-9
+        assert report["problems"] == []
+        assert report["restarts"] == 0
+        assert report["messages_per_iteration"] > 3.5  # 2E, and those that are asked for again where a machine is busy
+        assert report["iteration_s_median"] > 0.010
+        assert report["rss_mib_per_robot"] > 20
+        for name, path in undisturbed().items():
+            found = simulation.trajectory(name)
+            assert found.columns == path.columns
+            assert found.rows == path.rows
+            assert max(at - found.times[k - 1] for k, at in found.times.items() if k) > 0.8
+        assert found.last == 120
+        assert simulation.trajectory("r0").value(0, "value") == 0.5
+
+
+def test_killed_services_and_a_stopped_app_change_no_bit():
     """Who is stopped is named by those who wait for it."""
-    _, expected = undisturbed
-    with Simulation("consensus", "--iterations", "120", "--latency", "10ms") as simulation:
+    with Simulation(*RUN) as simulation:
         simulation.wait_for("r1", 5)
         simulation.kill("r1", "app", "STOP")
         wait_until(lambda: "waits for r1" in simulation.said(), what="r1 is named by those who wait for it")
@@ -71,50 +72,41 @@ def test_killed_services_and_a_stopped_app_change_no_bit(undisturbed):
             simulation.kill(robot, service)
         report = simulation.finish()
         assert report["restarts"] == len(victims)
-        for name, path in expected.items():
+        for name, path in undisturbed().items():
             assert simulation.trajectory(name).rows == path.rows
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("service", ["bus", "mesh", "dwm", "balancer", "app"])
-def test_one_killed_service_changes_no_bit(undisturbed, service):
-    _, expected = undisturbed
+def test_one_killed_service_changes_no_bit(service):
     # Links slow enough for the run to outlast the start of the command that kills.
     with Simulation("consensus", "--iterations", "120", "--latency", "50ms") as simulation:
         simulation.wait_for("r1", 20)
         simulation.kill("r1", service)
         assert simulation.finish()["restarts"] == 1
-        for name, path in expected.items():
+        for name, path in undisturbed().items():
             assert simulation.trajectory(name).rows == path.rows
 
 
-def test_nothing_survives_the_end_or_a_killed_parent():
-    with Simulation("consensus", "--robots", "2", "--seconds", "60", "--latency", "10ms") as simulation:
-        simulation.wait_for("r0", 5)
-        assert len(processes_of(simulation.run_dir)) > 8
-        simulation.process.send_signal(signal.SIGKILL)
-        wait_until(lambda: not processes_of(simulation.run_dir), what="all children are gone")
-        # What the killed run left (sockets, locks, snapshots) does not hinder the next.
-        again = ["consensus", "--robots", "2", "--iterations", "20", "--run-dir", str(simulation.run_dir)]
-        command = [sys.executable, "-m", "swarm.cli", "sim", *again]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        assert not processes_of(simulation.run_dir)
-
-
-def test_a_second_simulation_at_the_same_place_is_refused_and_ctrl_c_ends_the_first_with_a_report():
-    with Simulation("consensus", "--robots", "2", "--seconds", "60") as simulation:
-        simulation.wait_for("r0", 1)
-        command = [sys.executable, "-m", "swarm.cli", "sim", "--run-dir", str(simulation.run_dir)]
+def test_a_second_simulation_is_refused_nothing_survives_a_killed_one_and_the_next_ends_by_ctrl_c_with_a_report():
+    words = ("consensus", "--robots", "2", "--seconds", "60", "--latency", "10ms")
+    with Simulation(*words) as first:
+        first.wait_for("r0", 1)
+        command = [sys.executable, "-m", "swarm.cli", "sim", *words, "--run-dir", str(first.run_dir)]
         second = subprocess.run(command, capture_output=True, text=True, check=False)
         assert second.returncode == 2
         assert "already running" in second.stderr
         assert "--run-dir" in second.stderr
-        simulation.wait_for("r0", 10)  # the first one did not notice
-        simulation.process.send_signal(signal.SIGINT)
-        report = simulation.finish()
-        assert report["iterations"] >= 9
-        assert not processes_of(simulation.run_dir)
+        first.wait_for("r0", first.trajectory("r0").last + 5)  # it did not notice
+        assert len(processes_of(first.run_dir)) > 8
+        first.process.send_signal(signal.SIGKILL)
+        wait_until(lambda: not processes_of(first.run_dir), what="all children are gone")
+        # What the killed run left (sockets, locks, snapshots) does not hinder the next.
+        with Simulation(*words, run_dir=first.run_dir) as again:
+            again.wait_for("r0", 10)
+            again.process.send_signal(signal.SIGINT)
+            assert again.finish()["iterations"] >= 9
+        assert not processes_of(first.run_dir)
 
 
 def test_a_broken_app_file_is_named(tmp_path):
@@ -125,7 +117,7 @@ def test_a_broken_app_file_is_named(tmp_path):
     assert "Traceback" not in str(failure.value)
 
 
-@pytest.mark.parametrize("iteration", [0, 7])
+@pytest.mark.parametrize("iteration", [0, pytest.param(7, marks=pytest.mark.slow)])
 def test_an_app_that_raises_is_named_with_robot_and_iteration(iteration, tmp_path):
     app = tmp_path / "crashing.py"
     app.write_text(
@@ -153,17 +145,6 @@ def test_a_robot_with_another_version_of_the_app_is_named(tmp_path):
         with pytest.raises(SimulationError, match=said):
             simulation.finish()
         assert simulation.trajectory("r0", "mean").last > 20
-
-
-def test_a_cut_link_holds_the_swarm_up_and_loses_nothing(undisturbed):
-    _, expected = undisturbed
-    with Simulation("consensus", "--iterations", "120", "--latency", "10ms", "--cut", "r0-r1@0.3s,1s") as simulation:
-        report = simulation.finish()
-        assert report["problems"] == []
-        for name, path in expected.items():
-            found = simulation.trajectory(name)
-            assert found.rows == path.rows
-            assert max(at - found.times[k - 1] for k, at in found.times.items() if k) > 0.8
 
 
 def test_a_robot_that_is_cut_off_for_ever_does_not_keep_the_others_from_their_end():

@@ -25,7 +25,7 @@ APPS["localization thesis"] += ["--step-size", "2e-6"]
 
 DISTURBED = (
     "--robots",
-    "5",
+    "4",
     "--topology",
     "full",
     "--seconds",
