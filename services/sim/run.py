@@ -22,7 +22,6 @@ from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.world import World
 from swarm import air, clock
-from swarm.conduct import Conduct
 from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import LocalError
@@ -154,10 +153,10 @@ class Run:
         for service, module in SERVICE_MODULES.items():
             self._processes.add(name, service, [module], directory)
         if self._scenario.app is not None and self._scenario.program is not None:
-            words = [APP_SERVICE, self._scenario.program, *_words(self._scenario.conduct)]
+            words = [APP_SERVICE, self._scenario.program, *self._scenario.conduct.words]
             self._processes.add(name, f"app/{self._scenario.app}", words, directory)
         for service, beside in self._beside.items():
-            words = [APP_SERVICE, beside.program, *_words(self._scenario.conduct_beside)]
+            words = [APP_SERVICE, beside.program, *self._scenario.conduct_beside.words]
             self._processes.add(name, service, words, directory)
 
     def _start_app(self, robot: str, app: str) -> None:
@@ -271,11 +270,6 @@ class Run:
             moves_from=self._moves_from,
             beside=beside,
         )
-
-
-def _words(conduct: Conduct) -> list[str]:
-    """For an app's host."""
-    return [*([] if conduct.last is None else ["--iterations", str(conduct.last)]), *conduct.words]
 
 
 def _make_records(directory: Path) -> None:
