@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from services.apps import loader
 from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Options
@@ -71,8 +70,7 @@ class Run:
         self._beside = {f"app/{each.app}": each for each in scenario.beside}
         number = os.urandom(8)
         if scenario.program is not None and scenario.beside:  # else the apps' processes begin the folder all alike
-            digest = loader.load(scenario.program).digest
-            about = folder.describe(scenario.app or "", int.from_bytes(number, "big"), options.seed, digest)
+            about = folder.describe(scenario.app or "", int.from_bytes(number, "big"), options.seed, scenario.digest)
             folder.begin(self._records, about, {})
         self._processes = Processes(self._environment(number.hex()))
         self._monitor = Monitor(run_dir, names, scenario.app)
