@@ -19,7 +19,7 @@ from swarm.cli import param
 from swarm.codec import Value, encode
 from swarm.errors import LocalError, SwarmError
 from swarm.fleet import apps
-from swarm.fleet.ssh import Host, HostError, Ssh, hosts, last_words
+from swarm.fleet.ssh import Host, HostError, Ssh, hosts
 from swarm.fleet.units import SERVICES, kill, unit
 from swarm.keys import key
 from swarm.messages import HoldLink
@@ -262,9 +262,7 @@ class FarHands:
             self._view.buses[host.robot].publish(name, message, urgent=True)
             return
         command: bytes = msgpack.packb([name, encode(message)])
-        done = await self._ssh.run(host, f"{PROGRAM} {host.robot}", feed=[command], on_data=lambda _: None)
-        if done.code != 0:
-            raise HostError(last_words(done.err) or f"exit code {done.code}")
+        await self._ssh.check(host, f"{PROGRAM} {host.robot}", feed=[command])
 
     # -- the picture ----------------------------------------------------------------------------------------------
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from conftest import wait_until
-from far_swarm import needs_sshd
 from far_units import SUDO, scripts
+from needs import needs_ssh
 from test_reach import Tunnel
 
 from bench.fake_robots import FakeRobots
@@ -22,7 +22,7 @@ from swarm.view.control import Control
 from swarm.view.far import FarHands
 from swarm.view.robots import Robots
 
-pytestmark = needs_sshd
+pytestmark = needs_ssh
 
 START = "restart --no-block swarm-app@consensus.service"
 
