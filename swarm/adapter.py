@@ -24,6 +24,12 @@ def open_socket() -> socket.socket:
     return socket.socket(socket.AF_BLUETOOTH, socket.SOCK_RAW, socket.BTPROTO_HCI)
 
 
+def check(status: int) -> None:
+    """Raises `LocalError` where an answer's status says that the adapter has not done it."""
+    if status:
+        raise LocalError(f"the adapter refuses: HCI status {status:#04x}")
+
+
 class Adapter:
     """The adapter with an address. Errors of the kernel are OSError, of which `hci` says what they mean."""
 

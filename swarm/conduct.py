@@ -40,8 +40,8 @@ class Conduct:
 
     @property
     def words(self) -> list[str]:
-        """The options that say the same, without the last iteration."""
-        words = []
+        """The options that say the same."""
+        words = [] if self.last is None else ["--iterations", str(self.last)]
         if self.rule is not None and self.rule.rounds is not None:
             words += ["--until", "converged", "--rounds", str(self.rule.rounds), "--tolerance", repr(self.tolerance)]
         if self.rule is not None and self.rule.seconds is not None:

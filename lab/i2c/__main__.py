@@ -7,6 +7,7 @@ datagram socket SOCKET faults are ordered, JSON of fields of `Faults`; each orde
 systemd is notified when the device is there.
 """
 
+import errno
 import json
 import os
 import select
@@ -14,7 +15,7 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import cast
+from typing import Self, cast
 
 from lab.i2c.cuse import LARGEST, Cuse
 from lab.i2c.ioctls import I2CDevice
@@ -29,11 +30,45 @@ NAME = "i2c-1"
 LOOK_MS = 50
 
 
+class Memory:
+    """Of the process with that id; see `lab.i2c.cuse.Memory`."""
+
+    def __init__(self, process: int) -> None:
+        self._path = f"/proc/{process}/mem"
+        self._file = -1
+
+    def __enter__(self) -> Self:
+        self._file = os.open(self._path, os.O_RDWR)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._file)
+
+    def read(self, address: int, size: int) -> bytes:
+        """See there."""
+        try:
+            data = os.pread(self._file, size, address)
+        except (OSError, OverflowError):
+            data = b""
+        if len(data) != size:
+            raise OSError(errno.EFAULT, f"no {size} bytes at {address:#x}")
+        return data
+
+    def write(self, address: int, data: bytes) -> None:
+        """See there."""
+        try:
+            written = os.pwrite(self._file, data, address)
+        except (OSError, OverflowError):
+            written = -1
+        if written != len(data):
+            raise OSError(errno.EFAULT, f"no room for {len(data)} bytes at {address:#x}")
+
+
 def main() -> None:
     """Serve."""
     config = load()
     adapter = RobotAdapter(cast(SimulatedBus, simulated_bus(config, who_am_i(config))), clock.now, time.sleep)
-    cuse = Cuse(NAME, I2CDevice(adapter))
+    cuse = Cuse(NAME, I2CDevice(adapter), Memory)
     orders = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     Path(sys.argv[1]).unlink(missing_ok=True)
     orders.bind(sys.argv[1])

@@ -2,12 +2,15 @@
 answers (linux/fuse.h, protocol 7.31; what Debian's 6.12 speaks).
 
 Each request read from /dev/cuse is a header of 40 bytes and a body; each answer a header of 16 bytes and a body. An
-ioctl comes without its data, since the kernel cannot know what the argument points at: the program says which pieces of
-the caller's memory it wants to read and to fill (`Retry`), and gets the request anew with them.
+ioctl comes without its data, since the kernel cannot know what the argument points at. It would fetch them when told
+where they are, in a request more for each step from pointer to pointer; we read and fill the caller's memory ourselves,
+since what an emulated processor takes for this bus is its switches between the caller and us.
 """
 
 import errno
 import struct
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
@@ -24,12 +27,8 @@ class Opcode(IntEnum):
 
 
 MAJOR, MINOR = 7, 31
-UNRESTRICTED_IOCTL = 1
-"""Flag of INIT: we may `Retry`."""
 IOCTL_COMPAT = 1
 """Flag of a request: from a 32-bit program, whose structures have other sizes."""
-IOCTL_RETRY = 4
-"""Flag of an answer."""
 LARGEST = 1 << 17
 """Bytes of the largest request that the kernel sends: max_write and its headers are far below."""
 
@@ -40,15 +39,18 @@ _INIT_OUT = struct.Struct("<IIIIIIII40x")
 _OPEN_OUT = struct.Struct("<QII")
 _IOCTL_IN = struct.Struct("<QIIQII")
 _IOCTL_OUT = struct.Struct("<iIII")
-_PIECE = struct.Struct("<QQ")
-_LONGEST_PIECE = 4096
+_LONGEST = 4096
+"""Bytes of a read or a write of the device, of which there are none."""
 
 
-class Piece(NamedTuple):
-    """Of the caller's memory."""
+class Memory(Protocol):
+    """Of the process that calls."""
 
-    address: int
-    size: int
+    def read(self, address: int, size: int) -> bytes:
+        """So many bytes; `OSError` (EFAULT) where they are not there."""
+
+    def write(self, address: int, data: bytes) -> None:
+        """Fill it; `OSError` (EFAULT) where it is not there."""
 
 
 class Call(NamedTuple):
@@ -58,31 +60,13 @@ class Call(NamedTuple):
     """Of the open file."""
     command: int
     argument: int
-    data: bytes
-    """The pieces asked for, one after the other; empty at first."""
-    room: int
-    """Bytes of the pieces that are to be filled; 0 at first."""
-
-
-class Retry(NamedTuple):
-    """Ask again with these pieces."""
-
-    read: list[Piece]
-    fill: list[Piece]
-
-
-class Done(NamedTuple):
-    """What an ioctl comes back with; OSError for one that fails."""
-
-    result: int = 0
-    fill: bytes = b""
 
 
 class Device(Protocol):
     """What is behind the device file."""
 
-    def ioctl(self, call: Call) -> Retry | Done:
-        """Raises OSError; called again after a `Retry`."""
+    def ioctl(self, call: Call, memory: Memory) -> int:
+        """What it comes back with; raises OSError."""
 
     def close(self, handle: int) -> None:
         """That file is closed."""
@@ -91,9 +75,9 @@ class Device(Protocol):
 class Cuse:
     """Answers the requests of one device file."""
 
-    def __init__(self, name: str, device: Device) -> None:
-        """`name` as in /dev."""
-        self._name, self._device = name, device
+    def __init__(self, name: str, device: Device, memory: Callable[[int], AbstractContextManager[Memory]]) -> None:
+        """`name` as in /dev; `memory`: of the process with that id."""
+        self._name, self._device, self._memory = name, device, memory
         self._opened = 0
         self.there = False
         """The kernel has asked for the name: /dev has it in a moment."""
@@ -102,14 +86,14 @@ class Cuse:
         """The answer; None where there is none. Raises ValueError where that is no request."""
         if len(request) < _REQUEST.size:
             raise ValueError(f"CUSE: a request of {len(request)} bytes")
-        size, opcode, unique, *_ = _REQUEST.unpack_from(request)
+        size, opcode, unique, _, _, _, caller, _ = _REQUEST.unpack_from(request)
         if size != len(request):
             raise ValueError(f"CUSE: a request of {len(request)} bytes says that it has {size}")
         body = request[_REQUEST.size :]
         try:
             match opcode:
                 case Opcode.IOCTL:
-                    return _answer(unique, self._ioctl(body))
+                    return _answer(unique, self._ioctl(body, caller))
                 case Opcode.INIT:
                     return _answer(unique, self._init(body))
                 case Opcode.OPEN:
@@ -128,28 +112,23 @@ class Cuse:
             raise ValueError(f"CUSE: a body of {len(body)} bytes with opcode {opcode}: {error}") from None
 
     def _init(self, body: bytes) -> bytes:
-        major, minor, _, flags = _INIT_IN.unpack(body)
-        if major != MAJOR or minor < MINOR or not flags & UNRESTRICTED_IOCTL:
-            raise ValueError(f"CUSE: the kernel speaks {major}.{minor} with flags {flags:#x}, not {MAJOR}.{MINOR}")
+        major, minor, _, _ = _INIT_IN.unpack(body)
+        if major != MAJOR or minor < MINOR:
+            raise ValueError(f"CUSE: the kernel speaks {major}.{minor}, not {MAJOR}.{MINOR}")
         self.there = True
-        answer = _INIT_OUT.pack(MAJOR, MINOR, 0, UNRESTRICTED_IOCTL, _LONGEST_PIECE, _LONGEST_PIECE, 0, 0)
+        answer = _INIT_OUT.pack(MAJOR, MINOR, 0, 0, _LONGEST, _LONGEST, 0, 0)
         return answer + b"DEVNAME=" + self._name.encode() + b"\0"
 
-    def _ioctl(self, body: bytes) -> bytes:
-        handle, flags, command, argument, size, room = _IOCTL_IN.unpack_from(body)
-        data = body[_IOCTL_IN.size :]
-        if len(data) != size:
-            raise ValueError(f"CUSE: an ioctl with {len(data)} bytes of data says that it has {size}")
+    def _ioctl(self, body: bytes, caller: int) -> bytes:
+        handle, flags, command, argument, _, _ = _IOCTL_IN.unpack(body)
         if flags & IOCTL_COMPAT:
             return _IOCTL_OUT.pack(-errno.ENOTTY, 0, 0, 0)
         try:
-            answer = self._device.ioctl(Call(handle, command, argument, data, room))
+            with self._memory(caller) as memory:
+                result = self._device.ioctl(Call(handle, command, argument), memory)
         except OSError as error:
-            return _IOCTL_OUT.pack(-(error.errno or errno.EIO), 0, 0, 0)
-        if isinstance(answer, Done):
-            return _IOCTL_OUT.pack(answer.result, 0, 0, 0) + answer.fill
-        head = _IOCTL_OUT.pack(0, IOCTL_RETRY, len(answer.read), len(answer.fill))
-        return head + b"".join(_PIECE.pack(*piece) for piece in (*answer.read, *answer.fill))
+            result = -(error.errno or errno.EIO)
+        return _IOCTL_OUT.pack(result, 0, 0, 0)
 
 
 def _answer(unique: int, body: bytes = b"", *, error: int = 0) -> bytes:

@@ -8,7 +8,7 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
-from lab.i2c.cuse import Call, Done, Piece, Retry
+from lab.i2c.cuse import Call, Memory
 
 
 class Command(IntEnum):
@@ -81,19 +81,17 @@ class I2CDevice:
         self._adapter = adapter
         self._addresses: dict[int, int] = {}
 
-    def ioctl(self, call: Call) -> Retry | Done:
+    def ioctl(self, call: Call, memory: Memory) -> int:
         """One ioctl; see `lab.i2c.cuse.Device`."""
         match call.command:
             case Command.RDWR:
-                return self._messages(call)
+                return self._messages(call, memory)
             case Command.SMBUS:
-                return self._smbus(call)
+                self._smbus(call, memory)
             case Command.SLAVE | Command.SLAVE_FORCE if call.argument <= 0x7F:
                 self._addresses[call.handle] = call.argument
             case Command.FUNCS:
-                if call.room < _LONG.size:
-                    return Retry([], [Piece(call.argument, _LONG.size)])
-                return Done(fill=_LONG.pack(FUNCTIONALITY))
+                memory.write(call.argument, _LONG.pack(FUNCTIONALITY))
             case Command.TIMEOUT:
                 self._adapter.timeout_s = call.argument * 0.01
             case Command.RETRIES:
@@ -104,53 +102,41 @@ class I2CDevice:
                 raise failure(errno.EINVAL)
             case _:
                 raise failure(errno.ENOTTY)
-        return Done()
+        return 0
 
     def close(self, handle: int) -> None:
         """See `lab.i2c.cuse.Device`."""
         self._addresses.pop(handle, None)
 
-    def _messages(self, call: Call) -> Retry | Done:
-        pieces = [Piece(call.argument, _RDWR_DATA.size)]
-        if len(call.data) < _RDWR_DATA.size:
-            return Retry(pieces, [])
-        where, count = _RDWR_DATA.unpack_from(call.data)
+    def _messages(self, call: Call, memory: Memory) -> int:
+        where, count = _RDWR_DATA.unpack(memory.read(call.argument, _RDWR_DATA.size))
         if not 0 < count <= MOST_MESSAGES:
             raise failure(errno.EINVAL)
-        pieces.append(Piece(where, count * _MESSAGE.size))
-        at = _RDWR_DATA.size + count * _MESSAGE.size
-        if len(call.data) < at:
-            return Retry(pieces, [])
-        heads = [_MESSAGE.unpack_from(call.data, offset) for offset in range(_RDWR_DATA.size, at, _MESSAGE.size)]
-        if any(length > LONGEST or flags & ~READ for _, flags, length, _ in heads):
-            raise failure(errno.EINVAL)
-        incoming = [Piece(pointer, length) for _, flags, length, pointer in heads if flags & READ and length]
-        outgoing = [Piece(pointer, length) for _, flags, length, pointer in heads if not flags & READ and length]
-        if len(call.data) < at + sum(piece.size for piece in outgoing) or call.room < sum(p.size for p in incoming):
-            return Retry(pieces + outgoing, incoming)
+        heads = [*_MESSAGE.iter_unpack(memory.read(where, count * _MESSAGE.size))]
         messages = []
-        for address, flags, length, _ in heads:
+        for address, flags, length, pointer in heads:
+            if length > LONGEST or flags & ~READ:
+                raise failure(errno.EINVAL)
             if flags & READ:
                 messages.append(Message(address, read=length))
             else:
-                messages.append(Message(address, call.data[at : at + length]))
+                messages.append(Message(address, memory.read(pointer, length)))
+        data, at = self._adapter.transfer(messages), 0
+        for _, flags, length, pointer in heads:
+            if flags & READ:
+                memory.write(pointer, data[at : at + length])
                 at += length
-        return Done(count, self._adapter.transfer(messages))
+        return len(heads)
 
-    def _smbus(self, call: Call) -> Retry | Done:
-        head = Piece(call.argument, _SMBUS_DATA.size)
-        if len(call.data) < head.size:
-            return Retry([head], [])
-        reads, command, size, where = _SMBUS_DATA.unpack_from(call.data)
+    def _smbus(self, call: Call, memory: Memory) -> None:
+        reads, command, size, where = _SMBUS_DATA.unpack(memory.read(call.argument, _SMBUS_DATA.size))
         address = self._addresses.get(call.handle)
         if address is None or reads > 1:
             raise failure(errno.EINVAL)
         takes, fills = _smbus_union(reads, size)
-        if len(call.data) < head.size + takes or call.room < fills:
-            return Retry([head, *([Piece(where, takes)] if takes else [])], [Piece(where, fills)] if fills else [])
-        union = call.data[head.size :]
-        messages, lead = _emulated(address, reads, command, size, union)
-        return Done(fill=(lead + self._adapter.transfer(messages)).ljust(fills, b"\0"))
+        messages, lead = _emulated(address, reads, command, size, memory.read(where, takes))
+        data = lead + self._adapter.transfer(messages)
+        memory.write(where, data.ljust(fills, b"\0"))
 
 
 def _smbus_union(reads: int, size: int) -> tuple[int, int]:

@@ -191,6 +191,8 @@ def _furnish(root: Path, public_key: str) -> None:
         _linked(units / f"{target}.target.wants" / unit, f"/etc/systemd/system/{unit}")
     for name in recipe.MASKED:
         _linked(units / name, "/dev/null")
+    for each in (root / "usr/lib/systemd/system-generators").iterdir():
+        _linked(etc / "systemd/system-generators" / each.name, "/dev/null")
     _linked(units / "default.target", "/lib/systemd/system/multi-user.target")
     # A fixed identity saves the work of a first boot; ssh host keys are in the image from the package.
     (etc / "machine-id").write_text("0123456789abcdef0123456789abcdef\n")

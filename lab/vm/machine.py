@@ -27,7 +27,7 @@ SYSTEMD, PLAIN = "/sbin/init", "/usr/lib/lab/init"
 KERNEL = (
     *("console=ttyS0", "quiet", "loglevel=4", "panic=-1", "oops=panic", "mitigations=off", "tsc=reliable"),
     *("random.trust_cpu=on", "nowatchdog", "no_timer_check", "audit=0", "systemd.show_status=0", "net.ifnames=0"),
-    "rodata=off",  # a second of page tables
+    *("rodata=off", "apparmor=0"),  # a second of page tables; profiles of nothing that is here
 )
 
 PLAIN_CPU = "Nehalem,+rdrand"
@@ -208,12 +208,11 @@ class Machine:
     def _words(self, disk: Path, agent: Path) -> list[str]:
         words = ["qemu-system-x86_64", "-name", self.name, "-nodefaults", "-no-user-config", "-no-reboot"]
         # A /dev/kvm may be there and not work (machines of cloud services), so emulation is what is asked for.
+        accelerator = os.environ.get("SWARM_LAB_ACCEL", "tcg,thread=multi")
         if self._steady:
-            sleep = "off" if self._alone else "on"
-            words += ["-accel", "tcg,thread=single", "-icount", f"shift=1,sleep={sleep}"]
-        else:
-            words += ["-accel", os.environ.get("SWARM_LAB_ACCEL", "tcg,thread=multi")]
-        words += ["-cpu", PLAIN_CPU if self._alone else "max"]
+            accelerator = "tcg,thread=single"
+            words += ["-icount", f"shift=1,sleep={'off' if self._alone else 'on'}"]
+        words += ["-accel", accelerator, "-cpu", PLAIN_CPU if accelerator.startswith("tcg") else "max"]
         words += ["-smp", str(self._cores), "-m", str(self._memory_mb), "-display", "none"]
         words += ["-machine", "q35,usb=off,smbus=off,vmport=off", "-serial", "stdio"]
         append = [*KERNEL, f"lab.init={self._init}", f"lab.name={self.name}", f"systemd.hostname={self.name}"]

@@ -219,10 +219,10 @@ def parse(arguments: list[str]) -> Options:
         ):
             if given:
                 raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")
-        if options.conduct.words:
-            raise ConfigError("--until, --for and --absent need an APP, e.g. swarm sim consensus")
         if options.iterations is not None:
             raise ConfigError("--iterations needs an APP; without one use --seconds")
+        if options.conduct.words:
+            raise ConfigError("--until, --for and --absent need an APP, e.g. swarm sim consensus")
     return options
 
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from services.apps import loader
 from services.sim import footprint, scene
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Options
@@ -22,7 +21,6 @@ from services.sim.report import Outcome
 from services.sim.scenario import Scenario
 from services.sim.world import World
 from swarm import air, clock
-from swarm.conduct import Conduct
 from swarm.config.dump import dump
 from swarm.core import hands
 from swarm.errors import LocalError
@@ -72,8 +70,7 @@ class Run:
         self._beside = {f"app/{each.app}": each for each in scenario.beside}
         number = os.urandom(8)
         if scenario.program is not None and scenario.beside:  # else the apps' processes begin the folder all alike
-            digest = loader.load(scenario.program).digest
-            about = folder.describe(scenario.app or "", int.from_bytes(number, "big"), options.seed, digest)
+            about = folder.describe(scenario.app or "", int.from_bytes(number, "big"), options.seed, scenario.digest)
             folder.begin(self._records, about, {})
         self._processes = Processes(self._environment(number.hex()))
         self._monitor = Monitor(run_dir, names, scenario.app)
@@ -154,10 +151,10 @@ class Run:
         for service, module in SERVICE_MODULES.items():
             self._processes.add(name, service, [module], directory)
         if self._scenario.app is not None and self._scenario.program is not None:
-            words = [APP_SERVICE, self._scenario.program, *_words(self._scenario.conduct)]
+            words = [APP_SERVICE, self._scenario.program, *self._scenario.conduct.words]
             self._processes.add(name, f"app/{self._scenario.app}", words, directory)
         for service, beside in self._beside.items():
-            words = [APP_SERVICE, beside.program, *_words(self._scenario.conduct_beside)]
+            words = [APP_SERVICE, beside.program, *self._scenario.conduct_beside.words]
             self._processes.add(name, service, words, directory)
 
     def _start_app(self, robot: str, app: str) -> None:
@@ -271,11 +268,6 @@ class Run:
             moves_from=self._moves_from,
             beside=beside,
         )
-
-
-def _words(conduct: Conduct) -> list[str]:
-    """For an app's host."""
-    return [*([] if conduct.last is None else ["--iterations", str(conduct.last)]), *conduct.words]
 
 
 def _make_records(directory: Path) -> None:

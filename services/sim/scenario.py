@@ -79,6 +79,8 @@ class Scenario:
     """The app's name, as in keys and in swarm.toml."""
     program: str | None
     """What the app host is started with: the name of a built-in app, or the path of a file."""
+    digest: bytes
+    """Of the app's code; empty without one."""
     algorithm: str | None
     """The algorithm the app runs, None where the app has no such parameter."""
     topology: str
@@ -173,6 +175,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         config=config,
         app=app.name if app is not None else None,
         program=_program(app) if app is not None else None,
+        digest=app.digest if app is not None else b"",
         algorithm=_algorithm(config, app) if app is not None else None,
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,

@@ -72,14 +72,15 @@ class View:
         self.buses = found
         self._changed = threading.Condition()
 
-    def wait(self, seconds: float, enough: Callable[[], bool]) -> bool:
-        """Ask again and again until there is enough, or the time is over."""
+    def wait(self, seconds: float, enough: Callable[[], bool], order: Callable[[], None] = lambda: None) -> bool:
+        """Order and ask again and again until there is enough, or the time is over."""
         end = clock.now() + seconds
         while not enough() and clock.now() < end:
+            order()
             for name, bus in self.buses.items():
                 bus.ask(key(name, f"app/{self.app}", "epoch"), partial(self._take, name))
             with self._changed:
-                self._changed.wait(ROUND)
+                self._changed.wait_for(enough, ROUND)  # an answer is no reason to ask at once
         return enough()
 
     def table(self) -> list[str]:
@@ -120,11 +121,10 @@ def _order(view: View, args: argparse.Namespace) -> bool:
         now = view.epochs[name]
         return now.epoch > before.epoch and not set(drop) & set(now.members) and not set(add) & set(now.away)
 
-    def given() -> bool:
+    def order() -> None:
         view.buses[name].publish(key(name, f"app/{args.app}", "set", "epoch"), wish, urgent=True)
-        return done()
 
-    if not view.wait(args.timeout, given):
+    if not view.wait(args.timeout, done, order):
         most = f"more than half of its {len(before.members)} members must agree"
         print(f"{name} has not followed within {args.timeout:g} s: {most}")
         return False

@@ -39,8 +39,6 @@ def run(args: argparse.Namespace) -> int:
     if not args.force:
         asyncio.run(_check_versions(ssh, robots, config, args.timeout))
     arguments = [] if args.no_record else ["--record"]
-    if args.iterations is not None:
-        arguments += ["--iterations", str(args.iterations)]
     start = apps.Start(name, source, arguments=[*arguments, *conduct.of(args).words], settings=args.settings)
 
     async def job(host: Host, tell: Tell) -> str:

@@ -88,7 +88,7 @@ class Views:
             for name, bus in self._buses.items():
                 bus.ask(key(name, "mesh", "topology"), lambda text, data, name=name: self._take(name, text, data))  # type: ignore[misc]
             with self._changed:
-                self._changed.wait(ROUND)
+                self._changed.wait_for(enough, ROUND)  # an answer is no reason to ask at once
 
     def robots(self) -> dict[str, Topology | None]:
         """By name; None = silent."""

@@ -21,3 +21,13 @@ def unit(name: str) -> str:
 def units(names: Sequence[str]) -> list[str]:
     """The units of these, or the target that holds all services."""
     return [unit(name) for name in names] or [TARGET]
+
+
+def kill(name: str) -> str:
+    """The robot's command that has the main process of a service or an app end as by a crash: what else it has started
+    is left to systemd, which then starts it again. Fails where it does not run; raises `LocalError` as `unit`."""
+    what = unit(name)
+    # Not `is-active`: an app that waits for its first measurement is "activating", and runs.
+    runs = f'[ "$(systemctl show --property=MainPID --value {what})" != 0 ]'
+    none = '{ echo "it is not running at this moment" >&2; exit 1; }'
+    return f"sudo -n sh -c '{runs} || {none}; systemctl kill --kill-whom=main --signal=KILL {what}'"

@@ -19,8 +19,8 @@ from swarm.cli import param
 from swarm.codec import Value, encode
 from swarm.errors import LocalError, SwarmError
 from swarm.fleet import apps
-from swarm.fleet.ssh import Host, HostError, Ssh, hosts, last_words
-from swarm.fleet.units import SERVICES, unit
+from swarm.fleet.ssh import Host, HostError, Ssh, hosts
+from swarm.fleet.units import SERVICES, kill, unit
 from swarm.keys import key
 from swarm.messages import HoldLink
 from swarm.view.hands import Act, cut, named
@@ -114,13 +114,10 @@ class FarHands:
         name = service.removeprefix("app/")
         if (service == name) != (name in SERVICES):
             raise LocalError(f"no service {service[:30]!r}; there are {', '.join(SERVICES)} and app/NAME")
-        what = unit(name)
+        command = kill(name)
 
         async def job(host: Host) -> str:
-            # Not `is-active`: an app that waits for its first measurement is "activating", and runs.
-            runs = f'[ "$(systemctl show --property=MainPID --value {what})" != 0 ]'
-            none = '{ echo "it is not running at this moment" >&2; exit 1; }'
-            await self._ssh.check(host, f"sudo -n sh -c '{runs} || {none}; systemctl kill --signal=KILL {what}'")
+            await self._ssh.check(host, command)
             return f"{service} was killed"
 
         self._begin(self._on([self._hosts[robot]], job, f"{service} was not killed"))
@@ -265,9 +262,7 @@ class FarHands:
             self._view.buses[host.robot].publish(name, message, urgent=True)
             return
         command: bytes = msgpack.packb([name, encode(message)])
-        done = await self._ssh.run(host, f"{PROGRAM} {host.robot}", feed=[command], on_data=lambda _: None)
-        if done.code != 0:
-            raise HostError(last_words(done.err) or f"exit code {done.code}")
+        await self._ssh.check(host, f"{PROGRAM} {host.robot}", feed=[command])
 
     # -- the picture ----------------------------------------------------------------------------------------------
 

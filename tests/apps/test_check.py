@@ -119,7 +119,8 @@ def test_a_sum_of_floats_is_warned_of(tmp_path: Path, short: None) -> None:
 
 def test_a_slow_step_is_warned_of(tmp_path: Path, short: None) -> None:
     file = write(tmp_path, STEP + "        self.value = math.fsum([mean * 1e-9] * 500_000)\n")
-    found = check.judge(findings(file, 5), findings(file, 5))
+    one = findings(file, 5)
+    found = check.judge(one, one)
     assert any("on a Pi Zero 2 W, more than 10 ms" in warning for warning in found["warnings"])
 
 

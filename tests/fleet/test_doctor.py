@@ -3,7 +3,6 @@
 import json
 import os
 import pty
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +10,8 @@ from pathlib import Path
 import pytest
 from conftest import wait_until
 from fake_pis import PLACES, add_pi
-from fake_robots import SSHD, FakeRobots
+from fake_robots import FakeRobots
+from needs import needs_ssh
 
 from bench.simulation import Simulation
 from swarm.cli import doctor, main
@@ -119,10 +119,6 @@ def test_what_is_asked_wrongly(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 # -- robots over ssh -------------------------------------------------------------------------------------------------
 
-needs_ssh = pytest.mark.skipif(
-    not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),
-    reason="needs an ssh server and client: sudo apt-get install openssh-server openssh-client",
-)
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="a full disk is a small tmpfs, which needs root to mount")
 
 

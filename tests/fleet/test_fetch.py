@@ -5,7 +5,8 @@ import os
 from pathlib import Path
 
 import pytest
-from fake_robots import FakeRobots, Run, needs_ssh, outcomes
+from fake_robots import FakeRobots, Run, outcomes
+from needs import needs_ssh
 
 from swarm.fleet import collect
 

@@ -4,7 +4,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from fake_robots import FakeRobots, needs_ssh, outcomes
+from fake_robots import FakeRobots, outcomes
+from needs import needs_ssh
 
 from services.balancer import flash
 from services.balancer.core import balboa, image

@@ -7,7 +7,8 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from fake_robots import FakeRobots, Run, needs_ssh, outcomes
+from fake_robots import FakeRobots, Run, outcomes
+from needs import needs_ssh
 
 from swarm.cli import status
 from swarm.fleet.everyone import Outcome

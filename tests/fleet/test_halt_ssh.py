@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from fake_robots import FakeRobots, Run, needs_ssh
+from fake_robots import FakeRobots, Run
+from needs import needs_ssh
 
 from swarm.cli import halt_ssh
 

@@ -1,7 +1,8 @@
 """`swarm param --fleet`: the robots' own commands, over ssh."""
 
 import pytest
-from fake_robots import FakeRobots, Run, needs_ssh, outcomes
+from fake_robots import FakeRobots, Run, outcomes
+from needs import needs_ssh
 
 pytest_plugins = ["fleet_fixtures"]
 

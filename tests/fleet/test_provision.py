@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import shutil
 import tarfile
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterator
@@ -11,19 +10,14 @@ from pathlib import Path
 
 import pytest
 from fake_pis import PLACES, add_pi, make_bundle
-from fake_robots import SSHD, FakeRobots
+from fake_robots import FakeRobots
+from needs import needs_ssh
 
 from swarm.cli import provision
 from swarm.fleet.provision import Rig
 from swarm.keyfile import new_key_file
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not os.environ.get("CI") and (SSHD is None or shutil.which("ssh") is None),
-        reason="needs an ssh server and client: sudo apt-get install openssh-server openssh-client",
-    ),
-]
+pytestmark = [pytest.mark.slow, needs_ssh]
 
 ALL = "python3-bluez python3-venv bluez-firmware linux-image-rpi-v8"
 INSTALL = """#!/bin/sh

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 from conftest import wait_until
-from fake_robots import FakeRobots, needs_ssh
+from fake_robots import FakeRobots
+from needs import needs_ssh
 
 from swarm.bus import Bus, Router
 from swarm.messages import Leds

@@ -21,6 +21,7 @@ from lab.i2c.order import order
 from services.balancer.core import balboa, imu
 from swarm.bus import Bus
 from swarm.codec import decode
+from swarm.fleet.units import kill
 from swarm.messages import BalancerFault, BalancerState, Pose, SetMode
 
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
@@ -48,6 +49,11 @@ def wait(condition: Callable[[], object], what: str, seconds: float = 20.0) -> f
 
 def i2c(**faults: object) -> dict[str, Any]:
     return order("/run/lab/orders", faults)
+
+
+def crash(service: str) -> None:
+    """Kill it as the live page does."""
+    subprocess.run(["sh", "-c", kill(service)], check=True)
 
 
 def show(unit: str, name: str) -> str:
@@ -202,12 +208,24 @@ def killed() -> dict[str, float]:
     """The loop, in the middle of standing: the ATmega stops the motors, systemd brings the loop back, it waits."""
     robot.stand()
     old = show("swarm-balancer", "MainPID")
-    subprocess.run(["systemctl", "kill", "--kill-whom=main", "--signal=KILL", "swarm-balancer"], check=True)
+    crash("balancer")
     off = wait(lambda: i2c()["motors"] == [0.0, 0.0], "the motors are off", 5.0)
     back = wait(lambda: show("swarm-balancer", "MainPID") not in ("0", old), "there is another loop", 20.0)
     robot.state = None
     wait(lambda: robot.mode == "idle", "it is ready again", 30.0)
     return {"off_s": off, "back_s": back, "up_again_s": robot.stand()}
+
+
+def mesh_killed() -> dict[str, float]:
+    """By the live page: the main process is another one, and nothing else was started anew."""
+    others = {unit: show(unit, "MainPID") for unit in SERVICES if unit != "swarm-mesh"}
+    old, restarts = show("swarm-mesh", "MainPID"), int(show("swarm-mesh", "NRestarts"))
+    crash("mesh")
+    back = wait(lambda: show("swarm-mesh", "MainPID") not in ("0", old), "there is another mesh", 20.0)
+    wait(lambda: show("swarm-mesh", "ActiveState") == "active", "it is up", 30.0)
+    expect(int(show("swarm-mesh", "NRestarts")) == restarts + 1, "it was not systemd that started it, once")
+    expect(others == {unit: show(unit, "MainPID") for unit in others}, "others were started anew, too")
+    return {"back_s": back}
 
 
 def stopped() -> dict[str, float]:
@@ -216,6 +234,8 @@ def stopped() -> dict[str, float]:
     subprocess.run(["systemctl", "stop", "swarm-balancer"], check=True)
     expect(i2c()["motors"] == [0.0, 0.0], "the motors are on")
     expect(show("swarm-balancer", "Result") == "success", "it did not end well")
+    refused = subprocess.run(["sh", "-c", kill("balancer")], capture_output=True, text=True)
+    expect(refused.returncode == 1 and "not running at this moment" in refused.stderr, f"killed what is not: {refused}")
     return {}
 
 
@@ -234,6 +254,7 @@ CHECKS: dict[str, Callable[[], dict[str, float]]] = {
     "the bus is dead": lambda: named("I2C, ATmega: Connection timed out (error 110)", {"stuck": False}, stuck=True),
     "another device": another_device,
     "killed": killed,
+    "mesh is killed": mesh_killed,
     "stopped": stopped,
 }
 

@@ -8,7 +8,7 @@ from lab.inside import run_tests
 from lab.vm.machine import PLAIN, Machine
 
 pytest_plugins = ("lab_fixtures",)
-pytestmark = [pytest.mark.lab, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(1000)]
 
 
 @pytest.mark.parametrize("words", ["-k 'not thousand'", "-k thousand"], ids=["each fault", "a thousand connections"])

@@ -33,6 +33,7 @@ def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callab
 def test_a_whole_system_has_the_release_and_ssh(machine: Callable[..., Machine]) -> None:
     robot = machine("r0")
     robot.start()
+    robot.run("systemctl start ssh")  # the agent is up before it is
     assert robot.ssh("/opt/swarm/current/bin/swarm --version").startswith("swarm ")
     assert robot.run("systemctl is-enabled swarm-mesh", code=None) == "disabled\n"
     assert (

@@ -23,7 +23,7 @@ from swarm.keyfile import new_key_file
 from swarm.recording.run import Run
 
 pytest_plugins = ("lab_fixtures",)
-pytestmark = [pytest.mark.lab, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(1200)]
 
 COMPATIBLE = """mkdir -p /run/systemd/system/bluetooth.service.d
 printf '[Service]\\nExecStart=\\nExecStart=/usr/libexec/bluetooth/bluetoothd -C\\n' \

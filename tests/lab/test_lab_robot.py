@@ -21,7 +21,7 @@ from lab.vm.machine import Machine
 from swarm.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
-pytestmark = [pytest.mark.lab, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(1100)]
 
 HERE = Path(__file__).parent
 INSIDE = HERE / "inside_robot.py"

@@ -56,6 +56,8 @@ class End:
     """The air from here to the other end, where it has a bandwidth."""
     socket: deque[bytes] = field(default_factory=deque)
     """Writes that wait for the air."""
+    waits: bool = False
+    """Whether it will go on with them by itself."""
 
 
 @dataclass
@@ -338,8 +340,14 @@ class World:
             self.written[end.robot, other.robot if other is not None else ""] += len(data)
             line.push(data, self.now)
             self._at(line._last_arrival, lambda data=data: self._arrive(end, data))  # type: ignore[misc]
-        if waited:
-            self._at(line.free_at, lambda: self._write(end) if end.alive else None)
+        if waited and not end.waits:
+            end.waits = True
+            self._at(line.free_at, lambda: self._go_on(end))
+
+    def _go_on(self, end: End) -> None:
+        end.waits = False
+        if end.alive:
+            self._write(end)
 
     def send(self, end: End, data: bytes) -> None:
         """Put bytes on the way to the other end."""

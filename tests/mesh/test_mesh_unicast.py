@@ -197,6 +197,9 @@ def test_a_link_that_closes_in_mid_flight_turns_the_message_round_at_once() -> N
     assert world.bots["r4"].times[0] - began == pytest.approx(0.075 + 5 * 0.03)
     assert world.bots["r1"].counters["unicast_retries"] == 0
     assert world.bots["r5"].counters["unicast_rerouted"] == 1
+    told = [(it.sender, it.to, it.number, it.next, it.app) for robot, it in world.passed if robot == "r5"]
+    first = next(it for robot, it in world.passed if robot == "r1")
+    assert told == [("r1", "r4", 1, "r4", first.app), ("r1", "r4", 1, "r0", first.app)]
 
 
 def test_after_a_silent_loss_it_arrives_soon_after_the_silence_is_noticed() -> None:

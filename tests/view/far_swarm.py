@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from conftest import Processes
 from far_units import Units, scripts
+from needs import needs_ssh
 
 from bench.fake_robots import FakeRobots
 from swarm.bus import Bus, Router
@@ -17,15 +18,11 @@ from swarm.view.control import Control
 from swarm.view.far import FarHands
 from swarm.view.robots import Robots
 
-needs_sshd = pytest.mark.skipif(
-    not os.environ.get("CI") and not Path("/usr/sbin/sshd").exists(), reason="needs an ssh server"
-)
-
 real_page = [
     pytest.mark.slow,
     pytest.mark.timeout(240),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
-    needs_sshd,
+    needs_ssh,
 ]
 """Marks of tests that show real robots in a real browser."""
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from conftest import wait_until
-from far_swarm import needs_sshd
 from far_units import SUDO, scripts
+from needs import needs_ssh
 from test_reach import Tunnel
 
 from bench.fake_robots import FakeRobots
@@ -22,7 +22,7 @@ from swarm.view.control import Control
 from swarm.view.far import FarHands
 from swarm.view.robots import Robots
 
-pytestmark = needs_sshd
+pytestmark = needs_ssh
 
 START = "restart --no-block swarm-app@consensus.service"
 
@@ -208,7 +208,7 @@ def test_a_service_is_killed_where_it_runs(far: Far) -> None:
     (far.robots.folder / "r1/active/swarm-dwm.service").touch()
     assert far.do("kill", robot="r1", service="dwm") == "r1: dwm is to be killed"
     far.told("r1 dwm was killed")
-    assert far.log("r1") == ["kill --signal=KILL swarm-dwm.service"]
+    assert far.log("r1") == ["kill --kill-whom=main --signal=KILL swarm-dwm.service"]
     far.do("kill", robot="r1", service="app/consensus")
     far.told("r1 app/consensus was not killed: it is not running at this moment")
     for service in ("consensus", "app/mesh", "../x", "app/a b"):

@@ -10,7 +10,8 @@ import pytest
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from conftest import Processes, wait_until
-from far_swarm import Swarm, needs_sshd
+from far_swarm import Swarm
+from needs import needs_ssh
 
 from swarm.errors import LocalError
 from swarm.fleet.ssh import HostError
@@ -18,7 +19,7 @@ from swarm.messages import Leds, Pose, Stop, read
 from swarm.view.picture import REACH
 from swarm.view.robots import Robots
 
-pytestmark = needs_sshd
+pytestmark = needs_ssh
 
 RED = Leds(1.0, red=True, yellow=False, green=False)
 

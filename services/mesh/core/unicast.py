@@ -98,7 +98,7 @@ class Unicast:
         self._waiting = 0
         self._waiting_bytes = 0
         self._seen: dict[str, OrderedDict[int, Window]] = {}
-        self._custody: dict[str, deque[tuple[float, str, bytes, int]]] = {}
+        self._custody: dict[str, deque[tuple[float, Hop, str, bytes, int]]] = {}
 
     # -- own messages ------------------------------------------------------------------------------------------
 
@@ -185,11 +185,10 @@ class Unicast:
 
     def link_down(self, peer: str, now: float) -> None:
         """A neighbour is gone; routes know it already. What it was handed lately goes another way."""
-        for at, to, data, priority in self._custody.pop(peer, ()):
+        for at, hop, to, data, priority in self._custody.pop(peer, ()):
             if at + CUSTODY_TIME >= now and (route := self._route(to)) is not None:
                 self._counters["unicast_rerouted"] += 1
-                self._passed(_hop(_decoded(data), route.next_hop))
-                self._hand_over(route.next_hop, to, data, priority, now)
+                self._hand_over(hop._replace(next_hop=route.next_hop), to, data, priority, now)
         for flight in self._flights():
             if flight.via == peer:
                 self._transmit(flight, now)
@@ -307,8 +306,8 @@ class Unicast:
         route = self._route(message.sender)
         if route is not None:
             ack = ack._replace(ttl=_ttl(route))
-            self._passed(_hop(ack, route.next_hop)._replace(key=message.key))
-            self._hand_over(route.next_hop, message.sender, packets.encode_ack(ack), min(priority, SYNC), now)
+            hop = _hop(ack, route.next_hop)._replace(key=message.key)
+            self._hand_over(hop, message.sender, packets.encode_ack(ack), min(priority, SYNC), now)
         else:
             self._counters["unicast_no_route"] += 1
 
@@ -337,29 +336,25 @@ class Unicast:
             self._counters["unicast_no_route"] += 1
         else:
             self._counters["unicast_forwarded"] += 1
-            self._passed(_hop(packet, route.next_hop))
             ttl = packet.ttl - 1
             if isinstance(packet, Message):
                 data = packets.encode_message(packet._replace(ttl=ttl))
             else:
                 data = packets.encode_ack(packet._replace(ttl=ttl))
-            self._hand_over(route.next_hop, packet.to, data, priority, now)
+            self._hand_over(_hop(packet, route.next_hop), packet.to, data, priority, now)
 
-    def _hand_over(self, peer: str, to: str, data: bytes, priority: int, now: float) -> None:
-        custody = self._custody.get(peer)
+    def _hand_over(self, hop: Hop, to: str, data: bytes, priority: int, now: float) -> None:
+        self._passed(hop)
+        custody = self._custody.get(hop.next_hop)
         if custody is None:
-            custody = self._custody[peer] = deque(maxlen=CUSTODY)
-        custody.append((now, to, data, priority))
-        self._emit(Transmit(peer, UNICAST, self._channel, data, priority))
+            custody = self._custody[hop.next_hop] = deque(maxlen=CUSTODY)
+        custody.append((now, hop, to, data, priority))
+        self._emit(Transmit(hop.next_hop, UNICAST, self._channel, data, priority))
 
 
 def limit_of(priority: int) -> int:
     """Bytes that a message of a class may have."""
     return MAX_LARGE if priority == BULK else packets.MAX_MESSAGE
-
-
-def _decoded(data: bytes) -> Message | Ack:
-    return packets.decode_message(data) if packets.kind_of(data) == packets.MESSAGE else packets.decode_ack(data)
 
 
 def _hop(packet: Message | Ack, next_hop: str) -> Hop:

@@ -10,7 +10,7 @@ import contextlib
 import logging
 import threading
 
-from swarm.adapter import Adapter
+from swarm.adapter import Adapter, check
 from swarm.core import hci
 from swarm.errors import LocalError
 
@@ -25,9 +25,7 @@ _lock = threading.Lock()
 def limit(adapter: Adapter, peer: str, seconds: float) -> None:
     """Let the connection to the Bluetooth address `peer` be over after so much silence. Raises `LocalError` where there
     is no such connection or the adapter refuses, and OSError."""
-    status = adapter.ask(hci.write_supervision(adapter.handle(peer), seconds), hci.written_supervision)
-    if status:
-        raise LocalError(f"the adapter refuses: HCI status {status:#04x}")
+    check(adapter.ask(hci.write_supervision(adapter.handle(peer), seconds), hci.written_supervision))
 
 
 def try_limit(own: str, peer: str, dead: float) -> None:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from swarm.adapter import Adapter
+from swarm.adapter import Adapter, check
 from swarm.cli.plots import figure
 from swarm.config import load
 from swarm.config.types import Robot
@@ -43,8 +43,7 @@ class Signal:
         found = self._adapter.ask(hci.read_rssi(handle), answer)
         if found.status == hci.NO_CONNECTION:
             raise LocalError(f"there is no connection to {self._peer} any more")
-        if found.status:
-            raise LocalError(f"the adapter refuses: HCI status {found.status:#04x}")
+        check(found.status)
         return found.rssi
 
 
