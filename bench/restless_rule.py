@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.restless import TURN
+from bench.restless import swing
 from swarm.core.graph import Graph
 from swarm.recording.reader import Reader
 from swarm.recording.trajectory import epoch_topic, is_state
@@ -130,7 +130,7 @@ def _step(name: str, at: Mapping[str, State | None], weights: Mapping[str, float
     pull = math.fsum(
         weights[other] * (theirs[0] - value) for other in sorted(weights) if (theirs := at[other]) is not None
     )
-    return (value + pull) + math.sin(TURN * n + phase), n + 1
+    return (value + pull) + swing(n, phase), n + 1
 
 
 def lost(epochs: Mapping[int, Epoch]) -> int:
