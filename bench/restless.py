@@ -11,8 +11,9 @@ TURN = 0.37
 
 
 def swing(n: int, phase: float) -> float:
-    """From -1 to 1 and back in a period of 4, to be the same on every processor: a sine is the C library's."""
-    return abs((TURN * n + phase) % 4.0 - 2.0) - 1.0
+    """From 0 to 1, to -1 and back in a period of 4, in straight lines: a sine is the C library's, and may differ in its
+    last bit from one kind of processor to another."""
+    return 1.0 - abs((TURN * n + phase + 1.0) % 4.0 - 2.0)
 
 
 class Restless(SyncApp):

@@ -1,13 +1,13 @@
 """Fifty random faults against six robots of real processes: all go on, with the same values, and nothing is lost."""
 
 import copy
-import math
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from bench import random_faults, restless_rule
+from bench.restless import swing
 from bench.restless_rule import Epoch
 from swarm.core.graph import Graph
 from swarm.core.recording import Writer
@@ -28,15 +28,20 @@ def test_fifty_random_faults(capsys: pytest.CaptureFixture[str]) -> None:
 STARTS = {"r0": 0.0, "r1": 0.5}
 
 
+def test_the_swing() -> None:
+    assert [swing(0, phase) for phase in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)] == [0.0, 0.5, 1.0, 0.0, -1.0, 0.0]
+    assert swing(1, 0.0) == pytest.approx(0.37)
+
+
 def two_epochs() -> dict[int, Epoch]:
     """Robots 0 and 1 do a step; then r1 reboots, and both do another one from where they are."""
     pair = Graph(("r0", "r1"), [("r0", "r1")])
-    # Half of the difference, as Metropolis has it for two; sin(0 n + phase) on top: 0 for r0, sin(1) for r1.
+    # Half of the difference, as Metropolis has it for two; the swing on top: 0 for r0, 1 for r1.
     r0 = [(0.0, 0), (0.25, 1)]
-    r1 = [(0.5, 0), (0.5 - 0.25 + math.sin(1.0), 1)]
+    r1 = [(0.5, 0), (0.5 - 0.25 + 1.0, 1)]
     before = Epoch(0, 0, pair, {}, {"r0": dict(enumerate(r0)), "r1": dict(enumerate(r1))})
-    # r0 goes on from its x(1), where sin(0.37) is next; r1 from its start.
-    after = Epoch(1, 1, pair, {}, {"r0": {1: (0.25, 1), 2: (0.375 + math.sin(0.37), 2)}, "r1": {1: (0.5, 0)}})
+    # r0 goes on from its x(1), where the swing's 0.37 is next; r1 from its start.
+    after = Epoch(1, 1, pair, {}, {"r0": {1: (0.25, 1), 2: (0.375 + swing(1, 0.0), 2)}, "r1": {1: (0.5, 0)}})
     return {0: before, 7: after}
 
 
@@ -59,7 +64,7 @@ def test_a_value_that_differs_in_its_last_bit_is_found(number: int, robot: str, 
 def test_a_value_that_is_missing_is_no_difference_and_stands_for_what_was_lost() -> None:
     epochs = two_epochs()
     del epochs[0].states["r1"][1]
-    epochs[0].states["r0"][2] = (0.25 + 0.5 * (0.5 - 0.25 + math.sin(1.0) - 0.25) + math.sin(0.37), 2)
+    epochs[0].states["r0"][2] = (0.25 + 0.5 * (0.5 - 0.25 + 1.0 - 0.25) + swing(1, 0.0), 2)
     assert restless_rule.compare({0: epochs[0]}, STARTS).wrong == []
     assert restless_rule.lost({0: epochs[0]}) == 1
     del epochs[7].states["r1"][1]
