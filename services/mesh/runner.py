@@ -56,7 +56,7 @@ class Listener(Protocol):
 
 class Watched:
     """The connections that the reading thread waits for, by descriptor. Made when they change: a robot with five
-    neighbours is woken 200 times a second, and would else ask each of them every time."""
+    neighbours is woken 130 times a second, and would else ask each of them every time."""
 
     __slots__ = ("blocked", "pipes", "restless", "steady")
 
