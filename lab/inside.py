@@ -11,6 +11,9 @@ ROOT = Path(__file__).parents[1]
 PATIENCE = 6
 """How many times longer than elsewhere a test of the services may wait inside a machine."""
 
+PYTHON = "/usr/lib/lab/python"
+"""Inside: the release's Python, with its modules imported already where the machine was a saved one."""
+
 INI = """[pytest]
 markers =
   slow
@@ -34,7 +37,7 @@ def furnish(machine: Machine) -> None:
 def command(words: str) -> str:
     """The shell command that runs the release's Python inside with these words."""
     environment = f"PYTHONPATH=/share:/share/tests:/share/tests/lab LAB_PATIENCE={PATIENCE} PYTHONUNBUFFERED=1"
-    return f"cd /share && {environment} PYTHONDONTWRITEBYTECODE=1 /opt/swarm/current/bin/python {words}"
+    return f"cd /share && {environment} {PYTHON} {words}"
 
 
 def run_tests(machine: Machine, words: str, seconds: float) -> str:

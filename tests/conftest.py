@@ -166,10 +166,10 @@ class Processes:
         own = {"SWARM_CONFIG": str(self.config), "SWARM_ROBOT": "r0", "SWARM_RUNTIME": str(self.runtime)}
         return inherited | own | {"XDG_RUNTIME_DIR": str(self.runtime)} | extra
 
-    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
+    def start(self, *arguments: str, program: str = sys.executable, **environment: str) -> subprocess.Popen[str]:
         """Start `python ARGUMENTS` with pipes for all three streams."""
         process = subprocess.Popen(
-            [sys.executable, *arguments],
+            [program, *arguments],
             env=self.environment(**environment),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -76,8 +76,8 @@ def image() -> Image:
     parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]
     name = "image-" + recipe.digest(system, *map(_content, parts))
     with ThreadPoolExecutor() as pool:
-        root = pool.submit(_kept, system, lambda folder: debian.make(folder, mirror))
-        made = _kept(name, lambda folder: _image(folder, root))
+        root = pool.submit(kept, system, lambda folder: debian.make(folder, mirror))
+        made = kept(name, lambda folder: _image(folder, root))
         base = root.result()
     return Image(made / "disk.ext4", base / "vmlinuz", base / "initrd.gz", made / "ssh_key")
 
@@ -93,9 +93,9 @@ def _content(path: Path) -> bytes:
 # -- the cache ---------------------------------------------------------------------------------------------------
 
 
-def _kept(name: str, make: Callable[[Path], None]) -> Path:
-    """The folder of that name; made by `make` where it is not there, complete or not at all. Older ones of its kind go,
-    but for those that were used within a day: another checkout may boot from them."""
+def kept(name: str, make: Callable[[Path], None]) -> Path:
+    """The cache's folder of that name, KIND-DIGEST; made by `make` where it is not there, complete or not at all. Older
+    ones of its kind go, but for those that were used within a day: another checkout may boot from them."""
     folder = cache()
     folder.mkdir(parents=True, exist_ok=True)
     wanted = folder / name
@@ -182,9 +182,10 @@ def _furnish(root: Path, public_key: str) -> None:
     etc = root / "etc"
     place = root / "usr/lib/lab"
     place.mkdir(exist_ok=True)
-    for name in ("agent.py", "radio.py", "init"):
+    for name in ("agent.py", "radio.py", "init", "warm.py", "python"):
         shutil.copy(recipe.GUEST / name, place / name)
-    (place / "init").chmod(0o755)
+    for name in ("init", "python"):
+        (place / name).chmod(0o755)
     units = etc / "systemd/system"
     for target, unit in (("sysinit", "lab-agent.service"), ("multi-user", "lab-radio.service")):
         shutil.copy(recipe.GUEST / unit, units / unit)

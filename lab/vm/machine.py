@@ -17,7 +17,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from lab.vm.build import Image
 
@@ -33,6 +33,9 @@ KERNEL = (
 PLAIN_CPU = "Nehalem,+rdrand"
 """A processor that is a sixth faster to emulate than one with all that the emulator knows (`max`): no fifth level
 of page tables to be walked after each switch of processes, no string functions for registers that are emulated."""
+
+SNAPSHOT = "booted"
+"""Name of the state in a saved disk (lab.vm.saved)."""
 
 BOOT_SECONDS = 900.0
 """At most; a busy host is slow."""
@@ -67,6 +70,7 @@ class Machine:
         radio: Path | None = None,
         steady: bool = False,
         alone: bool = False,
+        saved: Path | None = None,
     ) -> None:
         """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller.
 
@@ -77,6 +81,9 @@ class Machine:
         `alone`: steady, and nothing outside has another clock: while it waits, its clock goes on to whatever comes next
         at once. So waiting takes next to no time, and what the host is busy with is in no figure. For a machine that
         waits for timers; what waits for its disk, as a whole system that boots, finds that it took long.
+
+        `saved`: the disk of a machine like this one, saved when it had booted: what this one goes on from when it is
+        switched on for the first time. After a power cut it boots.
         """
         self.name = name
         self.folder = folder
@@ -91,6 +98,8 @@ class Machine:
         self._radio = radio
         self._steady = steady or alone
         self._alone = alone
+        self._saved = saved
+        self._resumes = False
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: dict[int, Result] = {}
         self._next = 0
@@ -110,7 +119,10 @@ class Machine:
     def switch_on(self) -> None:
         """Begin to boot. The machine ends with the thread that calls this, so it must be one that lasts."""
         disk = self.folder / "disk.qcow2"
-        if not disk.exists():
+        self._resumes = self._saved is not None and not disk.exists()
+        if self._resumes:
+            shutil.copy(str(self._saved), disk)
+        elif not disk.exists():
             made = ["qemu-img", "create", "-q", "-f", "qcow2", "-F", "raw", "-b", str(self._image.disk), str(disk)]
             subprocess.run(made, check=True)
         self.port = _free_port()
@@ -126,7 +138,25 @@ class Machine:
 
     def wait_booted(self) -> None:
         """Until it takes commands."""
+        if self._resumes:
+            seed = os.urandom(64).hex()
+            own = {"name": self.name, "now": time.time(), "seed": seed, "radio": self._radio is not None}
+            self._send({"id": 0, "resumed": own})
         self._wait_for(0, BOOT_SECONDS, "boot")
+
+    def save(self) -> Path:
+        """Keep all of it in its disk, which others may begin with, and switch it off; its /share must be unmounted."""
+        if self._stream is not None:
+            self._stream.shutdown(socket.SHUT_RDWR)
+        with socket.socket(socket.AF_UNIX) as monitor:
+            monitor.connect(str(self.folder / "monitor.sock"))
+            monitor.sendall(f"savevm {SNAPSHOT}\nquit\n".encode())
+            with monitor.makefile("rb") as said:
+                text = said.read().decode(errors="replace")
+        self.kill()
+        if "Error" in text:
+            raise MachineError(f"{self.name} cannot be saved: {text}")
+        return self.folder / "disk.qcow2"
 
     def kill(self) -> None:
         """Cut its power: what it has not written to its disk is lost."""
@@ -172,14 +202,17 @@ class Machine:
 
     def spawn(self, command: str, seconds: float = 3600.0) -> int:
         """Start a shell command and do not wait for it; its number, for `wait`."""
-        if self._stream is None:
-            raise MachineError(f"{self.name} is switched off")
         with self._changed:
             self._next += 1
             number = self._next
-            line = json.dumps({"id": number, "command": command, "seconds": seconds})
-            self._stream.sendall(line.encode() + b"\n")
+        self._send({"id": number, "command": command, "seconds": seconds})
         return number
+
+    def _send(self, request: dict[str, Any]) -> None:
+        if self._stream is None:
+            raise MachineError(f"{self.name} is switched off")
+        with self._changed:
+            self._stream.sendall(json.dumps(request).encode() + b"\n")
 
     def wait(self, number: int, seconds: float) -> Result:
         """What the command with that number came to."""
@@ -216,7 +249,7 @@ class Machine:
         words += ["-smp", str(self._cores), "-m", str(self._memory_mb), "-display", "none"]
         words += ["-machine", "q35,usb=off,smbus=off,vmport=off", "-serial", "stdio"]
         append = [*KERNEL, f"lab.init={self._init}", f"lab.name={self.name}", f"systemd.hostname={self.name}"]
-        if self._radio is not None:
+        if self._radio is not None and not self._resumes:
             append.append("lab.radio")
         if self._alone:
             append.append("nohz=off")  # or its clock would go on by seconds while it waits for its disk
@@ -229,10 +262,11 @@ class Machine:
         words += ["-virtfs", f"local,path={self.share},mount_tag=share,security_model=none,id=share"]
         words += ["-device", "virtio-serial-pci", "-chardev", f"socket,id=agent,path={agent},server=on,wait=off"]
         words += ["-device", "virtserialport,chardev=agent,name=lab"]
-        if self._radio is not None:
-            words += ["-chardev", f"socket,id=radio,path={self._radio}"]
-            words += ["-device", "virtserialport,chardev=radio,name=radio"]
-        return words
+        # One without a radio has a port that nobody joins: a machine goes on from another's state by the same devices.
+        radio = self._radio or f"{self.folder / 'radio.sock'},server=on,wait=off"
+        words += ["-chardev", f"socket,id=radio,path={radio}", "-device", "virtserialport,chardev=radio,name=radio"]
+        words += ["-monitor", f"unix:{self.folder / 'monitor.sock'},server=on,wait=off"]
+        return [*words, "-loadvm", SNAPSHOT] if self._resumes else words
 
     def _connected(self, path: Path) -> socket.socket:
         """The agent's port, once QEMU listens."""

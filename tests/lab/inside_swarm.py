@@ -10,6 +10,7 @@ from typing import Any
 
 from conftest import PATIENCE, Processes
 
+from lab.inside import PYTHON
 from lab.shapes import ROBOTS
 from swarm.bus import Bus, Router
 from swarm.messages import read
@@ -43,7 +44,7 @@ class Swarm:
         self.buses: dict[str, Bus] = {}
         self.reached: dict[str, int] = dict.fromkeys(names, -1)
         """The latest iteration of each robot."""
-        self.nursery = processes.start(str(Path(__file__).with_name("inside_nursery.py")))
+        self.nursery = processes.start(str(Path(__file__).with_name("inside_nursery.py")), program=PYTHON)
         for name in self.names:
             directory = processes.runtime / name
             directory.mkdir()

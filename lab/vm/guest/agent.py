@@ -1,14 +1,18 @@
 """Inside a lab machine: runs what the host asks for, over a virtio-serial port; Debian's Python, nothing else.
 
 A request is a line of JSON {"id", "command", "seconds"}, its answer {"id", "code", "output"}; many may be on their way.
-The host's folder comes in at /share. The end of the port ends the agent, and with it a machine that has no systemd.
+The host's folder comes in at /share. A machine may be one that another has saved (lab.vm.saved): then its host tells it
+first what is its own, {"id", "resumed"}.
 """
 
 import contextlib
+import fcntl
 import json
 import os
 import signal
+import socket
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -18,6 +22,8 @@ from typing import Any
 PORTS = Path("/sys/class/virtio-ports")
 OUTPUT_LIMIT = 200_000
 """Characters of a command's output that are kept: its end."""
+MIX_ANEW = 0x5207
+"""RNDRESEEDCRNG: random numbers follow from what has been mixed in by now."""
 
 
 def port(name: str) -> Path:
@@ -47,12 +53,34 @@ def run(command: str, seconds: float) -> tuple[int, str]:
         return code, said.read().decode(errors="replace")[-OUTPUT_LIMIT:]
 
 
+def mount_share() -> None:
+    """The host's folder."""
+    options = "trans=virtio,version=9p2000.L,msize=262144,cache=none"
+    subprocess.run(["mount", "-t", "9p", "-o", options, "share", "/share"], check=False)
+
+
+def resume(name: str, now: float, seed: str, radio: bool) -> None:
+    """Be a machine of that name at that time: what many have from one is the same in all of them."""
+    socket.sethostname(name)
+    time.clock_settime(time.CLOCK_REALTIME, now)
+    with Path("/dev/urandom").open("wb", 0) as pool:
+        pool.write(bytes.fromhex(seed))
+        fcntl.ioctl(pool, MIX_ANEW)
+    mount_share()
+    if radio:
+        subprocess.Popen([sys.executable, str(Path(__file__).with_name("radio.py"))], start_new_session=True)
+
+
 def serve(stream: int) -> None:
-    """Until the host has gone."""
+    """Until the machine goes off."""
     lock = threading.Lock()
 
     def answer(request: dict[str, Any]) -> None:
-        code, output = run(request["command"], request["seconds"])
+        if "resumed" in request:
+            code, output = 0, "up"
+            resume(**request["resumed"])
+        else:
+            code, output = run(request["command"], request["seconds"])
         line = json.dumps({"id": request["id"], "code": code, "output": output}).encode() + b"\n"
         with lock:
             while line:
@@ -61,7 +89,10 @@ def serve(stream: int) -> None:
     with lock:
         os.write(stream, b'{"id": 0, "code": 0, "output": "up"}\n')
     rest = b""
-    while data := os.read(stream, 65536):
+    while True:
+        data = os.read(stream, 65536)
+        if not data:
+            time.sleep(0.02)  # no host, until this machine is saved and another one has it
         *lines, rest = (rest + data).split(b"\n")
         for line in lines:
             threading.Thread(target=answer, args=(json.loads(line),), daemon=True).start()
@@ -71,8 +102,7 @@ def main() -> None:
     """Serve the host until the machine goes off."""
     subprocess.run(["modprobe", "-a", "virtio_console", "virtio_net", "9p", "9pnet_virtio"], check=False)
     Path("/share").mkdir(exist_ok=True)
-    options = "trans=virtio,version=9p2000.L,msize=262144,cache=none"
-    subprocess.run(["mount", "-t", "9p", "-o", options, "share", "/share"], check=False)
+    mount_share()
     # Where QEMU's user network expects us, so that the host reaches our ssh.
     for command in ("ip link set eth0 up", "ip address replace 10.0.2.15/24 dev eth0"):
         subprocess.run(command.split(), check=False)

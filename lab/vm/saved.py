@@ -1,0 +1,56 @@
+"""Machines that need not boot: the state of one that has booted is kept in the cache, and others go on from there.
+
+Booting is most of what a short test costs an emulated machine, and importing modules is most of the rest. So what is
+saved has booted, has its modules loaded and the release's Python warm (guest/warm.py). What must not be the same in two
+machines they get when they go on: name, time, random numbers, disk, /share, controller. Each kind of machine boots
+where it is saved, and after a power cut; that booting works is for tests with machines that are not saved.
+"""
+
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from lab.vm import machine as module
+from lab.vm import recipe
+from lab.vm.build import Image, kept
+from lab.vm.machine import PLAIN, SYSTEMD, Machine
+
+PREPARE = """
+set -e
+modprobe -a rfcomm hci_vhci
+if [ "$(cat /proc/1/comm)" = systemd ]; then
+    systemctl start bluetooth ssh
+    systemctl is-system-running --wait || true
+fi
+/opt/swarm/current/bin/python /usr/lib/lab/warm.py </dev/null >/dev/null 2>&1 &
+until [ -S /run/lab-warm ]; do sleep 0.1; done
+umount /share
+"""
+
+
+def machine(
+    image: Image,
+    folder: Path,
+    name: str,
+    *,
+    init: str = PLAIN,
+    memory_mb: int = 384,
+    alone: bool = False,
+    radio: Path | None = None,
+) -> Machine:
+    """A machine that has booted when it is switched on; the first of its kind boots and is saved."""
+    parts = [Path(__file__), Path(module.__file__)]
+    version = subprocess.run(["qemu-system-x86_64", "--version"], capture_output=True, check=True).stdout
+    digest = recipe.digest(image.disk.parent.name, f"{init} {memory_mb}", version, *map(Path.read_bytes, parts))
+
+    def make(made: Path) -> None:
+        # A short path for the sockets in it; what the machine has beside its disk goes.
+        with tempfile.TemporaryDirectory(prefix="lab-", dir="/tmp") as work:
+            with Machine(image, Path(work), "lab", init=init, memory_mb=memory_mb, alone=alone) as first:
+                first.run(PREPARE, 600)
+                shutil.move(first.save(), made / "disk.qcow2")
+
+    kind = "alone" if alone else {SYSTEMD: "system", PLAIN: "plain"}[init]
+    saved = kept(f"saved.{kind}-{digest}", make) / "disk.qcow2"
+    return Machine(image, folder, name, init=init, memory_mb=memory_mb, alone=alone, radio=radio, saved=saved)
