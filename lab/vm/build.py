@@ -76,8 +76,8 @@ def image() -> Image:
     parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]
     name = "image-" + recipe.digest(system, *map(_content, parts))
     with ThreadPoolExecutor() as pool:
-        root = pool.submit(kept, system, lambda folder: debian.make(folder, mirror))
-        made = kept(name, lambda folder: _image(folder, root))
+        root = pool.submit(kept, cache() / system, lambda folder: debian.make(folder, mirror))
+        made = kept(cache() / name, lambda folder: _image(folder, root))
         base = root.result()
     return Image(made / "disk.ext4", base / "vmlinuz", base / "initrd.gz", made / "ssh_key")
 
@@ -93,13 +93,12 @@ def _content(path: Path) -> bytes:
 # -- the cache ---------------------------------------------------------------------------------------------------
 
 
-def kept(name: str, make: Callable[[Path], None]) -> Path:
-    """The cache's folder of that name, KIND-DIGEST; made by `make` where it is not there, complete or not at all. Older
-    ones of its kind go, but for those that were used within a day: another checkout may boot from them."""
-    folder = cache()
+def kept(wanted: Path, make: Callable[[Path], None]) -> Path:
+    """That folder of a cache, KIND-DIGEST; made by `make` where it is not there, complete or not at all. Older ones of
+    its kind go, but for those that were used within a day: another checkout may boot from them."""
+    folder = wanted.parent
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = folder / name
-    kind = name.split("-")[0]
+    kind = wanted.name.split("-")[0]
     with _locked(folder / f"{kind}.lock"):
         if not wanted.is_dir():
             with tempfile.TemporaryDirectory(dir=folder, prefix="making-") as work:

@@ -6,6 +6,7 @@ machines they get when they go on: name, time, random numbers, disk, /share, con
 where it is saved, and after a power cut; that booting works is for tests with machines that are not saved.
 """
 
+import os
 import shutil
 import subprocess
 import tempfile
@@ -42,15 +43,17 @@ def machine(
     """A machine that has booted when it is switched on; the first of its kind boots and is saved."""
     parts = [Path(__file__), Path(module.__file__)]
     version = subprocess.run(["qemu-system-x86_64", "--version"], capture_output=True, check=True).stdout
-    digest = recipe.digest(image.disk.parent.name, f"{init} {memory_mb}", version, *map(Path.read_bytes, parts))
+    known = f"{image.disk.parent.name} {init} {memory_mb} {os.environ.get('SWARM_LAB_ACCEL')}"
+    digest = recipe.digest(known, version, *map(Path.read_bytes, parts))
 
     def make(made: Path) -> None:
-        # A short path for the sockets in it; what the machine has beside its disk goes.
-        with tempfile.TemporaryDirectory(prefix="lab-", dir="/tmp") as work:
-            with Machine(image, Path(work), "lab", init=init, memory_mb=memory_mb, alone=alone) as first:
+        with tempfile.TemporaryDirectory(prefix="lab-", dir="/tmp") as work:  # a short path for the sockets in it
+            first = Machine(image, Path(work), "lab", init=init, memory_mb=memory_mb, alone=alone)
+            with first:
                 first.run(PREPARE, 600)
                 shutil.move(first.save(), made / "disk.qcow2")
 
     kind = "alone" if alone else {SYSTEMD: "system", PLAIN: "plain"}[init]
-    saved = kept(f"saved.{kind}-{digest}", make) / "disk.qcow2"
+    # Beside its image: within a test the variable that names the cache is hidden.
+    saved = kept(image.disk.parents[1] / f"saved.{kind}-{digest}", make) / "disk.qcow2"
     return Machine(image, folder, name, init=init, memory_mb=memory_mb, alone=alone, radio=radio, saved=saved)
