@@ -217,8 +217,7 @@ class Lockstep:
         self._settle(now)
 
     def nudge(self, now: float) -> None:
-        """A link or the bus came up: what has been missing for a round trip is asked for now, not when the patience ends
-        (R4)."""
+        """A link or the bus came up: what has been missing for a round trip is asked for now, no later (R4)."""
         # Six links that come up together are one reason to ask, not six; and with a link that has been up all the time,
         # of which only the host has just heard, everything is on its way.
         entered_at = self._name_at - NAME_AFTER
