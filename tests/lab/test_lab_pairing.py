@@ -15,11 +15,10 @@ from typing import Any
 
 import pytest
 
-from lab.inside import PYTHON, command, furnish
+from lab.inside import command, furnish
 from lab.radio.remote import Radio
-from lab.vm import saved
 from lab.vm.build import Image
-from lab.vm.machine import SYSTEMD, Machine
+from lab.vm.machine import PLAIN, Machine
 from swarm.keyfile import new_key_file
 from swarm.recording.run import Run
 
@@ -31,11 +30,7 @@ printf '[Service]\\nExecStart=\\nExecStart=/usr/libexec/bluetooth/bluetoothd -C\
     >/run/systemd/system/bluetooth.service.d/lab.conf
 systemctl daemon-reload
 systemctl restart bluetooth
-for i in $(seq 200); do
-    hciconfig hci0 | grep -q RUNNING && timeout 10 bluetoothctl show | grep -q 'Powered: yes' && exit 0
-    sleep 0.3
-done
-exit 1
+for i in $(seq 200); do timeout 10 bluetoothctl show | grep -q 'Powered: yes' && exit 0; sleep 0.3; done; exit 1
 """
 """Service records need bluetoothd's old door."""
 
@@ -121,7 +116,7 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     folder = tmp_path_factory.mktemp("pair")
     with Radio(folder, 3, machines=True) as radio:
         machines = [
-            saved.machine(lab_image, folder / name, name, init=SYSTEMD, radio=folder / f"radio-{number}")
+            Machine(lab_image, folder / name, name, memory_mb=384, radio=folder / f"radio-{number}")
             for number, name in enumerate(("r0", "r1"))
         ]
 
@@ -146,7 +141,9 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 @pytest.fixture(scope="module")
 def stranger(lab_image: Image, robots: Robots) -> Iterator[Machine]:
     """A third device in their reach, of another owner; inquiries do not find it."""
-    with saved.machine(lab_image, robots.folder / "r2", "stranger", radio=robots.folder / "radio-2") as made:
+    with Machine(
+        lab_image, robots.folder / "r2", "stranger", init=PLAIN, memory_mb=256, radio=robots.folder / "radio-2"
+    ) as made:
         furnish(made)
         made.run("until hciconfig hci0 up; do sleep 0.2; done; hciconfig hci0 sspmode 1; hciconfig hci0 pscan", 60)
         yield made
@@ -245,22 +242,19 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
     for robot in robots.machines:
         (robot.share / "swarm.toml").write_text(robots.config.read_text())
         (robot.share / "swarm.key").write_bytes(key.read_bytes())
-        (robot.share / "states").touch()
         robot.run(
             "install -m 644 /share/swarm.toml /etc/swarm/swarm.toml;"
             "install -m 600 -o swarm-mesh /share/swarm.key /etc/swarm/key; mkdir -p /etc/swarm/apps;"
             f"printf 'ARGUMENTS=--iterations {ITERATIONS} --run 1ab --record\\n'"
             " >/etc/swarm/apps/consensus.env; systemctl start swarm-bus"
         )
-        states = f"/opt/swarm/current/bin/z_sub --json 'swarm/{robot.name}/app/consensus/state' >/share/states"
-        robot.spawn(f"{PYTHON} {states}", 400)
+        robot.spawn(f"/opt/swarm/current/bin/z_sub --json 'swarm/{robot.name}/app/consensus/state' >/tmp/states", 400)
         robot.run("systemctl start --no-block swarm-mesh swarm-app@consensus")
 
     def reached() -> list[int]:
         """The latest iteration of each."""
-        said = [(robot.share / "states").read_text().splitlines(keepends=True) for robot in robots.machines]
-        whole = [[each for each in lines if each.endswith("\n")] for lines in said]
-        return [json.loads(lines[-1])["value"]["k"] if lines else -1 for lines in whole]
+        said = [robot.run("tail -n 1 /tmp/states", 60) for robot in robots.machines]
+        return [json.loads(each)["value"]["k"] if each else -1 for each in said]
 
     until(lambda: min(reached()) >= 5, 120, lambda: journals(robots))
     for robot in robots.machines:
