@@ -31,44 +31,64 @@ LOOK_MS = 50
 
 
 class Memory:
-    """Of the process with that id; see `lab.i2c.cuse.Memory`."""
+    """Of the process that calls; see `lab.i2c.cuse.Memory`. The last one's stays open: it is the balancer's, and to
+    open it costs as much as all that is read and written of it."""
 
-    def __init__(self, process: int) -> None:
-        self._path = f"/proc/{process}/mem"
+    def __init__(self) -> None:
+        self._process = 0
         self._file = -1
 
-    def __enter__(self) -> Self:
-        self._file = os.open(self._path, os.O_RDWR)
+    def of(self, process: int) -> Self:
+        """The memory of the process with that id; `OSError` where there is none."""
+        if process != self._process:
+            self._open(process)
         return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self._file)
 
     def read(self, address: int, size: int) -> bytes:
         """See there."""
-        try:
-            data = os.pread(self._file, size, address)
-        except (OSError, OverflowError):
-            data = b""
+        data = self._pread(address, size)
+        if len(data) != size:
+            # Of a program that has ended since, or has become another one, nothing is left.
+            self._open(self._process)
+            data = self._pread(address, size)
         if len(data) != size:
             raise OSError(errno.EFAULT, f"no {size} bytes at {address:#x}")
         return data
 
     def write(self, address: int, data: bytes) -> None:
         """See there."""
-        try:
-            written = os.pwrite(self._file, data, address)
-        except (OSError, OverflowError):
-            written = -1
+        written = self._pwrite(address, data)
+        if written != len(data):
+            self._open(self._process)
+            written = self._pwrite(address, data)
         if written != len(data):
             raise OSError(errno.EFAULT, f"no room for {len(data)} bytes at {address:#x}")
+
+    def _open(self, process: int) -> None:
+        if self._file >= 0:
+            os.close(self._file)
+        self._process, self._file = 0, -1
+        self._file = os.open(f"/proc/{process}/mem", os.O_RDWR)
+        self._process = process
+
+    def _pread(self, address: int, size: int) -> bytes:
+        try:
+            return os.pread(self._file, size, address)
+        except (OSError, OverflowError):
+            return b""
+
+    def _pwrite(self, address: int, data: bytes) -> int:
+        try:
+            return os.pwrite(self._file, data, address)
+        except (OSError, OverflowError):
+            return -1
 
 
 def main() -> None:
     """Serve."""
     config = load()
     adapter = RobotAdapter(cast(SimulatedBus, simulated_bus(config, who_am_i(config))), clock.now, time.sleep)
-    cuse = Cuse(NAME, I2CDevice(adapter), Memory)
+    cuse = Cuse(NAME, I2CDevice(adapter), Memory().of)
     orders = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     Path(sys.argv[1]).unlink(missing_ok=True)
     orders.bind(sys.argv[1])

@@ -2,14 +2,16 @@
 
 import errno
 import json
+import math
 import random
 
 import pytest
 
 from lab.i2c.ioctls import Message
-from lab.i2c.robot import ANY, RobotAdapter
+from lab.i2c.robot import ANY, AT_ONCE_S, RobotAdapter
 from services.balancer.core import balboa, imu
 from services.balancer.core.body import body_model
+from services.balancer.core.transfers import BIT_S
 from services.balancer.i2c import NOBODY
 from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import NO_ERRORS, SimulatedRobot
@@ -47,10 +49,28 @@ def rig() -> Rig:
 
 
 def test_devices_answer_and_take_their_time_on_the_wire(rig: Rig) -> None:
+    one = (2 * 2 + 9 * 4) * BIT_S
+    before = math.ceil(AT_ONCE_S / one) - 1
+    for _ in range(before):
+        rig.works()
+    assert rig.now == 100.0, "it is waited for when there is enough of it"
     rig.works()
-    assert rig.now == pytest.approx(100.0 + (2 * 2 + 9 * 4) * 10e-6)
+    assert rig.now == pytest.approx(100.0 + (before + 1) * one)
     rig.works(VERSION)
-    assert (rig.adapter.transfers, rig.adapter.failed) == (2, 0)
+    assert (rig.adapter.transfers, rig.adapter.failed) == (before + 2, 0)
+
+
+def test_what_the_answer_took_counts(rig: Rig) -> None:
+    write = rig.robot.write
+
+    def slow(address: int, data: bytes, now: float) -> None:
+        rig.now += 1.0
+        write(address, data, now)
+
+    rig.robot.write = slow  # type: ignore[method-assign]
+    for _ in range(100):
+        rig.works()
+    assert rig.now == 200.0
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def polled(wire: ModuleWire, line: ModuleLine, now: float) -> float:
 
 
 def sequence(line: ModuleLine, now: float) -> int:
-    return int.from_bytes(line.report(now)[:2], "little")
+    return int.from_bytes(line.reporting(now)()[:2], "little")
 
 
 def test_requests_go_out_and_answers_come_in(path: Path) -> None:
