@@ -195,15 +195,6 @@ class Passed:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
-    """On `swarm/stop`: every robot switches its motors off."""
-
-    t: float
-    origin: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
 class Arm:
     """Command on `mesh/set/arm`: take back every stop of the swarm that this robot knows of."""
 

@@ -5,6 +5,7 @@ that one with its address takes 3.0 ms at 100 kHz. A full picture is 50 transfer
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from services.balancer.core.font import LETTERS, UNKNOWN, WIDTH
 from services.balancer.core.transfers import LONGEST, Transfer
@@ -43,6 +44,14 @@ _ON = bytes((_COMMANDS, 0xAF))
 SLICE = 26
 _SLICES = tuple((page, column) for page in range(PAGES) for column in range(0, COLUMNS, SLICE))
 assert max(len(SETUP), 1 + SLICE) <= LONGEST
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenText:
+    """What the bridge hands the loop: lines for `Screen.show`."""
+
+    lines: tuple[str, ...]
+
 
 _SPREAD = tuple(sum(0b11 << (2 * bit) for bit in range(4) if nibble >> bit & 1) for nibble in range(16))
 """Four points as eight."""

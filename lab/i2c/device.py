@@ -1,10 +1,7 @@
 """In a machine of the lab, as root: its simulated robot behind a live /dev/i2c-1, until the machine goes off.
 
-    python -m lab.i2c SOCKET
-
-SWARM_CONFIG, SWARM_ROBOT and SWARM_RUNTIME as for `services.sim.body`, whose body and devices these are. At the
-datagram socket SOCKET faults are ordered, JSON of fields of `Faults`; each order is answered with how the robot is.
-systemd is notified when the device is there.
+The body and the devices are those of `services.sim.body`. At a datagram socket faults are ordered, JSON of fields of
+`Faults`; each order is answered with how the robot is.
 """
 
 import errno
@@ -12,18 +9,16 @@ import json
 import os
 import select
 import socket
-import sys
 import time
 from pathlib import Path
-from typing import Self, cast
+from typing import Self
 
 from lab.i2c.cuse import LARGEST, Cuse
 from lab.i2c.ioctls import I2CDevice
 from lab.i2c.robot import RobotAdapter
-from services.sim.body import simulated_bus
-from services.sim.i2c import SimulatedBus
+from services.sim.wiring import simulated_bus
 from swarm import clock
-from swarm.config import load, who_am_i
+from swarm.config import Config
 from swarm.process import notify
 
 NAME = "i2c-1"
@@ -84,14 +79,13 @@ class Memory:
             return -1
 
 
-def main() -> None:
-    """Serve."""
-    config = load()
-    adapter = RobotAdapter(cast(SimulatedBus, simulated_bus(config, who_am_i(config))), clock.now, time.sleep)
+def serve(config: Config, robot: str, orders_at: str) -> None:
+    """Serve; systemd is notified when the device is there. `orders_at` is the path of the socket."""
+    adapter = RobotAdapter(simulated_bus(config, robot), clock.now, time.sleep)
     cuse = Cuse(NAME, I2CDevice(adapter), Memory().of)
     orders = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    Path(sys.argv[1]).unlink(missing_ok=True)
-    orders.bind(sys.argv[1])
+    Path(orders_at).unlink(missing_ok=True)
+    orders.bind(orders_at)
     device = os.open("/dev/cuse", os.O_RDWR)
     poll = select.poll()
     for file in (device, orders.fileno()):
@@ -110,7 +104,3 @@ def main() -> None:
                 data, sender = orders.recvfrom(4096)
                 adapter.faults.order(json.loads(data))
                 orders.sendto(json.dumps(adapter.report()).encode(), sender)
-
-
-if __name__ == "__main__":
-    main()
