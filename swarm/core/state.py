@@ -12,13 +12,13 @@ import numbers
 import re
 import struct
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Annotated, Any, get_args, get_origin
 
 import msgpack
 
 from swarm.errors import AppError, FrameError
+from swarm.frozen import frozen
 
 Vector = tuple[float, ...]
 """A vector of fixed length; declared as `Annotated[Vector, 2]`."""
@@ -55,7 +55,7 @@ _FLOAT32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 _TUPLE = 1  # msgpack extension type: Python tuples come back as tuples, not as lists
 
 
-@dataclass(frozen=True)
+@frozen
 class Field:
     """One shared field."""
 

@@ -1,9 +1,9 @@
 """Messages of every service."""
 
-from dataclasses import dataclass
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Status:
     """Life cycle of a service, on `swarm/<robot>/<service>/status`: sent on change, answered to queries."""
 

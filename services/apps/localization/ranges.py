@@ -16,7 +16,8 @@ on a robot at every report.
 """
 
 import math
-from dataclasses import dataclass
+
+from swarm.frozen import frozen
 
 Statistics = tuple[float, ...]
 """M11 M12 M13 M22 M23 M33 v1 v2 v3; per robot, or the mean over robots. Units: M11 1/m^2, M13 1/m^3, M33
@@ -36,7 +37,7 @@ DECIDED = 9.0
 _BISECTIONS = 200  # at most; it ends when floats do, after some 60
 
 
-@dataclass(frozen=True)
+@frozen
 class Estimate:
     """Where the target is, as far as the ranges tell."""
 
@@ -132,7 +133,7 @@ def _turned(uu: float, uh: float, hh: float, cos: float, sin: float) -> tuple[fl
     )
 
 
-@dataclass(frozen=True)
+@frozen
 class _Problem:
     """The quartic in the axes of the places: min big u^2 + small h^2 + w z^2 - 2 along u - 2 across h - 2 v
     z."""

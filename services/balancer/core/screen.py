@@ -1,9 +1,9 @@
 """What the display says: name, state, battery, and what an app or a person wants shown."""
 
 import math
-from dataclasses import dataclass
 
 from services.balancer.core.display import LETTERS_PER_LINE
+from swarm.frozen import frozen
 from swarm.messages import AppState, BalancerState
 
 TEXT_LINES = 4
@@ -11,7 +11,7 @@ PERIOD_S = 0.5
 """Least time between two changes."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ScreenText:
     """What the bridge hands the loop: lines for `display.Screen.show`."""
 
