@@ -281,12 +281,15 @@ def field_of(name: str, annotation: object) -> Field:
 
 def pack_private(values: Mapping[str, object]) -> bytes:
     """Private fields as msgpack, tuples and lists kept apart; `AppError` names the field at fault."""
-    for name, value in values.items():
-        try:
-            _packb(value)
-        except (TypeError, ValueError, OverflowError, RecursionError) as error:
-            raise AppError(f"{name}: {_shown(value)} cannot be saved for a restart ({error})") from None
-    return _packb(dict(values))
+    try:
+        return _packb(dict(values))
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        for name, value in values.items():
+            try:
+                _packb(value)
+            except (TypeError, ValueError, OverflowError, RecursionError) as error:
+                raise AppError(f"{name}: {_shown(value)} cannot be saved for a restart ({error})") from None
+        raise
 
 
 def unpack_private(data: bytes) -> dict[str, Any]:
