@@ -315,15 +315,15 @@ def wants(actions):
 def test_what_is_missing_is_asked_for_with_the_own_frame_beside_it():
     one = at(1, ("r1", "r2"))
     one.receive("r2", THEIRS, step_of(1), 0.05)
-    assert one.next_deadline() == pytest.approx(0.24)  # four round trips
-    one.handle_timer(0.2399)
+    assert one.next_deadline() == pytest.approx(0.25)
+    one.handle_timer(0.2499)
     assert one.actions() == []
-    one.handle_timer(0.24)
+    one.handle_timer(0.25)
     assert wants(one.actions()) == [("r1", encode_step(1, b"a1", b"a0")), ("r1", encode_want(1))]
 
 
 def test_the_question_comes_again_for_ever_at_most_once_a_second():
-    one = started()
+    one = at(1)
     asked = []
     while len(asked) < 8:
         now = one.next_deadline()
@@ -332,13 +332,22 @@ def test_the_question_comes_again_for_ever_at_most_once_a_second():
             assert len(sent) == 2
             asked.append(now)
     gaps = [b - a for a, b in zip([0.0, *asked], asked, strict=False)]
-    assert gaps[:3] == pytest.approx([0.24, 0.24, 0.48])
+    assert gaps[:3] == pytest.approx([0.25, 0.25, 0.5])
     assert max(gaps) == pytest.approx(1.0)
     assert gaps[-1] == pytest.approx(1.0)
 
 
-def test_the_first_question_waits_for_a_tenth_of_a_second_or_four_round_trips():
-    assert started(rtt=0.001).next_deadline() == pytest.approx(0.1)
+def test_the_first_question_waits_for_a_quarter_of_a_second_or_four_round_trips():
+    one = at(1)
+    one.rtt = 0.5
+    assert one.next_deadline() == pytest.approx(0.25)
+    one.receive("r1", THEIRS, step_of(1), 0.0)
+    one.computed(b"a2", b"", 0.0)
+    assert one.next_deadline() == pytest.approx(2.0)
+
+
+def test_neighbours_that_are_yet_to_start_are_given_longer():
+    assert started(rtt=0.001).next_deadline() == pytest.approx(1.0)
     slow = started(rtt=0.5)
     assert slow.next_deadline() == pytest.approx(2.0)
     slow.handle_timer(2.0)
@@ -377,16 +386,25 @@ def test_data_never_triggers_data():
 
 def test_link_up_moves_the_question_to_now_and_nothing_else():
     one = started(("r1", "r2"))
-    one.nudge(0.01)
+    one.nudge(0.08)
     assert one.actions() == []
-    assert one.next_deadline() == 0.01
-    one.handle_timer(0.01)
+    assert one.next_deadline() == 0.08
+    one.handle_timer(0.08)
     assert len(wants(one.actions())) == 4
-    one.nudge(0.02)  # six links that come up together are one reason to ask
-    assert one.next_deadline() == pytest.approx(0.07)
-    one.receive("r1", THEIRS, step_of(0), 0.03)
-    one.receive("r2", THEIRS, step_of(0), 0.03)
-    one.nudge(0.04)
+    one.nudge(0.09)  # six links that come up together are one reason to ask
+    assert one.next_deadline() == pytest.approx(0.14)
+    one.receive("r1", THEIRS, step_of(0), 0.1)
+    one.receive("r2", THEIRS, step_of(0), 0.1)
+    one.nudge(0.11)
+    assert one.next_deadline() is None
+
+
+def test_link_up_asks_for_nothing_that_may_be_on_its_way():
+    """A host hears first of a link that has been up all the time, in the middle of an iteration."""
+    one = at(2)
+    one.nudge(0.01)
+    assert one.next_deadline() == pytest.approx(0.06)
+    one.receive("r1", THEIRS, step_of(2), 0.05)
     assert one.next_deadline() is None
 
 
@@ -450,7 +468,7 @@ def test_a_restarted_robot_sends_its_frame_asks_and_says_where_it_is():
         Advanced(3, b"a3"),
         Send(encode_want(3), "r1"),
     ]
-    assert again.next_deadline() == pytest.approx(100.24)
+    assert again.next_deadline() == pytest.approx(100.25)
 
 
 def test_a_compute_outstanding_at_the_kill_is_issued_again():
@@ -608,13 +626,13 @@ def test_hole_1_resends_of_others_do_not_keep_a_robot_from_asking():
     world.start_all()
     assert not world.run(0.3, until=world.finished)
     world.loss = 0.0
-    assert world.run(0.5, until=world.finished)
+    assert world.run(1.0, until=world.finished)
     # And one by one: r0 has all but r5; another one keeps talking to it.
     one = at(1, ("r1", "r5"))
-    for i in range(24):
+    for i in range(25):
         one.receive("r1", THEIRS, step_of(1), i / 100)
     one.actions()
-    one.handle_timer(0.24)
+    one.handle_timer(0.25)
     assert wants(one.actions())[-1] == ("r5", encode_want(1))
 
 

@@ -50,14 +50,16 @@ class Seen:
 class Monitor:
     """Watches the buses of all robots and publishes the simulated truth on them.
 
-    Samples are kept as they came and decoded when somebody looks: most are replaced before that, and the simulation's
-    own process should take little from the robots it watches.
+    Samples are kept as they came and decoded when somebody looks, each once: many are replaced before that, most are
+    the same as at the last look, and the simulation's own process should take little from the robots it watches.
     """
 
     def __init__(self, run_dir: Path, names: Sequence[str], app: str | None) -> None:
         """`app` is the one whose progress is followed; others may be started meanwhile."""
         self._app = app
         self._samples: dict[str, dict[str, bytes]] = {name: {} for name in names}
+        self._seen = {name: Seen() for name in names}
+        self._decoded: dict[str, bytes] = {}  # by key: the sample that is in `_seen`
         self._buses = {name: Bus.of(run_dir / name) for name in names}
         self._slow = {name: Slow(bus, key(name, "sim", "truth"), SLOW_TRUTH_S) for name, bus in self._buses.items()}
         for name, bus in self._buses.items():
@@ -88,9 +90,14 @@ class Monitor:
                 bus.ask(pattern, self._samples[name].__setitem__)
 
     def look(self) -> dict[str, Seen]:
-        """The latest of every robot, by name."""
-        # dict() of a dict is one step of the interpreter: Zenoh's threads may be storing meanwhile.
-        return {name: _decoded(dict(samples)) for name, samples in self._samples.items()}
+        """The latest of every robot, by name; it changes with the next look."""
+        for name, samples in self._samples.items():
+            # dict() of a dict is one step of the interpreter: Zenoh's threads may be storing meanwhile.
+            for topic, payload in dict(samples).items():
+                if self._decoded.get(topic) is not payload:
+                    self._decoded[topic] = payload
+                    _update(self._seen[name], topic, payload)
+        return self._seen
 
     def close(self) -> None:
         """Leave all buses."""
@@ -98,26 +105,23 @@ class Monitor:
             bus.close()
 
 
-def _decoded(samples: dict[str, bytes]) -> Seen:
-    seen = Seen()
-    for name, payload in samples.items():
-        try:
-            message = read(name, payload)
-        except PayloadError:
-            continue  # a picture for people: whoever needs the message reports what is wrong with it
-        match message:
-            case Status():
-                seen.status[message.service] = message
-            case BalancerState():
-                seen.balancer = message
-            case Links():
-                seen.links = message
-            case Pose():
-                seen.pose = message
-            case AppProgress():
-                seen.progress = message
-            case AppState():
-                seen.state = message
-            case AppEpoch():
-                seen.epoch = message
-    return seen
+def _update(seen: Seen, topic: str, payload: bytes) -> None:
+    try:
+        message = read(topic, payload)
+    except PayloadError:
+        return  # a picture for people: whoever needs the message reports what is wrong with it
+    match message:
+        case Status():
+            seen.status[message.service] = message
+        case BalancerState():
+            seen.balancer = message
+        case Links():
+            seen.links = message
+        case Pose():
+            seen.pose = message
+        case AppProgress():
+            seen.progress = message
+        case AppState():
+            seen.state = message
+        case AppEpoch():
+            seen.epoch = message

@@ -44,8 +44,9 @@ __all__ = [
 
 WANT_AFTER_RTTS = 4.0
 """A missing value is asked for after so many round-trip times without progress ..."""
-WANT_AFTER = 0.1
-"""... but not before this, in seconds: a loaded Pi is late by tens of milliseconds without any loss."""
+WANT_AFTER = 0.25
+"""... but not before this, in seconds: a loaded robot is late by a tenth of a second without any loss, and links lose
+nothing without saying so (`Lockstep.nudge`)."""
 WANT_AFTER_MOST = 1.0
 """The interval between two questions doubles up to this, in seconds, and is kept for ever."""
 NAME_AFTER = 2.5
@@ -161,6 +162,9 @@ class Lockstep:
         self._check_size(x0)
         # The frame has room for two states. Of this epoch nobody has one before the first, nor will ever ask for it.
         self._enter(k, x0, x0 if k else None, now)
+        if not k:
+            # Neighbours are yet to start. Who does sends x(0), and our x(1) has x(0) beside it for whoever missed ours.
+            self._want_at = now + max(self._patience, WANT_AFTER_MOST)
         self._actions.append(Save(self._snapshot(private)))
         self._broadcast()
         self._settle(now)
@@ -213,9 +217,11 @@ class Lockstep:
         self._settle(now)
 
     def nudge(self, now: float) -> None:
-        """A link or the bus came up: what is missing is asked for now, not when the patience ends (R4)."""
-        # Six links that come up together are one reason to ask, not six.
-        self._want_at = min(self._want_at, max(now, self._wanted_at + self.rtt))
+        """A link or the bus came up: what has been missing for a round trip is asked for now, no later (R4)."""
+        # Six links that come up together are one reason to ask, not six; and with a link that has been up all the time,
+        # of which only the host has just heard, everything is on its way.
+        entered_at = self._name_at - NAME_AFTER
+        self._want_at = min(self._want_at, max(now, self._wanted_at + self.rtt, entered_at + self.rtt))
 
     def handle_timer(self, now: float) -> None:
         """Do what is due at `now`; may be called at any time."""
