@@ -1,9 +1,9 @@
 """Messages of every service, and the one for all of them."""
 
-from dataclasses import dataclass
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Status:
     """Life cycle of a service, on `swarm/<robot>/<service>/status`: sent on change, answered to queries."""
 
@@ -20,7 +20,7 @@ class Status:
     """What was dropped, refused or retried since the start, by name."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Stop:
     """On `swarm/stop`: every robot switches its motors off."""
 

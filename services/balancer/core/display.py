@@ -5,10 +5,10 @@ that one with its address takes 3.0 ms at 100 kHz. A full picture is 50 transfer
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from services.balancer.core.font import LETTERS, UNKNOWN, WIDTH
 from services.balancer.core.transfers import LONGEST, Transfer
+from swarm.frozen import frozen
 
 ADDRESS = 0x3C
 COLUMNS, PAGES = 128, 8
@@ -46,7 +46,7 @@ _SLICES = tuple((page, column) for page in range(PAGES) for column in range(0, C
 assert max(len(SETUP), 1 + SLICE) <= LONGEST
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ScreenText:
     """What the bridge hands the loop: lines for `Screen.show`."""
 
