@@ -12,7 +12,7 @@ from pathlib import Path
 from services.balancer import loop
 from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus
-from services.sim.body import simulated_bus
+from services.sim.wiring import simulated_bus
 from swarm import clock
 from swarm.bus import Bus
 from swarm.config import Config

@@ -16,7 +16,7 @@ from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.chores import Chores
 from services.balancer.core.body import body_model
-from services.balancer.core.screen import ScreenText
+from services.balancer.core.display import ScreenText
 from services.balancer.drivers import Balboa
 from services.balancer.rates import measure
 from services.sim.core.balboa import BalboaBody

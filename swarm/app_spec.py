@@ -6,19 +6,19 @@ import keyword
 import typing
 from collections import namedtuple
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 from swarm.codec import Value
 from swarm.core.state import Field, Item, Schema, field_of
 from swarm.errors import AppError
+from swarm.frozen import frozen
 from swarm.parameters import KINDS, Parameter
 
 PLATFORM = ("spec", "robot", "k", "name", "age", "neighbours", "finished")
 """Names that no field may have, beside those of the methods."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Spec:
     """What a class declares: found out when the class is made."""
 

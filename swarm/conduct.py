@@ -5,9 +5,9 @@ The options of `swarm run`, `swarm sim` and of the app host itself, which are ha
 
 import argparse
 import math
-from dataclasses import dataclass
 
 from swarm.core.stopping import Rule
+from swarm.frozen import frozen
 
 AFTER = 10.0
 """s after which a robot that is not heard is given up, where robots are."""
@@ -23,7 +23,7 @@ MAX_ROUNDS = 10_000
 WAIT, DROP = "wait", "drop"
 
 
-@dataclass(frozen=True)
+@frozen
 class Conduct:
     """How a run goes."""
 

@@ -9,13 +9,13 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import TypeVar
 
 from swarm import clock
 from swarm.bus_protocol import BusLike, Clock
 from swarm.codec import decode
 from swarm.errors import AppError, PayloadError
+from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.messages import (
     BalancerState,
@@ -48,7 +48,7 @@ M = TypeVar("M")
 _log = logging.getLogger("devices")
 
 
-@dataclass(frozen=True)
+@frozen
 class PoseView:
     """Where the robot is, by its UWB module (docs/uwb.md), in the frame of the anchors."""
 

@@ -4,17 +4,17 @@ import dataclasses
 import math
 import typing
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from swarm.codec import Value
 from swarm.errors import AppError
+from swarm.frozen import frozen
 
 KINDS = (float, int, bool, str)
 """Types that a parameter may have."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Parameter:
     """One declared parameter."""
 

@@ -4,12 +4,12 @@ What a reboot costs a real robot is gone here, too: the runtime directory, as /r
 (`DISK` in that directory, and the recordings) is kept.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from swarm import datagrams
 from swarm.codec import decode, encode
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 SOCKET = "power.sock"
 """In the run directory; the simulation listens there."""
@@ -20,7 +20,7 @@ DISK = "disk"
 MAX_OFF_S = 600.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Reboot:
     """What is asked of the simulation."""
 

@@ -18,11 +18,11 @@ state is zero at k = 0), and it enters only through the last line:
 """
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from swarm.errors import RecordingError
+from swarm.frozen import frozen
 
 _CM = 100.0
 
@@ -37,7 +37,7 @@ class Row(NamedTuple):
     y: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Recording:
     """What one robot measured and estimated."""
 

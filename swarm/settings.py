@@ -1,16 +1,17 @@
 """An app's parameters given on a command line: `gain=0.5`, or `r2.value=3` for one robot, on top of swarm.toml."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from swarm.codec import Value
 from swarm.config import Config
 from swarm.config.types import App
 from swarm.errors import AppError, ConfigError
+from swarm.frozen import frozen
 from swarm.parameters import value_of
 
 
-@dataclass(frozen=True)
+@frozen
 class Setting:
     """A parameter of an app; `robot` is None where it holds for all."""
 

@@ -85,7 +85,7 @@ def costly(count: int) -> Callable[[Any], Any]:
 
 
 def examples(count: int) -> int:
-    """How many of `count` costly examples this run has time for."""
+    """How many of `count` costly examples, or seconds of a costly run, this run has time for."""
     return count if _thorough else count // 3
 
 

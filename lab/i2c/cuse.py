@@ -10,7 +10,6 @@ since what an emulated processor takes for this bus is its switches between the 
 import errno
 import struct
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
@@ -75,7 +74,7 @@ class Device(Protocol):
 class Cuse:
     """Answers the requests of one device file."""
 
-    def __init__(self, name: str, device: Device, memory: Callable[[int], AbstractContextManager[Memory]]) -> None:
+    def __init__(self, name: str, device: Device, memory: Callable[[int], Memory]) -> None:
         """`name` as in /dev; `memory`: of the process with that id."""
         self._name, self._device, self._memory = name, device, memory
         self._opened = 0
@@ -124,8 +123,7 @@ class Cuse:
         if flags & IOCTL_COMPAT:
             return _IOCTL_OUT.pack(-errno.ENOTTY, 0, 0, 0)
         try:
-            with self._memory(caller) as memory:
-                result = self._device.ioctl(Call(handle, command, argument), memory)
+            result = self._device.ioctl(Call(handle, command, argument), self._memory(caller))
         except OSError as error:
             result = -(error.errno or errno.EIO)
         return _IOCTL_OUT.pack(result, 0, 0, 0)

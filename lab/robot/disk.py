@@ -14,12 +14,12 @@ from lab.vm.build import Image
 from swarm.errors import LocalError
 
 UNITS = "/etc/systemd/system"
-OURS = ("lab-i2c", "lab-module", "lab-scan")
+OURS = ("lab-parts", "lab-scan")
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm", *OURS)
 HERE = Path(__file__).parent
 PLACE = "/opt/lab"
 """Of this package inside."""
-CARRIED = ("__init__.py", "i2c/*.py", "robot/__init__.py", "robot/module.py")
+CARRIED = ("__init__.py", "i2c/*.py", "robot/__init__.py", "robot/__main__.py", "robot/module.py")
 KEY_MODE = 0o100600
 
 

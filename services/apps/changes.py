@@ -5,7 +5,6 @@ A changed value holds for the run: a process that is started again in mid-run ta
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -14,6 +13,7 @@ from swarm.app import App
 from swarm.bus_protocol import BusLike, Clock
 from swarm.codec import Value, decode, encode
 from swarm.errors import AppError, PayloadError
+from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
 
@@ -25,7 +25,7 @@ class Refuse(Protocol):
         """`error` names key and field."""
 
 
-@dataclass(frozen=True)
+@frozen
 class _Kept:
     run: int
     parameters: dict[str, Value]

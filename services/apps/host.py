@@ -12,7 +12,6 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 from services.apps import topology
 from services.apps.changes import Changes
@@ -31,6 +30,7 @@ from swarm.conduct import Conduct
 from swarm.core import together
 from swarm.core.lockstep import Channel
 from swarm.errors import FrameError, PayloadError
+from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.lane import Lane, of_app
 from swarm.messages import Links, SetAppEpoch, Topology
@@ -42,7 +42,7 @@ lockstep's timers are never late for it: when set they are at least as far away 
 what it published took a fifth of the app's CPU time."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Part:
     """One lockstep of an app."""
 

@@ -8,7 +8,6 @@ import importlib
 import importlib.util
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -19,6 +18,7 @@ from swarm.codec import Value
 from swarm.config import Config
 from swarm.errors import AppError
 from swarm.event_app import EventApp, PeriodicApp, channels_of
+from swarm.frozen import frozen
 from swarm.keys import is_name
 from swarm.robot import Robot
 
@@ -38,7 +38,7 @@ BUILT_IN = (
 """Modules of `services.apps` that are apps."""
 
 
-@dataclass(frozen=True)
+@frozen
 class App:
     """An app that was found: one class, or one for each algorithm."""
 

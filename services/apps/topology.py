@@ -8,7 +8,7 @@ that is started anew in mid-run goes on with the links that its run began with, 
 import threading
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from swarm.config import Config
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
+from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.messages import AppProgress, Topology
 from swarm.service import Service
@@ -49,7 +50,7 @@ class Links(NamedTuple):
         return self.config.neighbours(robot)
 
 
-@dataclass(frozen=True)
+@frozen
 class _Kept:
     run: int
     edges: tuple[tuple[str, ...], ...]

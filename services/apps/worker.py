@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 from services.apps import topology
@@ -20,6 +19,7 @@ from swarm.core.epoch_actions import Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import first
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Save, Send
 from swarm.errors import AppError, SwarmError
+from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.lane import MESH, Lane
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement, SetAppEpoch, Topology
@@ -37,7 +37,7 @@ STUCK = 10.0
 """s after which a step that still runs is a fault, and no longer feeds systemd's watchdog."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Latest:
     """A state as others may read it while steps run: the newest one, whole."""
 

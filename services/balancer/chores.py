@@ -13,11 +13,10 @@ from services.balancer.balancer import Balancer
 from services.balancer.core import imu
 from services.balancer.core.balboa import PAUSE_S
 from services.balancer.core.buttons import ButtonCounter
-from services.balancer.core.display import ADDRESS, Screen
+from services.balancer.core.display import ADDRESS, Screen, ScreenText
 from services.balancer.core.health import Health
 from services.balancer.core.mailbox import Mailbox
 from services.balancer.core.rates import RateMeter
-from services.balancer.core.screen import ScreenText
 from services.balancer.core.transfers import Chore, Transfer, duration
 from services.balancer.core.tune import Player
 from services.balancer.core.uwb import UwbReader

@@ -7,7 +7,7 @@ nothing else.
 
 from typing import get_args
 
-from services.balancer.core.screen import ScreenText
+from services.balancer.core.display import ScreenText
 from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
 from swarm.messages import (

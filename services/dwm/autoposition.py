@@ -7,12 +7,12 @@ nothing of where the whole is, how it is turned, and whether it is its mirror im
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 Pair = tuple[str, str]
 Places = dict[str, tuple[float, float]]
@@ -24,7 +24,7 @@ _STIFF = 1e-4
 """Smallest part of the largest singular value of a layout that does not give way."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Layout:
     """Anchors in a plane."""
 

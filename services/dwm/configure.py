@@ -1,18 +1,19 @@
 """Reading how a module is set up, and setting it up: role, update rates, place."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from services.dwm.core import calls
 from services.dwm.core.calls import UWB_ACTIVE, ModuleStatus, Settings, UpdateRate, Version
 from services.dwm.core.tlv import Position
 from services.dwm.line import Line, restart
 from swarm.config.types import Config
+from swarm.frozen import frozen
 
 FASTEST = UpdateRate(1, 1)
 """10 Hz, standing still too: a balanced robot is still, and still needs its place."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ModuleInfo:
     """All that a module tells of itself."""
 
@@ -31,7 +32,7 @@ class ModuleInfo:
         return f"{self.identity & 0xFFFF:04X}"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Wish:
     """How a module shall be."""
 

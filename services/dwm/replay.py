@@ -5,10 +5,10 @@ on the recording alone: the same however often and by whomever it is asked. Past
 """
 
 import queue
-from dataclasses import dataclass
 
 from swarm import clock
 from swarm.codec import encode
+from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.messages import Measurement, Pose, Range, Ranges
 from swarm.recordings import Recording
@@ -18,7 +18,7 @@ NOBODY = "0000"
 """Address under which the target is published where the config names none."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Row:
     """Row `k` of a recording as messages."""
 

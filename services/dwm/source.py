@@ -1,27 +1,27 @@
 """Where the measurements come from, as `[dwm] source` of swarm.toml says it."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from swarm.config import Config
 from swarm.errors import ConfigError
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Serial:
     """`serial:PATH`: a DWM1001 in generic mode at a serial port."""
 
     path: Path
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Replay:
     """`replay:DIR`: a folder of recordings, one file for each robot by its number in the config."""
 
     directory: Path
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Balancer:
     """`balancer`: the DWM1001 is wired to the ATmega32U4, which polls it; its reports come from the balancer."""
 

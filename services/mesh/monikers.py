@@ -6,22 +6,22 @@ rfcomm:ADDRESS   Bluetooth Classic; ADDRESS is that of the robot's adapter, XX:X
 """
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 from swarm.config.types import Robot
 from swarm.errors import ConfigError
+from swarm.frozen import frozen
 from swarm.paths import socket_path
 
 
-@dataclass(frozen=True)
+@frozen
 class Sim:
     """A simulated link."""
 
     path: Path
 
 
-@dataclass(frozen=True)
+@frozen
 class Tcp:
     """A TCP address."""
 
@@ -29,7 +29,7 @@ class Tcp:
     port: int
 
 
-@dataclass(frozen=True)
+@frozen
 class Rfcomm:
     """A Bluetooth address."""
 

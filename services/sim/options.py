@@ -1,7 +1,6 @@
 """Arguments of `swarm sim`, checked before anything starts."""
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 
 from services.sim.core.noise import ERRORS
@@ -27,6 +26,7 @@ from services.sim.virtual.body import MODELS
 from swarm import conduct
 from swarm.conduct import Conduct
 from swarm.errors import ConfigError
+from swarm.frozen import frozen
 
 FROM_START, SETTLED, DELAY = "start", "settled", "delay"
 MESHES = (FROM_START, SETTLED, DELAY)
@@ -36,7 +36,7 @@ PRESS_S = 0.3
 """How long a button is held down."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Options:
     """What `swarm sim` was asked for. Lengths in m, times in s, rates in bytes/s."""
 

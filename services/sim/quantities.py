@@ -7,12 +7,12 @@ import argparse
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from services.mesh.core.delay import MAX_LOSS
 from swarm import settings
 from swarm.errors import AppError
+from swarm.frozen import frozen
 from swarm.keys import is_name
 from swarm.settings import Setting
 
@@ -33,7 +33,7 @@ MAX_SKEW = 100e-6
 """More than a crystal errs, and what the mesh clock is made for."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Cut:
     """A link that passes nothing for a while."""
 
@@ -44,7 +44,7 @@ class Cut:
     seconds: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Off:
     """A robot that is switched off for a while, and forgets what it knew but for its votes."""
 
@@ -54,7 +54,7 @@ class Off:
     seconds: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Press:
     """A button that somebody presses."""
 

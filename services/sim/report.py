@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from services.sim import scene
 from services.sim.core.witness import Witness
 from services.sim.scenario import Scenario
+from swarm.frozen import frozen
 from swarm.messages import BalancerState
 from swarm.recording import trajectory
 from swarm.recording.trajectory import Trajectory
@@ -19,7 +20,7 @@ MOST_ROWS = 50
 TARGET_COLUMNS = ("result.x", "result.y")
 
 
-@dataclass(frozen=True)
+@frozen
 class Outcome:
     """What was seen of a run when it ended."""
 

@@ -7,7 +7,7 @@ its three places. The simulated modules read as its modules did, so the thesis' 
 import math
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
 from swarm.errors import AppError, ConfigError, LocalError
 from swarm.event_app import EventApp, PeriodicApp
+from swarm.frozen import frozen
 from swarm.paths import socket_path
 from swarm.recordings import Recording, read_folder
 from swarm.settings import on_top
@@ -70,7 +71,7 @@ class Beside(NamedTuple):
     """As of a `Scenario`."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Scenario:
     """A run, ready to start."""
 

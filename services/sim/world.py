@@ -10,7 +10,6 @@ import select
 import socket
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,6 +21,7 @@ from swarm.codec import MAX_PAYLOAD, decode
 from swarm.config import Config
 from swarm.core.hands import DOOR, Place, pack
 from swarm.errors import PayloadError
+from swarm.frozen import frozen
 from swarm.messages import LedChange, Target, Truth
 from swarm.paths import socket_path
 
@@ -33,7 +33,7 @@ TRUTH_PERIOD_S = 0.1
 """`sim/truth` is published at 10 Hz, as poses are."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BodyReport:
     """What a simulated body sends: its true pose, in m and rad."""
 
@@ -47,14 +47,14 @@ class BodyReport:
     """In the hand that holds it at the start."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BodyHello:
     """What a simulated body sends when its process starts, to learn where it had been."""
 
     robot: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LedReport:
     """What a simulated body sends when its LEDs have changed."""
 

@@ -12,7 +12,7 @@ import contextlib
 import json
 import threading
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 from swarm import clock
@@ -20,6 +20,7 @@ from swarm.bus import Bus
 from swarm.cli import buses, halt_ssh
 from swarm.cli.survey import AWAY, Views, opened
 from swarm.errors import LocalError, PayloadError
+from swarm.frozen import frozen
 from swarm.keys import STOP, key, parse
 from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
 
@@ -33,7 +34,7 @@ MOVING = ("standing_up", "balancing")
 """Modes of a balancer whose motors are on."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Row:
     """One robot."""
 

@@ -4,7 +4,7 @@ import argparse
 import asyncio
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from swarm.fleet import everyone
@@ -12,6 +12,7 @@ from swarm.fleet.collect import RUNS
 from swarm.fleet.everyone import Outcome, Tell
 from swarm.fleet.ssh import Host, Ssh
 from swarm.fleet.units import SERVICES
+from swarm.frozen import frozen
 from swarm.recording.budget import shown
 
 HELP = "services, battery, links, pose, app, recordings and versions of all robots, over ssh"
@@ -23,7 +24,7 @@ LISTEN_S = 1.3
 _MARK = "== "
 
 
-@dataclass(frozen=True)
+@frozen
 class Row:
     """What one robot says of itself; None where it says nothing."""
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from swarm.codec import Value
 from swarm.core.graph import Graph
+from swarm.frozen import frozen
 
 DEFAULT_KEY_FILE = "/etc/swarm/key"
 
@@ -17,7 +18,7 @@ MAX_RFCOMM_LINKS = 7
 """A Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6: LT_ADDR)."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Robot:
     """One robot of the swarm."""
 
@@ -36,7 +37,7 @@ class Robot:
     """tag (finds its place) or anchor (others range to it; it knows no place of its own)."""
 
 
-@dataclass(frozen=True)
+@frozen
 class RelayRule:
     """Which keys of the own robot's bus the mesh carries to others."""
 
@@ -61,7 +62,7 @@ DEFAULT_RELAY = (
 event-driven and periodic ones say to all."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Anchor:
     """A UWB module at a known place."""
 
@@ -72,7 +73,7 @@ class Anchor:
     z: float = 0.0
 
 
-@dataclass(frozen=True)
+@frozen
 class Mesh:
     """Mesh settings; docs/frames.md says why the times are as they are."""
 
@@ -101,7 +102,7 @@ class Mesh:
         return None if self.insecure else Path(self.key or DEFAULT_KEY_FILE)
 
 
-@dataclass(frozen=True)
+@frozen
 class Body:
     """Parameters of the robots' bodies and the balancer."""
 
@@ -118,7 +119,7 @@ class Body:
     """m above the axle: that payload's centre of mass."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Balancing:
     """How the balancer works with that body."""
 
@@ -138,7 +139,7 @@ class Balancing:
     """V: below it lies down; NiMH cells below 1 V suffer."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Linear:
     """Calibrated distance = gain * measured + offset (thesis eq. 2.8)."""
 
@@ -147,7 +148,7 @@ class Linear:
     """m."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Affine:
     """Calibrated position = matrix * measured + offset (thesis eq. 2.10)."""
 
@@ -156,7 +157,7 @@ class Affine:
     """m."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Dwm:
     """UWB module, calibration and filter."""
 
@@ -191,7 +192,7 @@ class Dwm:
         return self.filters.get(robot, self.filter)
 
 
-@dataclass(frozen=True)
+@frozen
 class App:
     """Parameters of one app: common ones, and those of single robots on top."""
 
@@ -203,7 +204,7 @@ class App:
         return {**self.parameters, **self.robots.get(robot, {})}
 
 
-@dataclass(frozen=True)
+@frozen
 class Recordings:
     """What a robot keeps of its runs."""
 
@@ -211,7 +212,7 @@ class Recordings:
     """Bytes of its disk they may take; beyond, the oldest finished runs are deleted."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Simulation:
     """Where simulated robots and the target start; only `swarm sim` reads it."""
 

@@ -6,6 +6,7 @@ from hashlib import blake2b
 from swarm.codec import decode, encode
 from swarm.core.graph import Graph
 from swarm.errors import PayloadError
+from swarm.frozen import frozen
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -20,7 +21,7 @@ class Ballot:
 NONE = Ballot(0, "")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Epoch:
     """A stretch of a run with the same members and links: agreed upon by a majority of the members of the one before,
     or ordered by the operator."""
@@ -84,7 +85,7 @@ def _number(body: tuple[object, ...]) -> int:
     return int.from_bytes(blake2b(repr(body).encode(), digest_size=4).digest(), "little")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Vote:
     """That a robot is for an epoch, in one ballot."""
 
@@ -92,7 +93,7 @@ class Vote:
     epoch: Epoch
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Offer:
     """A ballot of the robot that tells it: first asked for, then with the epoch it is about."""
 
@@ -101,7 +102,7 @@ class Offer:
     forced: bool
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Note:
     """All that a robot has to say; each one replaces its earlier ones everywhere."""
 
@@ -142,7 +143,7 @@ class Note:
         return note
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Kept:
     """What must outlive the process and, for robots that reboot, the runtime directory: no robot votes twice."""
 

@@ -3,10 +3,9 @@
 The world uses the same way to say where a body that is started again had been.
 """
 
-from dataclasses import dataclass
-
 from swarm.codec import decode, encode
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 DOOR = "body.sock"
 
@@ -18,7 +17,7 @@ MAX_IMPULSE = 2.0
 MAX_HOLD_S = 60.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Press:
     """Hold a button down."""
 
@@ -27,7 +26,7 @@ class Press:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Push:
     """Hit the body at the height of its centre of mass."""
 
@@ -35,7 +34,7 @@ class Push:
     """Forward, N s."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Lay:
     """Take the body and lay it down."""
 
@@ -43,7 +42,7 @@ class Lay:
     """back or front."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Unplug:
     """Take a device off the I2C bus, where nobody answers for it from then on; or put it back."""
 
@@ -52,7 +51,7 @@ class Unplug:
     back: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Place:
     """Where the body had been when its process ended."""
 

@@ -1,11 +1,10 @@
 """What a `Lockstep` asks its host to do or to tell, to be carried out in the order given."""
 
-from dataclasses import dataclass
-
 from swarm.core.lockstep_frames import Snapshot
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Compute:
     """Run the app's step and answer with `computed()`. One at a time."""
 
@@ -16,7 +15,7 @@ class Compute:
     """The neighbours' x(k), sorted by name: sums in this order are the same on every run (R8)."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Save:
     """Write this, encoded, atomically in place of the last one, before the `Send` that follows (R5).
 
@@ -25,7 +24,7 @@ class Save:
     snapshot: Snapshot
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Send:
     """Publish a frame."""
 
@@ -34,7 +33,7 @@ class Send:
     """One neighbour, or None for all of them."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Advanced:
     """This robot is at iteration k with `value`. A restarted robot says the one it goes on from again."""
 
@@ -42,7 +41,7 @@ class Advanced:
     value: bytes
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Waiting:
     """Iteration k waits for these robots; no robots: the wait is over."""
 
@@ -50,14 +49,14 @@ class Waiting:
     peers: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fault:
     """Going on could fork the trajectory, so this robot stops here. The reason names the robot at fault."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Finished:
     """The last iteration is reached; the process stays until `Lockstep.done` (R7)."""
 

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple, Self
 
 from swarm.errors import FrameError, LocalError
+from swarm.frozen import frozen
 
 MAX_ITERATION = 2**32 - 1
 """Highest iteration a frame can carry: 4.5 years at 30 iterations a second."""
@@ -23,7 +24,7 @@ _HEAD = struct.Struct("<BI")
 _CHANNEL = re.compile(r"([0-9a-f]{16})-(0|[1-9][0-9]{0,9})-(0|[1-9][0-9]{0,19})-([0-9a-f]{8})")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Channel:
     """What tells a sender's frames apart from those of another run, epoch, process or version of the app."""
 
@@ -136,7 +137,7 @@ _MAGIC = b"BLS1"
 _CHECK = struct.Struct("<I")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Snapshot:
     """All that a restarted process needs to go on without a fork of the trajectory (R5)."""
 

@@ -12,13 +12,13 @@ import numbers
 import re
 import struct
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Annotated, Any, get_args, get_origin
 
 import msgpack
 
 from swarm.errors import AppError, FrameError
+from swarm.frozen import frozen
 
 Vector = tuple[float, ...]
 """A vector of fixed length; declared as `Annotated[Vector, 2]`."""
@@ -55,7 +55,7 @@ _FLOAT32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 _TUPLE = 1  # msgpack extension type: Python tuples come back as tuples, not as lists
 
 
-@dataclass(frozen=True)
+@frozen
 class Field:
     """One shared field."""
 
@@ -281,12 +281,15 @@ def field_of(name: str, annotation: object) -> Field:
 
 def pack_private(values: Mapping[str, object]) -> bytes:
     """Private fields as msgpack, tuples and lists kept apart; `AppError` names the field at fault."""
-    for name, value in values.items():
-        try:
-            _packb(value)
-        except (TypeError, ValueError, OverflowError, RecursionError) as error:
-            raise AppError(f"{name}: {_shown(value)} cannot be saved for a restart ({error})") from None
-    return _packb(dict(values))
+    try:
+        return _packb(dict(values))
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        for name, value in values.items():
+            try:
+                _packb(value)
+            except (TypeError, ValueError, OverflowError, RecursionError) as error:
+                raise AppError(f"{name}: {_shown(value)} cannot be saved for a restart ({error})") from None
+        raise
 
 
 def unpack_private(data: bytes) -> dict[str, Any]:

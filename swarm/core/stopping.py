@@ -10,16 +10,16 @@ rounds the first wave is everywhere, with the same number on all robots: there t
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 _COUNT = struct.Struct("<H")
 MOST = 0xFFFF
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Rule:
     """When to stop."""
 

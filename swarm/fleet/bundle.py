@@ -8,13 +8,13 @@ FOLDER/balboa-swarm-*.tar.gz        releases (deploy/release), one for each Pyth
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Package:
     """One file of a repository."""
 
@@ -25,7 +25,7 @@ class Package:
     sha256: str
 
 
-@dataclass(frozen=True)
+@frozen
 class Repository:
     """The packages for one Debian and architecture."""
 

@@ -11,9 +11,9 @@ So what breaks in mid-transfer costs nothing that has arrived, and a copy counts
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from swarm.errors import RemoteError
+from swarm.frozen import frozen
 
 RUNS = "/var/lib/swarm/runs"
 """Where a robot keeps a folder for each run, APP-NUMBER."""
@@ -45,7 +45,7 @@ find . -mindepth 1 -type d -empty -delete"""
 """For the robot's shell, `runs` is RUNS. Nothing in them is a single quote: they are handed on in such."""
 
 
-@dataclass(frozen=True)
+@frozen
 class File:
     """One file of a run on a robot."""
 
@@ -96,7 +96,7 @@ def chosen(files: Sequence[File], wanted: Sequence[str]) -> list[File]:
     return [file for file in files if not wanted or file.run in wanted or file.app in wanted]
 
 
-@dataclass(frozen=True)
+@frozen
 class Wanted:
     """A file to be sent from an offset on."""
 
@@ -118,7 +118,7 @@ def plan(files: Sequence[File], have: Mapping[str, int]) -> list[Wanted]:
     ]  # fmt: skip
 
 
-@dataclass(frozen=True)
+@frozen
 class Data:
     """Bytes of a file, to be appended."""
 
@@ -126,7 +126,7 @@ class Data:
     data: bytes
 
 
-@dataclass(frozen=True)
+@frozen
 class End:
     """A file has come to its end; the sum of all of its bytes on the robot, None where it has no such file now."""
 

@@ -10,12 +10,12 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from swarm.errors import LocalError
 from swarm.fleet import bundle
 from swarm.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
+from swarm.frozen import frozen
 
 DEBIAN = "http://deb.debian.org/debian"
 DEBIAN_KEYS = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
@@ -25,7 +25,7 @@ PI_PACKAGES = (FIRMWARE_PACKAGE, KERNEL_PACKAGE)
 """Raspberry Pi's own: an image of the last two years has both."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Archive:
     """A line of sources.list."""
 

@@ -6,15 +6,16 @@ import json
 import sys
 import time
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 from swarm.config import Config, load
 from swarm.errors import LocalError
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Outcome:
     """What came of it on one robot."""
 

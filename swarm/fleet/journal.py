@@ -6,14 +6,15 @@ of the text then, so that a transfer which broke goes on behind it, with nothing
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import UTC, datetime
+
+from swarm.frozen import frozen
 
 FIELDS = "MESSAGE,_SYSTEMD_UNIT,UNIT,PRIORITY,_PID,SYSLOG_IDENTIFIER"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 
 
-@dataclass(frozen=True)
+@frozen
 class Mark:
     """How far a journal was fetched."""
 

@@ -7,7 +7,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 from swarm.errors import LocalError
@@ -19,6 +19,7 @@ from swarm.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, Packages, Wi
 from swarm.fleet.everyone import Tell
 from swarm.fleet.ssh import Host, HostError, Ssh, last_words
 from swarm.fleet.transfer import pack
+from swarm.frozen import frozen
 
 BACK_S = 180.0
 """Until a robot that was told to reboot must answer again; a Zero 2 W takes about 40 s."""
@@ -27,7 +28,7 @@ ASK_S = 2.0
 """Between looks whether it is back."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Rig:
     """Where a robot's files are, for tests: another root than `/`, other places of what the kernel says."""
 

@@ -8,11 +8,11 @@ import asyncio
 import contextlib
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from swarm.config import Config
 from swarm.errors import LocalError, RemoteError
+from swarm.frozen import frozen
 
 CONNECT_TIMEOUT_S = 10
 """Until a robot that does not answer is given up."""
@@ -30,7 +30,7 @@ class HostError(RemoteError):
     """A robot could not be reached, or did not do what it was told; the text says why and what to do."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Host:
     """One robot as ssh knows it."""
 
@@ -39,7 +39,7 @@ class Host:
     """A name of the user's ssh configuration, or user@host."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Done:
     """How a command ended on a robot."""
 

@@ -8,12 +8,12 @@ import hashlib
 import io
 import tarfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from swarm.errors import LocalError
 from swarm.fleet.everyone import Tell
 from swarm.fleet.ssh import Host, HostError, Ssh, last_words
+from swarm.frozen import frozen
 
 FOLDER = ".cache/balboa-swarm"
 """On the robot, below the home of the user who logs in."""
@@ -26,7 +26,7 @@ done"""
 """Prints the names of files that are not there as they should be, and removes those of other releases."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Release:
     """A release as `deploy/release` makes it."""
 

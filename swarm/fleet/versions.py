@@ -3,9 +3,9 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from swarm.errors import RemoteError
+from swarm.frozen import frozen
 
 ROBOT_ENV = "/etc/swarm/robot.env"
 OWN_NAME = f"sed -n s/^SWARM_ROBOT=//p {ROBOT_ENV} 2>/dev/null; true"
@@ -15,7 +15,7 @@ _MARK = "== "
 _SUM = re.compile(r"[0-9a-f]{64}")
 
 
-@dataclass(frozen=True)
+@frozen
 class Versions:
     """Of one robot; None where it does not say."""
 

@@ -80,7 +80,6 @@ if TYPE_CHECKING:
         Reminder,
         SendRequest,
         Sent,
-        Stop,
         Stopped,
         Topology,
         TopologyRequest,
@@ -88,7 +87,7 @@ if TYPE_CHECKING:
         View,
         Watch,
     )
-    from swarm.messages.service import Status
+    from swarm.messages.service import Status, Stop
     from swarm.messages.sim import LedChange, Target, Truth
 
 __all__ = [
@@ -180,10 +179,10 @@ _NAMES = {
     "dwm": "Measurement Pose Range Ranges",
     "mesh": (
         "Arm Clock Echo EchoRequest Flooded FloodRequest GraphRobot HoldLink Links LinkState Member "
-        "MemberChange Members MeshGraph Passed Progress Reminder SendRequest Sent Stop Stopped Topology "
+        "MemberChange Members MeshGraph Passed Progress Reminder SendRequest Sent Stopped Topology "
         "TopologyRequest TopologySet View Watch"
     ),
-    "service": "Status",
+    "service": "Status Stop",
     "sim": "LedChange Target Truth",
 }
 """What each module has for others."""
@@ -228,7 +227,7 @@ def type_of(key: str) -> type | None:
     Raises `PayloadError` for a key that is not even well formed.
     """
     if key == STOP:
-        from swarm.messages.mesh import Stop
+        from swarm.messages.service import Stop
 
         return Stop
     _, service, topic = parse(key)

@@ -1,12 +1,11 @@
 """Messages of the hosts of apps."""
 
-from dataclasses import dataclass
-
 from swarm.codec import Value
+from swarm.frozen import frozen
 from swarm.messages.service import Status
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AppState:
     """An app's shared state by name, on `swarm/<robot>/app/<app>/state`, at most 10 Hz and at the end. A channel of an
     app has its name behind the app's: `.../app/<app>/<channel>/state`."""
@@ -19,7 +18,7 @@ class AppState:
     """What the app reports as its result so far (units in docs of the app)."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AppProgress:
     """What an app is doing, on `swarm/<robot>/app/<app>/progress`: on change and once a second."""
 
@@ -33,7 +32,7 @@ class AppProgress:
     """Why it is in fault or waits; empty otherwise."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AppEpoch:
     """Who is in a lockstep run, on `swarm/<robot>/app/<app>/epoch`: on change, and answered to queries. A channel of an
     app has its name behind the app's."""
@@ -54,7 +53,7 @@ class AppEpoch:
     """Its number in the frames' keys."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetAppEpoch:
     """Command on `swarm/<robot>/app/<app>/set/epoch`: agree on other members, or on the links in force, now."""
 
@@ -68,7 +67,7 @@ class SetAppEpoch:
     """Go on even without a majority: only where the others are known to have stopped."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AppOutput:
     """What an app tells by `robot.publish`, on `swarm/<robot>/app/<app>/out/<topic>`."""
 
@@ -77,7 +76,7 @@ class AppOutput:
     """By name; a single one is called `value`."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AppParameter:
     """One parameter of an app that runs."""
 
@@ -89,7 +88,7 @@ class AppParameter:
     """Whether it may be changed while the app runs."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AppParameters:
     """An app's parameters, on `swarm/<robot>/app/<app>/parameters`: on change, and answered to queries."""
 
@@ -97,7 +96,7 @@ class AppParameters:
     parameters: dict[str, AppParameter]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetAppParameters:
     """Command on `swarm/<robot>/app/<app>/set/parameters`: change some, all or none of them."""
 
@@ -106,7 +105,7 @@ class SetAppParameters:
     parameters: dict[str, Value]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AppParametersSet:
     """The answer, on `swarm/<robot>/app/<app>/parameters_set`."""
 

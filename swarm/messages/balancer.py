@@ -1,9 +1,9 @@
 """Messages of the balancer."""
 
-from dataclasses import dataclass
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BalancerState:
     """The body, on `swarm/<robot>/balancer/state` at 25 Hz."""
 
@@ -44,7 +44,7 @@ class BalancerState:
     """s until it lies down, a rough estimate; None before the battery was read."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Odometry:
     """Own motion, on `swarm/<robot>/balancer/odometry` at 25 Hz, integrated at 100 Hz by measured time.
 
@@ -72,7 +72,7 @@ class Odometry:
     """From upright, rad, at `t`."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class BalancerFault:
     """Why the motors are off, on `balancer/fault`: on change, and each second while there is a fault."""
 
@@ -85,7 +85,7 @@ class BalancerFault:
     """What to do about it: no fault goes by itself."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Notice:
     """What is no fault, but should be known, on `balancer/notice`: a command refused or cut, a low battery."""
 
@@ -95,7 +95,7 @@ class Notice:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Parameters:
     """What `set/parameters` may change, on `balancer/parameters`: on change and every ten seconds."""
 
@@ -105,7 +105,7 @@ class Parameters:
     parameters: dict[str, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Leds:
     """LEDs as they are, on `balancer/leds`."""
 
@@ -116,7 +116,7 @@ class Leds:
     green: bool
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetLeds:
     """Command on `balancer/set/leds`: the sender has the LEDs for a while."""
 
@@ -130,7 +130,7 @@ class SetLeds:
     time and later is void."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetMode:
     """Command on `balancer/set/mode`."""
 
@@ -138,7 +138,7 @@ class SetMode:
     """stand (stand up and balance), rest (motors off), lie (lie down gently) or calibrate (the gyro, at rest)."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetVelocity:
     """Command on `balancer/set/velocity`: drive for a while. Without another one the robot stops and stands."""
 
@@ -150,7 +150,7 @@ class SetVelocity:
     """How long it holds, at most 10."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetParameters:
     """Command on `balancer/set/parameters`: change some, all or none of them."""
 

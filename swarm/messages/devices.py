@@ -1,9 +1,9 @@
 """Messages of the balancer about the devices on its bus."""
 
-from dataclasses import dataclass
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class UwbRange:
     """The distance to one module, as the DWM1001 reported it."""
 
@@ -21,7 +21,7 @@ class UwbRange:
     """0-100; 0 = it was not set up."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Uwb:
     """The ATmega's UWB block, on `swarm/<robot>/balancer/uwb`: on each new report, and once a second without any."""
 
@@ -50,7 +50,7 @@ class Uwb:
     ranges: tuple[UwbRange, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ModuleRequest:
     """Command on `balancer/set/module`: one request to the DWM1001."""
 
@@ -60,7 +60,7 @@ class ModuleRequest:
     """Type, length and value as in the DWM1001's generic mode: 2 to 255 bytes."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ModuleAnswer:
     """What the DWM1001 said, on `balancer/module`."""
 
@@ -72,7 +72,7 @@ class ModuleAnswer:
     """Why there is no proper answer; empty where there is one (which may be a refusal by the module)."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Battery:
     """On `balancer/battery` at 1 Hz."""
 
@@ -81,7 +81,7 @@ class Battery:
     """V."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Firmware:
     """On `balancer/firmware` at 1 Hz: what the ATmega runs."""
 
@@ -92,7 +92,7 @@ class Firmware:
     """Release of the firmware."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Buttons:
     """On `balancer/buttons`: on each change, and once a second."""
 
@@ -107,7 +107,7 @@ class Buttons:
     presses_c: int
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ImuRequest:
     """Command on `balancer/set/imu`: tell the IMU's samples for a while."""
 
@@ -117,7 +117,7 @@ class ImuRequest:
     """s, at most 60; 0 ends an earlier request."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ImuSample:
     """On `balancer/imu` while somebody has asked for it: X up, Y to the left along the axle, Z backward."""
 
@@ -131,7 +131,7 @@ class ImuSample:
     """Specific force, m/s^2, three axes."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Note:
     """One note of a melody."""
 
@@ -143,7 +143,7 @@ class Note:
     """0 to 1."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetNotes:
     """Command on `balancer/set/notes`: play this instead of whatever plays; nothing = silence."""
 
@@ -151,7 +151,7 @@ class SetNotes:
     """64 at most."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SetDisplay:
     """Command on `balancer/set/display`: text in place of the app's values."""
 
@@ -161,7 +161,7 @@ class SetDisplay:
     """After which those are shown again; None = as long as nobody says otherwise."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Display:
     """What is to be seen on the robot, on `balancer/display`: on change, when it is drawn."""
 
@@ -172,7 +172,7 @@ class Display:
     """The first one is large."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MeasureI2C:
     """Command on `balancer/set/i2c`: time reads from and writes to the ATmega, in the slack of the ticks."""
 
@@ -184,7 +184,7 @@ class MeasureI2C:
     """Transfers of each kind, 1 to 1000."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class I2CRates:
     """The answer, on `balancer/i2c`."""
 

@@ -1,11 +1,10 @@
 """Messages of the UWB service."""
 
-from dataclasses import dataclass
-
+from swarm.frozen import frozen
 from swarm.messages.devices import ModuleAnswer, ModuleRequest
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Range:
     """The distance to one anchor (or to the target, which is a module like any other)."""
 
@@ -27,7 +26,7 @@ class Range:
     """The robot that carries this module; None for one that stands by itself."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Ranges:
     """The ranges to all modules seen in the last seconds, on `swarm/<robot>/dwm/ranges` with each report, at 10 Hz."""
 
@@ -36,7 +35,7 @@ class Ranges:
     ranges: tuple[Range, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Pose:
     """Where the robot is, on `swarm/<robot>/dwm/pose` at 10 Hz."""
 
@@ -65,7 +64,7 @@ class Pose:
     raw_y: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Measurement:
     """Row k of a replayed recording, answered by `dwm/measurement?sequence=k`: range to target, own place."""
 

@@ -1,11 +1,10 @@
 """Messages of the mesh service, and the stop of the swarm that it carries."""
 
-from dataclasses import dataclass
-
 from swarm.codec import MAX_BINARY
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LinkState:
     """One mesh link as its own robot sees it."""
 
@@ -43,7 +42,7 @@ class LinkState:
     """Connections to or from this neighbour that were refused."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Links:
     """All mesh links of a robot, on `swarm/<robot>/mesh/links`: on change and once a second."""
 
@@ -51,7 +50,7 @@ class Links:
     links: tuple[LinkState, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Member:
     """Another robot of the swarm, as one robot sees it."""
 
@@ -66,7 +65,7 @@ class Member:
     """The neighbour that the way begins with."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MemberChange:
     """What has happened to a robot."""
 
@@ -76,7 +75,7 @@ class MemberChange:
     """join, leave, crash, partition, heal, return or restart."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Members:
     """Who is in the swarm, on `swarm/<robot>/mesh/members`: on change, every 10 s, and as answer to queries."""
 
@@ -87,7 +86,7 @@ class Members:
     """The newest 32, the newest last."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class FloodRequest:
     """Command on `mesh/set/flood`: carry a payload to the whole swarm, and say in `mesh/flooded` whom it reached.
 
@@ -105,7 +104,7 @@ class FloodRequest:
     """Whether the answer is flooded, too: every robot learns that the flood is complete."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Flooded:
     """End of a flood, on `swarm/<robot>/mesh/flooded` of its origin; elsewhere only where it is announced."""
 
@@ -121,7 +120,7 @@ class Flooded:
     """Why it is not complete; empty otherwise."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class SendRequest:
     """Command on `mesh/set/send`: carry a payload to one robot, and say in `mesh/sent` whether it arrived.
 
@@ -138,14 +137,14 @@ class SendRequest:
     """s after which it is given up."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Reminder:
     """Command on `mesh/set/remind`: tell the answer to a request again or, where there is none yet, a `Progress`."""
 
     ticket: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Progress:
     """How far a request is, on `swarm/<robot>/mesh/progress`."""
 
@@ -159,7 +158,7 @@ class Progress:
     """Bytes that have arrived: at the receiver, or at every neighbour that hands a flood on."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Sent:
     """End of a message, on `swarm/<robot>/mesh/sent`."""
 
@@ -173,7 +172,7 @@ class Sent:
     """Why not; empty otherwise. It may have arrived all the same where the answer was lost."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Passed:
     """A message of an app, or the answer to one, was handed to a neighbour, on `swarm/<robot>/mesh/passed` of each
     robot on its way: so one sees which way it took, and when. Not of messages larger than a packet."""
@@ -194,16 +193,7 @@ class Passed:
     """At the sender; empty elsewhere."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """On `swarm/stop`: every robot switches its motors off."""
-
-    t: float
-    origin: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
+@frozen
 class Arm:
     """Command on `mesh/set/arm`: take back every stop of the swarm that this robot knows of."""
 
@@ -212,7 +202,7 @@ class Arm:
     """Who takes them back."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Stopped:
     """Whether the swarm is stopped, on `swarm/<robot>/mesh/stopped`: on change, and each second while it is. Changes
     are flooded, so that every robot's bus has every robot's word."""
@@ -223,7 +213,7 @@ class Stopped:
     """The robots whose stop holds, with its reason; 16 of them where there are more."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Watch:
     """Somebody watches the swarm through a robot: on `swarm/<robot>/mesh/set/watch`, again before the time is over.
     Its mesh floods it as `swarm/<robot>/mesh/watch`, and all others send it a `View` a second meanwhile."""
@@ -233,7 +223,7 @@ class Watch:
     """For how long, at most 60."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class View:
     """What a robot tells of itself to one that is watched through, on `swarm/<robot>/mesh/view` there."""
 
@@ -245,7 +235,7 @@ class View:
     """By topic (`dwm/pose`) what has changed: the newest message of that key as msgpack, with a few of its fields."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class GraphRobot:
     """A robot as `mesh/graph` shows it."""
 
@@ -264,7 +254,7 @@ class GraphRobot:
     """Whether it says that it is stopped; None where it has not said anything since it was started."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class MeshGraph:
     """The whole swarm as one robot knows it, the answer to queries of `swarm/<robot>/mesh/graph`."""
 
@@ -275,7 +265,7 @@ class MeshGraph:
     """Whether there are robots behind the last one."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Clock:
     """The mesh clock C(t') = t' + offset + rate (t' - t), on `swarm/<robot>/mesh/clock`, once a second and on change.
 
@@ -295,7 +285,7 @@ class Clock:
     """Estimated standard deviation from the root's, s; asymmetry of the links cannot be seen and is not in it."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class EchoRequest:
     """Measure a link: pings to a neighbour, on `mesh/set/echo`; each answer is an `Echo`."""
 
@@ -312,7 +302,7 @@ class EchoRequest:
     """Whether the answers are short, to measure one direction, or as long as the pings."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Echo:
     """An answer to a ping, or why there is none, on `swarm/<robot>/mesh/echo`."""
 
@@ -328,7 +318,7 @@ class Echo:
     """Why it could not be sent; empty otherwise."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HoldLink:
     """Command on `mesh/set/hold`: have no link with a neighbour for a while. One end suffices: it ends the connection
     and refuses others. `mesh/links` tells it."""
@@ -338,7 +328,7 @@ class HoldLink:
     """At most 600; 0 = the link may come back now. A mesh that starts holds none."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TopologyRequest:
     """Command on `mesh/set/topology`: other links for the whole swarm; the answer is a `TopologySet`."""
 
@@ -352,7 +342,7 @@ class TopologyRequest:
     """Only if this version is in force; None = whatever is."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class TopologySet:
     """Answer to a `TopologyRequest`, on `swarm/<robot>/mesh/topology_set`: it holds on this robot, others follow."""
 
@@ -364,7 +354,7 @@ class TopologySet:
     """Why nothing was changed; empty otherwise."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Topology:
     """The topology in force on a robot, on `swarm/<robot>/mesh/topology`: on change, and as answer to queries."""
 

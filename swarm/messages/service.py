@@ -1,9 +1,9 @@
-"""Messages of every service."""
+"""Messages of every service, and the one for all of them."""
 
-from dataclasses import dataclass
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Status:
     """Life cycle of a service, on `swarm/<robot>/<service>/status`: sent on change, answered to queries."""
 
@@ -18,6 +18,15 @@ class Status:
     """Time of the last change of state."""
     counters: dict[str, int]
     """What was dropped, refused or retried since the start, by name."""
+
+
+@frozen
+class Stop:
+    """On `swarm/stop`: every robot switches its motors off."""
+
+    t: float
+    origin: str
+    reason: str
 
 
 TOPICS: dict[tuple[str, str], type] = {

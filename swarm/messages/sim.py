@@ -1,9 +1,9 @@
 """Messages of the simulated world."""
 
-from dataclasses import dataclass
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Truth:
     """True pose of a simulated robot, on `swarm/<robot>/sim/truth` at 10 Hz."""
 
@@ -14,7 +14,7 @@ class Truth:
     tilt: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Target:
     """Where the simulated target really is, on `swarm/<robot>/sim/target` of every robot at 10 Hz, where it moves."""
 
@@ -23,7 +23,7 @@ class Target:
     y: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LedChange:
     """The LEDs of a simulated robot as its ATmega's registers have them, on `swarm/<robot>/sim/leds` on change."""
 

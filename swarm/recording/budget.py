@@ -9,9 +9,9 @@ import fcntl
 import logging
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
+from swarm.frozen import frozen
 from swarm.locks import is_held
 from swarm.recording.reader import SUFFIX
 
@@ -25,7 +25,7 @@ _BLOCK = 512
 _log = logging.getLogger("record")
 
 
-@dataclass(frozen=True)
+@frozen
 class Kept:
     """One run's folder."""
 

@@ -3,11 +3,12 @@
 import math
 import statistics
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 from swarm.errors import RecordingError
+from swarm.frozen import frozen
 from swarm.recording.reader import Reader
 
 WINDOW = 10
@@ -17,7 +18,7 @@ WARM_UP = 10
 """Iterations left out at the start."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Trajectory:
     """What one robot's app computed."""
 

@@ -4,11 +4,11 @@ import asyncio
 import contextlib
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlencode
 
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 from swarm.view import chromium
 
 ENCODER = "ffmpeg"
@@ -16,7 +16,7 @@ MAX_FRAMES = 200_000
 """Some two hours; more is a slip of the hand."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Film:
     """What is to be shown, and how."""
 

@@ -55,7 +55,6 @@ class MemorySwarm:
         self.trajectory: dict[str, list[bytes]] = {n: [] for n in config.names}
         self.results: dict[str, list[dict[str, Any]]] = {n: [] for n in config.names}
         self.states: dict[str, list[dict[str, Any]]] = {n: [] for n in config.names}
-        self.saved: dict[str, bytes] = {}
         self.messages = 0
         self._config = config
         self._measure = measure
@@ -87,8 +86,8 @@ class MemorySwarm:
         while actions := core.actions():
             for action in actions:
                 match action:
-                    case Save(snapshot):
-                        self.saved[name] = snapshot.encode()
+                    case Save():
+                        pass  # nobody restarts here
                     case Send(data, to):
                         receivers = self._config.neighbours(name) if to is None else (to,)
                         self.messages += len(receivers)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from services.balancer.core import balboa
 from services.balancer.loop import main
-from services.sim.body import simulated_bus
+from services.sim.wiring import simulated_bus
 from swarm.process import run
 
 record = Path(sys.argv[1])

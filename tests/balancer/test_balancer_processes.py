@@ -238,7 +238,11 @@ def test_the_bridge_is_not_for_hands(processes: Processes) -> None:
 
 
 def test_a_real_robot_without_i2c_says_so(processes: Processes) -> None:
-    process = processes.start("-m", "services.balancer")
+    impatient = (
+        "import runpy; from services.balancer import i2c; i2c.PATIENCE_S = i2c.RETRY_S;"
+        "runpy.run_module('services.balancer', run_name='__main__')"
+    )
+    process = processes.start("-c", impatient)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 2
     assert "i2c" in error.lower() or "I2C" in error

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from services.balancer.chores import MARGIN_S, SLACK_S, Chores
 from services.balancer.core import balboa, uwb
 from services.balancer.core.buttons import ButtonCounter
+from services.balancer.core.display import ScreenText
 from services.balancer.core.lqr import PERIOD_S
 from services.balancer.core.mailbox import check_request
 from services.balancer.core.requests import check
-from services.balancer.core.screen import ScreenText
 from services.balancer.core.transfers import Transfer, duration, read
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from services.sim.core.devices import SimulatedRobot

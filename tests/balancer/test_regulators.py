@@ -4,6 +4,7 @@ import math
 
 import pytest
 from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, scaled, upright
+from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,17 +23,19 @@ def test_every_controller_of_the_config_is_there() -> None:
     assert set(CONTROLLERS) == set(REGULATORS)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", PLANTS)
 def test_pololus_constants_stand_on_both_bodies_and_a_fifth_off(name: str) -> None:
-    rig = upright(plant=PLANTS[name], seed=len(name), controller="pololu").run(30)
+    rig = upright(plant=PLANTS[name], seed=len(name), controller="pololu").run(examples(30))
     assert rig.balancer.mode == "balancing"
     assert rig.worst_tilt < math.radians(10)
     assert math.hypot(rig.body.x, rig.body.y) < 0.2
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", [name for name in PLANTS if name.startswith("configured")])
 def test_the_thesis_constants_stand_on_our_body(name: str) -> None:
-    rig = upright(plant=PLANTS[name], seed=len(name), controller="thesis").run(30)
+    rig = upright(plant=PLANTS[name], seed=len(name), controller="thesis").run(examples(30))
     assert rig.balancer.mode == "balancing"
     assert rig.worst_tilt < math.radians(10)
 
@@ -63,6 +66,7 @@ def test_each_board_and_payload_has_gains_that_hold_it(board: str, payload: floa
     assert rig.worst_tilt < math.radians(8)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("name", ["mass", "lever", "inertia", "stall_torque", "free_speed"])
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_pi_4_stands_and_gets_up_with_each_parameter_a_fifth_off(name: str, factor: float) -> None:
@@ -70,7 +74,7 @@ def test_a_pi_4_stands_and_gets_up_with_each_parameter_a_fifth_off(name: str, fa
     rig = Rig(scaled(body, name, factor), believed=body, tilt=math.radians(-110), held=False).run(15)
     assert rig.balancer.mode == "balancing"
     rig.worst_tilt = 0.0
-    assert rig.run(20).worst_tilt < math.radians(8)
+    assert rig.run(examples(20)).worst_tilt < math.radians(8)
 
 
 @pytest.mark.parametrize("trim", [0.19, -0.15])

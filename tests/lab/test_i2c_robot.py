@@ -2,14 +2,16 @@
 
 import errno
 import json
+import math
 import random
 
 import pytest
 
 from lab.i2c.ioctls import Message
-from lab.i2c.robot import ANY, RobotAdapter
+from lab.i2c.robot import ANY, AT_ONCE_S, RobotAdapter
 from services.balancer.core import balboa, imu
 from services.balancer.core.body import body_model
+from services.balancer.core.transfers import BIT_S, HOLD_S
 from services.balancer.i2c import NOBODY
 from services.sim.core.balboa import BalboaBody
 from services.sim.core.devices import NO_ERRORS, SimulatedRobot
@@ -18,6 +20,7 @@ from swarm.config.types import Body
 from swarm.errors import LocalError
 
 WHO = [Message(imu.ADDRESS, bytes((imu.WHO_AM_I,))), Message(imu.ADDRESS, read=1)]
+STOP = [Message(balboa.ADDRESS, bytes((balboa.MOTORS,)) + balboa.encode_motors(0.0, 0.0))]
 VERSION = [Message(balboa.ADDRESS, bytes((balboa.VERSION,))), Message(balboa.ADDRESS, read=1)]
 
 
@@ -47,10 +50,40 @@ def rig() -> Rig:
 
 
 def test_devices_answer_and_take_their_time_on_the_wire(rig: Rig) -> None:
+    one = (2 * 2 + 9 * 4) * BIT_S
+    before = math.ceil(AT_ONCE_S / one) - 1
+    for _ in range(before):
+        rig.works()
+    assert rig.now == 100.0, "it is waited for when there is enough of it"
     rig.works()
-    assert rig.now == pytest.approx(100.0 + (2 * 2 + 9 * 4) * 10e-6)
+    took = (before + 1) * one
+    assert rig.now == pytest.approx(100.0 + took)
     rig.works(VERSION)
-    assert (rig.adapter.transfers, rig.adapter.failed) == (2, 0)
+    assert (rig.adapter.transfers, rig.adapter.failed) == (before + 2, 0)
+    rig.adapter.transfer(STOP)
+    with_motors = (2 * 3 + 9 * (4 + 6)) * BIT_S + (2 + 2 + 6) * HOLD_S
+    assert rig.now == pytest.approx(100.0 + took + with_motors), "or with a command"
+
+
+def test_a_pause_is_time_on_the_wire_too(rig: Rig) -> None:
+    rig.works()
+    rig.now += 1e-3
+    before = rig.now
+    rig.adapter.transfer(STOP)
+    assert rig.now == pytest.approx(before + (2 + 9 * 6) * BIT_S + 6 * HOLD_S)
+
+
+def test_what_the_answer_took_counts(rig: Rig) -> None:
+    write = rig.robot.write
+
+    def slow(address: int, data: bytes, now: float) -> None:
+        rig.now += 1.0
+        write(address, data, now)
+
+    rig.robot.write = slow  # type: ignore[method-assign]
+    for _ in range(100):
+        rig.works()
+    assert rig.now == 200.0
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
-from services.sim.body import RETRY_S, ModuleWire
 from services.sim.core.module_line import TTY, ModuleLine
+from services.sim.wiring import RETRY_S, ModuleWire
 
 ANSWER = encode_location(Location(Position(1.0, 2.0, 0.0, 80), (AnchorRange("C933", 1.5, 90, Position(0, 0, 0, 100)),)))
 
@@ -49,7 +49,7 @@ def polled(wire: ModuleWire, line: ModuleLine, now: float) -> float:
 
 
 def sequence(line: ModuleLine, now: float) -> int:
-    return int.from_bytes(line.report(now)[:2], "little")
+    return int.from_bytes(line.reporting(now)()[:2], "little")
 
 
 def test_requests_go_out_and_answers_come_in(path: Path) -> None:

@@ -42,13 +42,19 @@ def run(command: str, seconds: float) -> tuple[int, str]:
         process = subprocess.Popen(
             ["/bin/sh", "-c", command], stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
         )
-        try:
-            code = process.wait(seconds)
-        except subprocess.TimeoutExpired:
+        late = threading.Event()
+
+        def end() -> None:
+            late.set()
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            code = 124
+
+        # Popen.wait with a time-out would look twenty times a second.
+        timer = threading.Timer(seconds, end)
+        timer.start()
+        code = process.wait()
+        timer.cancel()
+        code = 124 if late.is_set() else code
         said.seek(0)
         return code, said.read().decode(errors="replace")[-OUTPUT_LIMIT:]
 

@@ -9,7 +9,6 @@ and the driver holds a lock of its own around the rest.
 import struct
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from services.apps.core.terms import Program, Terms
@@ -22,6 +21,7 @@ from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
 from swarm.core.lockstep_frames import Snapshot
 from swarm.core.stopping import Stopping
+from swarm.frozen import frozen
 from swarm.messages import Measurement
 
 ALONE = 0.03
@@ -30,7 +30,7 @@ ALONE = 0.03
 _STAMP = struct.Struct("<dd")  # before the private fields in a snapshot: when its state was computed, and the first one
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Renew:
     """Let the app go over to the newest epoch (`Strand.renew`), when no step runs."""
 

@@ -1,12 +1,12 @@
 """What a `Strand` is given: the author's app between packed states, and what holds for the whole run."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 from swarm.conduct import AFTER
 from swarm.core.graph import Graph
 from swarm.core.stopping import Rule
+from swarm.frozen import frozen
 from swarm.messages import Measurement
 
 
@@ -37,7 +37,7 @@ class Program(Protocol):
         """Whether the last step has changed the state so little that the app might stop."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Terms:
     """What holds for a whole run, the same on all robots."""
 

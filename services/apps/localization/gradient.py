@@ -5,13 +5,14 @@ square: the cost that 4.3 is the gradient of is (phi^2 - |x - p|^2)^2.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from swarm.frozen import frozen
 
 Vector2 = tuple[float, float]
 """Two numbers."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Node:
     """What a robot shares: 48 bytes."""
 

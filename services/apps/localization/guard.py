@@ -6,12 +6,12 @@ through the weights. It is found by running the iteration itself, with exact ran
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from services.apps.localization.gradient import Node, Vector2, iterate
 from swarm.config.types import Anchor
 from swarm.core.graph import Graph
 from swarm.errors import AppError
+from swarm.frozen import frozen
 
 MARGIN = 0.9
 """Share of the limit that is taken as safe with measurement noise, which moves the limit."""
@@ -34,7 +34,7 @@ _PLACES = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5))
 _TARGET = (0.5, 1.0)
 
 
-@dataclass(frozen=True)
+@frozen
 class Scene:
     """What the limit depends on, m: all by the index of the robot."""
 

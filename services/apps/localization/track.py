@@ -16,12 +16,13 @@ swarm stays. Plain Python.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import fsum
 from operator import mul
 
 from services.apps.localization import ranges
 from services.apps.localization.ranges import Estimate
+from swarm.frozen import frozen
 
 SIZE = 7
 TRIANGLE = tuple((i, j) for i in range(SIZE) for j in range(i, SIZE))
@@ -39,7 +40,7 @@ _STEPS = 4  # from the last velocity, one or two are enough
 _SMALLEST_STEP = 1e-7  # m
 
 
-@dataclass(frozen=True)
+@frozen
 class Motion:
     """Where the target is and where it goes."""
 

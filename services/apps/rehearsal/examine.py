@@ -31,6 +31,7 @@ from swarm.config import Config
 from swarm.core.asynchronous import Call
 from swarm.errors import AppError, LocalError
 from swarm.event_app import PeriodicApp, channels_of
+from swarm.frozen import frozen
 from swarm.settings import Setting
 
 T = TypeVar("T")
@@ -67,7 +68,7 @@ class Hang(BaseException):
         self.line, self.why = line, why
 
 
-@dataclass(frozen=True)
+@frozen
 class Task:
     """What is to be examined."""
 

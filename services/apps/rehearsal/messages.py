@@ -1,15 +1,15 @@
 """Messages beyond the neighbours in a rehearsal: nothing is lost, everybody is reached."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
+from swarm.frozen import frozen
 from swarm.messages import Flooded, Sent
 from swarm.overlays import Message
 
 Deliver = Callable[[str, Message], None]
 
 
-@dataclass(frozen=True)
+@frozen
 class Request:
     """A flood or a message under way, as an app sees it; its answer comes by `robot.answer`, or `on_answer`."""
 

@@ -150,7 +150,7 @@ def encode_motors(left: float, right: float) -> bytes:
     """Duties, clamped to -1..1, as the bytes at MOTORS. Raises `LocalError` for a number that is not finite."""
     if not (math.isfinite(left) and math.isfinite(right)):
         raise LocalError(f"motor command ({left}, {right}) is not finite")
-    return _PAIR.pack(*(round(min(1.0, max(-1.0, duty)) * MOTOR_TOP) for duty in (left, right)))
+    return _PAIR.pack(_of_top(left), _of_top(right))
 
 
 def decode_motors(data: bytes) -> tuple[float, float]:
@@ -160,6 +160,10 @@ def decode_motors(data: bytes) -> tuple[float, float]:
         min(MOTOR_TOP, max(-MOTOR_TOP, left)) / MOTOR_TOP,
         min(MOTOR_TOP, max(-MOTOR_TOP, right)) / MOTOR_TOP,
     )
+
+
+def _of_top(duty: float) -> int:
+    return round(min(1.0, max(-1.0, duty)) * MOTOR_TOP)
 
 
 def encode_leds(red: bool, yellow: bool, green: bool) -> bytes:

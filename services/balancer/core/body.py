@@ -4,9 +4,8 @@ Sources: the public MATLAB model labelled Balboa (masses, inertias, lever), Polo
 from the 75:1 motor, so estimates), the estimated mass of Pi, DWM1001-DEV and display (docs/balancer.md).
 """
 
-from dataclasses import dataclass
-
 from swarm.config.types import Body
+from swarm.frozen import frozen
 
 GRAVITY = 9.81
 
@@ -20,7 +19,7 @@ configured 71 mm above the axle it lifts the centre of mass by 6.5 mm with a Zer
 5..8 mm."""
 
 
-@dataclass(frozen=True)
+@frozen
 class BodyModel:
     """A planar two-wheeled pendulum. Torques are those of both wheels together."""
 

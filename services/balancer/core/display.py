@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from services.balancer.core.font import LETTERS, UNKNOWN, WIDTH
 from services.balancer.core.transfers import LONGEST, Transfer
+from swarm.frozen import frozen
 
 ADDRESS = 0x3C
 COLUMNS, PAGES = 128, 8
@@ -43,6 +44,14 @@ _ON = bytes((_COMMANDS, 0xAF))
 SLICE = 26
 _SLICES = tuple((page, column) for page in range(PAGES) for column in range(0, COLUMNS, SLICE))
 assert max(len(SETUP), 1 + SLICE) <= LONGEST
+
+
+@frozen
+class ScreenText:
+    """What the bridge hands the loop: lines for `Screen.show`."""
+
+    lines: tuple[str, ...]
+
 
 _SPREAD = tuple(sum(0b11 << (2 * bit) for bit in range(4) if nibble >> bit & 1) for nibble in range(16))
 """Four points as eight."""

@@ -1,21 +1,13 @@
 """What the display says: name, state, battery, and what an app or a person wants shown."""
 
 import math
-from dataclasses import dataclass
 
-from services.balancer.core.display import LETTERS_PER_LINE
+from services.balancer.core.display import LETTERS_PER_LINE, ScreenText
 from swarm.messages import AppState, BalancerState
 
 TEXT_LINES = 4
 PERIOD_S = 0.5
 """Least time between two changes."""
-
-
-@dataclass(frozen=True, slots=True)
-class ScreenText:
-    """What the bridge hands the loop: lines for `display.Screen.show`."""
-
-    lines: tuple[str, ...]
 
 
 def wrap(text: str, lines: int) -> list[str]:

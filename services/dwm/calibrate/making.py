@@ -1,7 +1,7 @@
 """From samples to a calibration file, to tables for people, and to a verdict on one that is in use."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import sqrt
 from pathlib import Path
 
@@ -12,12 +12,13 @@ from services.dwm.core.filters import mean
 from services.dwm.core.samples import Group, Point, Sample, Spot
 from swarm.config.types import Anchor
 from swarm.errors import LocalError, RecordingError
+from swarm.frozen import frozen
 
 SLACK = 0.01
 """m: a check may err half as much again as the fit did at places left out, and by this more: it has fewer samples."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Data:
     """Samples, and what can be compared with the truth."""
 

@@ -7,13 +7,14 @@ is timed later (Decawave APS011). Below the shortest range of the fit the curve 
 A place: matrix m + offset (eq. 2.10).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import log as ln
 
 from swarm.config.types import Affine, Linear
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class RangeModel:
     """From a reported range to the distance; lengths in m."""
 
@@ -44,7 +45,7 @@ class RangeModel:
         return max(0.0, value)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Calibration:
     """Both models of one robot."""
 

@@ -8,7 +8,7 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -16,6 +16,7 @@ from services.dwm.core.calibration import Calibration, RangeModel
 from swarm.config.reader import Table, finite, vector
 from swarm.config.types import Affine, Anchor
 from swarm.errors import ConfigError
+from swarm.frozen import frozen
 
 _SHOWN = 16
 """Hex digits of a layout's hash: 64 bits are enough to tell two layouts apart."""
@@ -26,7 +27,7 @@ _HEADER = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Evidence:
     """What a model was made from and what is known of its worth."""
 
@@ -43,7 +44,7 @@ class Evidence:
     residuals: tuple[tuple[float, ...], ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class CalibrationFile:
     """One robot's calibration; a part that was not done is None."""
 

@@ -5,7 +5,6 @@ of Decawave's host API sources. What the module keeps in flash (mode, anchor or 
 """
 
 import struct
-from dataclasses import dataclass
 
 from services.dwm.core.tlv import (
     LOC_GET,
@@ -18,6 +17,7 @@ from services.dwm.core.tlv import (
     encode_position,
 )
 from swarm.errors import FrameError, LocalError
+from swarm.frozen import frozen
 
 POS_SET, TAG_SET, ANCHOR_SET, RATE_SET = 0x01, 0x05, 0x07, 0x03
 """Types of the requests that carry a value."""
@@ -39,7 +39,7 @@ _INITIATOR, _BRIDGE = 1 << 7, 1 << 6  # first byte of cfg_anchor_set
 _IS_ANCHOR, _IS_INITIATOR, _IS_BRIDGE, _STATIONARY = 1 << 5, 1 << 4, 1 << 3, 1 << 2  # second byte of cfg_get
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class UpdateRate:
     """How often a tag measures."""
 
@@ -50,7 +50,7 @@ class UpdateRate:
     with 100, 10 s."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Settings:
     """What `cfg_get` tells, and `cfg_tag_set` or `cfg_anchor_set` change. Of each pair one is a tag's, one an anchor's
     alone: the module ignores the other's."""
@@ -75,7 +75,7 @@ class Settings:
     """0 = two-way ranging, the only mode there is."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Version:
     """What `ver_get` tells."""
 
@@ -90,7 +90,7 @@ class Version:
         return ".".join(map(str, self.firmware[:3]))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ModuleStatus:
     """What `status_get` tells."""
 

@@ -5,7 +5,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import dist, fsum, sqrt
 from statistics import median
 
@@ -15,6 +14,7 @@ from services.dwm.core.multilateration import Fix, degenerate, multilaterate
 from services.dwm.core.ranges import MAX_DISTANCE
 from services.dwm.core.tlv import AnchorRange, Location
 from swarm.config.types import Anchor
+from swarm.frozen import frozen
 
 FIRMWARE = (1, 3)
 """PANS R2, whose calls are spoken here."""
@@ -59,7 +59,7 @@ _ADVICE = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Finding:
     """One thing that is wrong."""
 

@@ -15,9 +15,10 @@ Pure Python with the zeros of the Jacobians left out: a robot has no numpy.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import cos, pi, sin, sqrt
 from typing import NamedTuple
+
+from swarm.frozen import frozen
 
 X, Y, HEADING, GYRO, SCALE, BIAS = range(6)
 """Places in the state; the bias of anchor i is at BIAS + i."""
@@ -31,7 +32,7 @@ PATIENCE = 12
 Point = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Noise:
     """What is assumed of motion and ranges; standard deviations."""
 

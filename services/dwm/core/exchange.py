@@ -1,11 +1,11 @@
 """One request and what becomes of it: an answer, or a named trouble with what to do about it."""
 
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from services.dwm.core import shell
 from services.dwm.core.tlv import Call, Decoder, LayoutError, Refusal
 from swarm.errors import FrameError
+from swarm.frozen import frozen
 
 T_co = TypeVar("T_co", covariant=True)
 
@@ -24,7 +24,7 @@ _HEARD = 512
 _READABLE = frozenset(b"\t\r\n" + bytes(range(0x20, 0x7F)))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Answer(Generic[T_co]):
     """The module did what it was asked."""
 
@@ -32,7 +32,7 @@ class Answer(Generic[T_co]):
     raw: bytes
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Trouble:
     """It did not."""
 

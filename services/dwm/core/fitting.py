@@ -9,7 +9,7 @@ itself is worth is judged by the same choice made anew without each place.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import cos, fsum, hypot, inf, sin, sqrt
 from math import log as ln
 from statistics import stdev
@@ -20,6 +20,7 @@ from services.dwm.core.linear import SingularError, least_squares
 from services.dwm.core.samples import Group, Spot
 from swarm.config.types import Affine
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 MARGIN = 0.98
 """A model of places with fewer unknowns than the thesis' wins when its error is at most this part of that one's."""
@@ -41,7 +42,7 @@ Folds = Callable[[Sequence[Group]], list[set[int]]]
 PlaceFit = Callable[[Sequence[Spot]], Affine]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fit:
     """A model of ranges and what is known of its worth; errors are rms in m."""
 
@@ -55,7 +56,7 @@ class Fit:
     """(true distance, error of the calibrated mean) of each group."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PlaceFitted:
     """A model of places and what is known of its worth; errors are rms of the distance in m."""
 

@@ -5,12 +5,12 @@ samples. Pure: the shell says what was pressed and what was measured, and shows 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from math import degrees, pi, sqrt
 
 from services.dwm.core.filters import Place, inliers, mean
 from services.dwm.core.samples import Sample
+from swarm.frozen import frozen
 
 QUARTERS = (0.0, pi / 2, pi, 3 * pi / 2)
 """rad, counter-clockwise from x."""
@@ -35,7 +35,7 @@ class Press(Enum):
     """End with what there is."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Stop:
     """A place and an orientation to measure at."""
 

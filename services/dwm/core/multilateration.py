@@ -8,9 +8,11 @@ the others then agree so much better that its being too long is the smaller wond
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import fsum, hypot, sqrt
 from statistics import median
+
+from swarm.frozen import frozen
 
 TUNING = 1.345
 """Huber's constant: residuals beyond so many standard deviations count linearly; 95 % efficient without outliers."""
@@ -31,7 +33,7 @@ _DAMPING = 1e-3
 Point = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Fix:
     """A place and how well it is known."""
 
@@ -46,7 +48,7 @@ class Fix:
     """0 to 1: how much each range was believed."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class NoFix:
     """Why the ranges give no place."""
 

@@ -4,12 +4,12 @@ Pure: the shell sends `to_send()`, feeds `receive()` and calls `handle_timer()` 
 """
 
 from collections import Counter, deque
-from dataclasses import dataclass
 
 from services.dwm.core import calls, shell
 from services.dwm.core.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT, Answer, Exchange, Trouble
 from services.dwm.core.tlv import LOC_GET, Call, Location
 from swarm.errors import FrameError
+from swarm.frozen import frozen
 
 MAX_RATE = 10.0
 """Hz: the module measures at most that often, asking faster repeats the same data."""
@@ -27,7 +27,7 @@ _LEAVE = Call("leave the shell", shell.LEAVE, (), lambda _: None)
 """To a module that gives no answers: one in shell mode leaves it, any other says that it is no call."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Report:
     """The module's answer."""
 
@@ -36,7 +36,7 @@ class Report:
     """s since it was given; above zero where somebody else has asked for it."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Health:
     """The module began to work, or ceased to; told on change only."""
 
@@ -45,7 +45,7 @@ class Health:
     """What is wrong; empty where it works."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Answered:
     """What became of a request of others."""
 

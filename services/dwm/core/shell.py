@@ -15,10 +15,10 @@ is no binary traffic in this mode: what a robot's service sends is taken for typ
 import math
 import re
 from collections import deque
-from dataclasses import dataclass
 
 from services.dwm.core.tlv import AnchorRange, Location, Position
 from swarm.errors import FrameError
+from swarm.frozen import frozen
 
 ENTER = b"\r\r"
 LEAVE = b"quit\r"
@@ -45,7 +45,7 @@ _LOG = re.compile(r"\[(\d{6}\.\d{3}) (INF|WRN|ERR)\] ?(\w+): (.*)")
 _ENTRY = re.compile(r"(\w+)=(\S+)")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Info:
     """One line of `si`: `[000541.880 INF] uwb0: panid=xFD5C addr=xDECA9AABC0A2591A`."""
 

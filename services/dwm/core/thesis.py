@@ -7,7 +7,6 @@ the table and figure 2.14 from 20 (without (200,100) and (50,0)), and the table'
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import hypot, sqrt
 
 from services.dwm.core.calibration import position
@@ -23,6 +22,7 @@ from services.dwm.core.filters import (
 from services.dwm.core.linear import least_squares
 from services.dwm.core.samples import THESIS_PLACES, Sample
 from swarm.config.types import Affine
+from swarm.frozen import frozen
 
 WINDOW = 5
 
@@ -35,7 +35,7 @@ TRUE_CM = (
 _NOT_IN_TABLE = (THESIS_PLACES.index((200, 100)), THESIS_PLACES.index((50, 0)))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class DistanceFigures:
     """Lengths in cm."""
 
@@ -53,7 +53,7 @@ class DistanceFigures:
     processed_80: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class PositionFigures:
     """Lengths in cm."""
 

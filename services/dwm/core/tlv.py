@@ -15,10 +15,11 @@ thing that looks like an answer.
 
 import struct
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Generic, TypeVar
 
 from swarm.errors import FrameError, LocalError
+from swarm.frozen import frozen
 
 T_co = TypeVar("T_co", covariant=True)
 
@@ -54,7 +55,7 @@ class LayoutError(FrameError):
     """An answer is made of other parts than the call's: noise, or another firmware."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Position:
     """A place as the module knows it."""
 
@@ -66,7 +67,7 @@ class Position:
     """0-100; 0 = no fix, and the coordinates are old ones or zero."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class AnchorRange:
     """The distance to one module."""
 
@@ -80,7 +81,7 @@ class AnchorRange:
     """Where that module was set up to be; an anchor's answer does not say it (quality 0)."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Location:
     """The answer to `dwm_loc_get`: own position and the ranges it was computed from.
 
@@ -91,7 +92,7 @@ class Location:
     ranges: tuple[AnchorRange, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Refusal:
     """The module answered with an error instead of data."""
 
@@ -103,14 +104,14 @@ class Refusal:
         return ERRORS[self.code]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Part:
     """One data part of an answer: the types it may be of, and the lengths each may have."""
 
     kinds: Mapping[int, Collection[int]]
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Call(Generic[T_co]):
     """A call of the module's API: what to send, and how its answer is laid out and read."""
 

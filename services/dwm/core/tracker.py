@@ -14,6 +14,7 @@ from math import cos, exp, fsum, hypot, log, pi, sin
 from services.dwm.core.ekf import GATE, HEADING, Ekf, Innovation, Noise, Point, X, Y
 from services.dwm.core.motion import Motion, Node
 from services.dwm.core.multilateration import NoFix, multilaterate
+from swarm.frozen import frozen
 
 LATENCY = 0.060
 """s from a measurement until its report is read: half a period, computing in the module, transfer."""
@@ -45,7 +46,7 @@ _LOOSE = 0.005
 """m / sqrt(s): assumed sway of a robot whose heading, and so the direction of its motion, is not known."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Estimate:
     """Where the robot is, and how well that is known."""
 

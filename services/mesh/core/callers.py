@@ -8,7 +8,8 @@ was set up wrongly dials with a back-off of its own, and who forges its address 
 
 from collections import OrderedDict
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from swarm.frozen import frozen
 
 MAX_HALF_OPEN = 16
 """Handshakes of strangers, and of callers without a known address, at the same time."""
@@ -26,7 +27,7 @@ _MAX_REMEMBERED = 256
 """Addresses whose refusals are remembered; the longest unheard of goes first."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Caller:
     """What the transport knows of who calls, before a byte was exchanged."""
 

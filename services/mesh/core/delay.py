@@ -6,10 +6,11 @@ that is lost is sent again by the baseband (Bluetooth Core, vol 2 part B, 7.6: A
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Protocol
 
 from swarm.errors import ConfigError
+from swarm.frozen import frozen
 
 FLOOR = 0.012
 """Shortest one-way time with jitter, s: what the thesis' Bluetooth links never went below."""
@@ -31,7 +32,7 @@ class Numbers(Protocol):
         """A number from 0 up to 1."""
 
 
-@dataclass(frozen=True)
+@frozen
 class AirModel:
     """What all links of a simulation are like."""
 

@@ -1,10 +1,11 @@
 """What a connection tells its owner."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
+from swarm.frozen import frozen
 
-@dataclass(frozen=True, slots=True)
+
+@frozen
 class LinkUp:
     """The handshake is over on both sides; messages pass."""
 
@@ -13,17 +14,17 @@ class LinkUp:
     """Differs from the last one where the peer's process was started anew."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LinkSuspect:
     """Nothing was heard for a while."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LinkRecovered:
     """A suspect link was heard again."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LinkDown:
     """A link that was up has ended."""
 
@@ -32,7 +33,7 @@ class LinkDown:
     """Why we ended it (codes of BYE); None where the other end or the transport did."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class HandshakeFailed:
     """A connection ended before it was up."""
 

@@ -10,10 +10,10 @@ that was wrong once cannot be resynchronised, so the connection ends.
 import hmac
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from swarm.errors import FrameError, LocalError
+from swarm.frozen import frozen
 from swarm.keys import MAX_KEY_LENGTH, is_name
 
 VERSION = 1
@@ -126,7 +126,7 @@ class Frame(NamedTuple):
     body: bytes
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Hello:
     """The first frame of each direction."""
 

@@ -1,11 +1,12 @@
 """Who may be at the other end of a connection: what a HELLO must say to be accepted."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from services.mesh.core import frames
 from services.mesh.core.auth import newest_common
 from services.mesh.core.frames import Hello
+from swarm.frozen import frozen
 
 REFUSED = {
     frames.BAD_FRAME: "bad_frames",
@@ -24,7 +25,7 @@ REFUSED = {
 """Which counter counts what we end a connection for."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Local:
     """What a session must know of this robot."""
 

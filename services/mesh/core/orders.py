@@ -1,31 +1,30 @@
 """What a node asks of its shell; what is for the own bus comes as `events.Received`."""
 
-from dataclasses import dataclass
-
 from services.mesh.core.events import Received
 from services.mesh.core.session import Session
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Dial:
     """Make a connection to this neighbour, then call `dialled` or `dial_failed`."""
 
     peer: str
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Close:
     """Send what the session still has, as far as that needs no waiting, then close its transport."""
 
     session: Session
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class LinksChanged:
     """`links()` has something new to publish."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Note:
     """A line for the log."""
 
@@ -34,7 +33,7 @@ class Note:
     """Whether it is worth a warning."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Write:
     """Another topology holds (`Linking.to_file`): keep it through restarts."""
 

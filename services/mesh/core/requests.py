@@ -7,7 +7,6 @@ the word that there is no such request here.
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from services.mesh.core import flood, packets
 from services.mesh.core.flights import Hop
@@ -16,6 +15,7 @@ from services.mesh.core.frames import BULK, CONTROL, PRIORITIES
 from services.mesh.core.linking import Linking
 from services.mesh.core.unicast import Unicast
 from swarm.codec import encode
+from swarm.frozen import frozen
 from swarm.keys import is_name
 from swarm.keys import key as key_of
 from swarm.messages import (
@@ -34,7 +34,7 @@ MAX_TICKETS = 1024
 """Requests whose answers are remembered, so that a repeated request is answered again, not done again."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class _Ticket:
     """Whose answer is awaited."""
 

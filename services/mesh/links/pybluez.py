@@ -7,10 +7,10 @@ carry a text in place of a number.
 
 import importlib
 import os
-from dataclasses import dataclass
 from typing import Any
 
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 SERVICE = "8d0f1f8e-6c1b-4a86-9a57-0b5d9f0e7a31"
 """UUID of the mesh's service record, drawn once for this project."""
@@ -21,7 +21,7 @@ INQUIRY_UNIT = 1.28
 """s; the length of an inquiry is counted in these (Core specification, vol 4 E, 7.1.1)."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Found:
     """A Bluetooth device in range."""
 

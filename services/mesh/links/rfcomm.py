@@ -9,13 +9,13 @@ import errno
 import socket
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from services.mesh.core.callers import Caller
 from services.mesh.links import stream
 from services.mesh.links.pipe import Pipe, describe
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 
 DIAL_TIMEOUT = 10.0
 """s. The kernel gives up an absent robot after 5.2 s with EHOSTDOWN, which says more than a time-out; encryption with
@@ -45,7 +45,7 @@ HINTS = {
 """What an error of an RFCOMM socket means for us, as measured on Linux 6.12 (docs/frames.md, sockets)."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Radio:
     """This robot's side of all its RFCOMM links."""
 

@@ -20,6 +20,12 @@ _WINDOW_END = balboa.MAILBOX_WINDOW + balboa.WINDOW_SIZE
 _CHANGES_KEPT = 64
 _FREE_STACK = 1100
 """Bytes; what the firmware shows in the simulator."""
+_STOPPED = bytes(4)
+"""Of MOTORS: both duties 0."""
+
+_MOTION = struct.Struct("<2HB")
+_BATTERY = struct.Struct("<H")
+_PROGRESS = struct.Struct("<BBBBBBH")
 
 
 class AtmegaDevice:
@@ -54,7 +60,7 @@ class AtmegaDevice:
         self._page = 0
         self.line = ModuleLine(self._now)
         self._see_leds(self._now)
-        self._front, self._report = bytes(self._buffer), self.line.report(self._now)
+        self._front, self._report = bytes(self._buffer), self.line.reporting(self._now)
 
     @property
     def leds(self) -> tuple[bool, bool, bool]:
@@ -73,10 +79,10 @@ class AtmegaDevice:
 
     def advance(self, now: float) -> None:
         """Move the body on; the motors stop on the way when their time is over."""
-        if now > self._motors_until and self.motors != (0.0, 0.0):
+        if now > self._motors_until and self._buffer[balboa.MOTORS : balboa.ENCODERS] != _STOPPED:
             self._body.advance(self._motors_until)
             self._body.drive(0.0, 0.0)
-            self._buffer[balboa.MOTORS : balboa.MOTORS + 4] = bytes(4)
+            self._buffer[balboa.MOTORS : balboa.ENCODERS] = _STOPPED
             self._buffer[balboa.STATUS] |= balboa.STOPPED_BY_WATCHDOG
         self._body.advance(now)
         self._now = now
@@ -101,21 +107,24 @@ class AtmegaDevice:
         start, self._index = self._index, min(0xFF, self._index + count)
         if start + count <= balboa.SIZE:
             return self._front[start : start + count]
-        return bytes(self._at(at) for at in range(start, start + count))
+        report = self._report()
+        return bytes(self._at(at, report) for at in range(start, start + count))
 
     def _counts(self) -> tuple[int, int]:
         per_radian = self._body.model.counts_per_turn / math.tau
-        left, right = (math.floor(angle * per_radian) for angle in self._body.wheel_angles())
-        return left, right
+        left, right = self._body.wheel_angles()
+        return math.floor(left * per_radian), math.floor(right * per_radian)
 
     def _freeze(self, now: float) -> None:
-        left, right = (count - start for count, start in zip(self._counts(), self._origin, strict=True))
-        struct.pack_into("<2HB", self._buffer, balboa.ENCODERS, left & 0xFFFF, right & 0xFFFF, self._buttons)
-        struct.pack_into("<H", self._buffer, balboa.BATTERY, round(self.battery * 1e3))
-        line = self.line
-        struct.pack_into(
-            "<BBBBBBH",
-            self._buffer,
+        left, right = self._counts()
+        first = self._origin
+        buffer, line = self._buffer, self.line
+        _MOTION.pack_into(
+            buffer, balboa.ENCODERS, (left - first[0]) & 0xFFFF, (right - first[1]) & 0xFFFF, self._buttons
+        )
+        _BATTERY.pack_into(buffer, balboa.BATTERY, round(self.battery * 1e3))
+        _PROGRESS.pack_into(
+            buffer,
             balboa.UWB_STATE,
             line.state,
             line.error,
@@ -125,21 +134,23 @@ class AtmegaDevice:
             line.echo,
             line.answer_length,
         )
-        self._front = bytes(self._buffer)
-        self._report = line.report(now)
+        self._front = bytes(buffer)
+        self._report = line.reporting(now)
 
     def _notes_left(self, now: float) -> int:
         end, left = self._notes_until, 0
+        if now >= end:
+            return 0
         for _, duration in reversed(self.tune[1]):
             left += now < end and duration > 0
             end -= duration * 0.01
         return left
 
-    def _at(self, at: int) -> int:
+    def _at(self, at: int, report: bytes) -> int:
         if at < balboa.SIZE:
             return self._front[at]
         if at < balboa.UWB + balboa.UWB_SIZE:
-            return self._report[at - balboa.UWB]
+            return report[at - balboa.UWB]
         if at == balboa.MAILBOX_PAGE:
             return self._page
         if balboa.MAILBOX_WINDOW <= at < _WINDOW_END:
@@ -175,8 +186,9 @@ class AtmegaDevice:
             self._buffer[first : first + len(values)] = values
             self._see_leds(now)
             if first + len(values) > balboa.MOTORS:
-                self._buffer[balboa.MOTORS : balboa.ENCODERS] = balboa.encode_motors(*self.motors)
-                self._body.drive(*self.motors)
+                duties = self.motors
+                self._buffer[balboa.MOTORS : balboa.ENCODERS] = balboa.encode_motors(*duties)
+                self._body.drive(*duties)
                 self._motors_until = now + balboa.MOTOR_TIMEOUT_S
                 self._buffer[balboa.STATUS] &= ~balboa.STOPPED_BY_WATCHDOG
             return True

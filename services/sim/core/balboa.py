@@ -148,16 +148,19 @@ class BalboaBody:
         friction = model.friction
         sin, cos = math.sin, math.cos
         a_x = a_th = 0.0
+        m11_m22, m22_r = m11 * m22, m22 / r
+        ahead, left = cos(heading), sin(heading)
         for _ in range(steps):
-            s, c = sin(tilt), cos(tilt)
-            m12 = ml * c - rotor
-            determinant = m11 * m22 - m12 * m12
-            torque = drive - damping * (speed / r - rate)
+            s = sin(tilt)
+            m12 = ml * cos(tilt) - rotor
+            determinant = m11_m22 - m12 * m12
+            wheel_rate = speed / r - rate
+            torque = drive - damping * wheel_rate
             f1, f2 = torque / r + ml * s * rate * rate, weight * s - torque
             a_x, a_th = (f1 * m22 - f2 * m12) / determinant, (f2 * m11 - f1 * m12) / determinant
             # Dry friction takes what would stop the wheel against the body within this step, or all it has.
-            x_torque, th_torque = (m22 / r + m12) / determinant, -(m11 + m12 / r) / determinant
-            stopping = (speed / r - rate + dt * (a_x / r - a_th)) / (dt * (x_torque / r - th_torque))
+            x_torque, th_torque = (m22_r + m12) / determinant, -(m11 + m12 / r) / determinant
+            stopping = (wheel_rate + dt * (a_x / r - a_th)) / (dt * (x_torque / r - th_torque))
             loss = friction if stopping > friction else -friction if stopping < -friction else stopping
             a_x -= loss * x_torque
             a_th -= loss * th_torque
@@ -183,11 +186,14 @@ class BalboaBody:
                 turn_rate += turn_friction
             else:
                 turn_rate = 0.0
-            travel += dt * speed
-            turn += dt * turn_rate
-            heading += dt * turn_rate
-            x += dt * speed * cos(heading)
-            y += dt * speed * sin(heading)
+            way = dt * speed
+            travel += way
+            if turn_rate:
+                turn += dt * turn_rate
+                heading += dt * turn_rate
+                ahead, left = cos(heading), sin(heading)
+            x += way * ahead
+            y += way * left
         self.tilt, self.tilt_rate, self.speed = tilt, rate, speed
         self.acceleration, self.tilt_acceleration = a_x, a_th
         self.x, self.y, self.heading, self.turn_rate = x, y, heading, turn_rate

@@ -22,6 +22,9 @@ NOBODY = 0x7F
 """An address that no device has."""
 
 _WORD_LIMIT = 0x7FFF
+_IF_INC = 0x04
+"""Of CTRL3_C: each byte of a transfer is of the next register."""
+_SAMPLE = struct.Struct("<6h")
 
 
 class Device(Protocol):
@@ -92,7 +95,7 @@ class ImuDevice:
         """As after power came on: the sensors are off."""
         self._registers[:] = bytes(len(self._registers))
         self._registers[imu.WHO_AM_I] = imu.IDENTITY
-        self._registers[imu.CTRL3_C] = 0x04
+        self._registers[imu.CTRL3_C] = _IF_INC
 
     def write(self, data: bytes, now: float) -> None:
         """Take an index and data for the registers from there on; read-only ones keep their value."""
@@ -108,6 +111,10 @@ class ImuDevice:
         del now
         if self._index < imu.OUTX_L_G + imu.BLOCK and self._index + count > imu.OUTX_L_G:
             self._sample()
+        first, end = self._index, self._index + count
+        if end <= len(self._registers) and self._registers[imu.CTRL3_C] & _IF_INC:
+            self._index = end & 0x7F
+            return bytes(self._registers[first:end])
         result = bytearray()
         for _ in range(count):
             result.append(self._registers[self._index])
@@ -115,7 +122,7 @@ class ImuDevice:
         return bytes(result)
 
     def _step(self) -> None:
-        if self._registers[imu.CTRL3_C] & 0x04:
+        if self._registers[imu.CTRL3_C] & _IF_INC:
             self._index = (self._index + 1) & 0x7F
 
     def _sample(self) -> None:
@@ -143,7 +150,7 @@ class ImuDevice:
                 _word(gauss(0.0, errors.acceleration_noise) / scale),
                 _word((back + errors.back_offset + gauss(0.0, errors.acceleration_noise)) / scale),
             )
-        struct.pack_into("<6h", self._registers, imu.OUTX_L_G, *gyro, *acceleration)
+        _SAMPLE.pack_into(self._registers, imu.OUTX_L_G, *gyro, *acceleration)
 
 
 _GYRO_SCALES = tuple(math.radians(dps) for dps in (0.00875, 0.0175, 0.035, 0.070))
@@ -153,7 +160,8 @@ _ACCELERATION_SCALES = tuple(mg * 1e-3 * imu.STANDARD_GRAVITY for mg in (0.061, 
 
 
 def _word(value: float) -> int:
-    return max(-_WORD_LIMIT, min(_WORD_LIMIT, round(value)))
+    word = round(value)
+    return word if -_WORD_LIMIT <= word <= _WORD_LIMIT else _WORD_LIMIT if word > 0 else -_WORD_LIMIT
 
 
 class SimulatedRobot:

@@ -4,6 +4,7 @@ Pure: whoever has the line sends `to_send()`, feeds `receive()` and calls `handl
 """
 
 import struct
+from collections.abc import Callable
 
 from services.balancer.core import balboa
 from services.balancer.core.mailbox import State as Mail
@@ -25,6 +26,7 @@ PAGES = 10
 MAILBOX_SIZE = PAGES * balboa.WINDOW_SIZE
 """Bytes."""
 
+_REPORT_HEAD = struct.Struct("<HH")
 _HEAD, _PLACE, _RECORD = 21, slice(5, 18), 20
 """Where the answer to loc_get has its ranges and its place, and the bytes of a range."""
 
@@ -57,10 +59,15 @@ class ModuleLine:
         """Send the first `length` bytes of the mailbox as soon as the line is free."""
         self.mail, self.echo, self.answer_length, self._request_length = Mail.BUSY, token, 0, length
 
-    def report(self, now: float) -> bytes:
-        """The UWB block as it is now."""
-        age = min(0xFFFF, int((now - self._came) * 1e3)) if self._sequence else 0xFFFF
-        return struct.pack("<HH", self._sequence, age) + self._report[4:]
+    def reporting(self, now: float) -> Callable[[], bytes]:
+        """Tells the UWB block as it is now, to who asks for it later: few do."""
+        sequence, came, report = self._sequence, self._came, self._report
+
+        def block() -> bytes:
+            age = min(0xFFFF, int((now - came) * 1e3)) if sequence else 0xFFFF
+            return _REPORT_HEAD.pack(sequence, age) + report[_REPORT_HEAD.size :]
+
+        return block
 
     def receive(self, data: bytes, now: float) -> None:
         """Bytes from the module."""
@@ -74,7 +81,7 @@ class ModuleLine:
     def handle_timer(self, now: float) -> None:
         """Give up what is late, ask anew when it is time."""
         if self._line == "poll":
-            if now - self._last_byte >= SILENCE:
+            if self._heard and now - self._last_byte >= SILENCE:
                 self._decoder.reset()
             if now - self._since >= PATIENCE:
                 self.bad = (self.bad + self._heard) % 256

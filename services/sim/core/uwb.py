@@ -6,10 +6,10 @@ the literature on UWB ranging in rooms. Randomness comes in as a generator, so t
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from services.dwm.core.tlv import AnchorRange, Location, Position
+from swarm.frozen import frozen
 
 MAX_RANGES = 4
 """A tag ranges to at most four modules at a time (PANS)."""
@@ -35,7 +35,7 @@ class Generator(Protocol):
     def expovariate(self, lambd: float) -> float: ...  # noqa: D102
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class ErrorModel:
     """Parameters of the range errors, lengths in m."""
 
@@ -62,7 +62,7 @@ class ErrorModel:
     5.4 cm, noise included. With this, eq. 2.10 leaves 2 to 3 cm of bias at the recorded places."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
 class Module:
     """A module that tags range to."""
 

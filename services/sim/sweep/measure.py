@@ -4,18 +4,18 @@ import logging
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from services.sim.sweep.plan import Job
 from services.sim.virtual.run import simulate
 from swarm.errors import SwarmError
+from swarm.frozen import frozen
 from swarm.recording.trajectory import Trajectory
 
 LATE = 0.9
 """A result that still moves in the last tenth of the iterations has not settled."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Found:
     """Figures of one run."""
 
@@ -79,7 +79,7 @@ def settled(paths: Sequence[Trajectory], within: float) -> int | None:
     return found if found <= LATE * min(ends) else None
 
 
-@dataclass(frozen=True)
+@frozen
 class Summary:
     """The runs of one point together."""
 

@@ -4,13 +4,14 @@ import argparse
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from swarm.frozen import frozen
 
 _BETWEEN = re.compile(r",(?![^\[]*\])")
 """Commas that are not within the brackets of a vector."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Point:
     """One combination."""
 
@@ -32,7 +33,7 @@ class Point:
         return Point((*self.choices, (name, repr(value))))
 
 
-@dataclass(frozen=True)
+@frozen
 class Job:
     """One run."""
 

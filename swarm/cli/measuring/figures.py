@@ -2,13 +2,14 @@
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from swarm.frozen import frozen
 
 NEIGHBOURS, UNICAST, FLOOD = "neighbours", "unicast", "flood"
 OVERLAYS = (NEIGHBOURS, UNICAST, FLOOD)
 
 
-@dataclass(frozen=True)
+@frozen
 class Figures:
     """What was measured for one size."""
 
@@ -28,7 +29,7 @@ class Figures:
     """bytes/s of payload."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Series:
     """One way of sending."""
 

@@ -1,13 +1,14 @@
 """What `swarm doctor` knows of a robot, and what it says of it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from swarm.config.types import Config
+from swarm.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Robot:
     """All that was found out about one robot. What could not be asked is None."""
 
@@ -33,7 +34,7 @@ class Robot:
         return dict((self.bus or {}).get(topic) or {})
 
 
-@dataclass(frozen=True)
+@frozen
 class Finding:
     """What a check says."""
 
@@ -45,7 +46,7 @@ class Finding:
     """What to do; empty where nothing is to be done."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Check:
     """One line of the doctor's report, and of the checklist in docs/build-a-robot.md."""
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 from swarm.config.types import Config
+from swarm.frozen import frozen
 
 Edge = tuple[str, str]
 """Two robots; the first calls the second."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Bond:
     """What one robot's bluetoothd says of another robot."""
 

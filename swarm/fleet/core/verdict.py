@@ -1,17 +1,17 @@
 """What a step of provisioning finds on a robot, and what it would change there."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from swarm.fleet.core.wish import Wish
+from swarm.frozen import frozen
 
 Facts = Mapping[str, Any]
 Change = dict[str, Any]
 """As `swarm.fleet.robot.changes` takes it."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Verdict:
     """What a step finds."""
 
@@ -39,7 +39,7 @@ def change(text: str, *changes: Change, reboot: bool = False) -> Verdict:
     return Verdict("change", text, changes, reboot)
 
 
-@dataclass(frozen=True)
+@frozen
 class Step:
     """One idea."""
 

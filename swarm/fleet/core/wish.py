@@ -1,9 +1,10 @@
 """What a robot is to be once it is provisioned."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from swarm.config.types import Config
+from swarm.frozen import frozen
 
 SUITES = {"bookworm": "3.11", "trixie": "3.13"}
 """Raspberry Pi OS: its Debian's name, and that one's Python."""
@@ -29,7 +30,7 @@ MIN_FREE = {"/": 400_000_000, "/boot/firmware": 20_000_000}
 """Bytes: a release is 60 MB unpacked, two are kept, one more is being unpacked, and packages beside."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Packages:
     """What apt would do on the robot with the bundle's packages."""
 
@@ -40,7 +41,7 @@ class Packages:
     """All packages that the bundle holds."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Wish:
     """What is asked for one robot."""
 
