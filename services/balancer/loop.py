@@ -99,9 +99,10 @@ class Loop:
         self._show_leds(clock.now())
         part = self.ticks % TELEMETRY_TICKS
         if part == 0:
+            # Together: to wake the bridge costs more than what it does with a message.
             self._bridge.send(self._state())
-        elif part == 2 and (odometry := self._telemetry.odometry()) is not None:
-            self._bridge.send(odometry)
+            if (odometry := self._telemetry.odometry()) is not None:
+                self._bridge.send(odometry)
         elif part == 3 and (news := self._telemetry.news()) is not None:
             self._bridge.send(news)
         elif part == 1:

@@ -198,7 +198,7 @@ def test_telemetry_is_25_hz_and_odometry_begins_with_the_estimate(monkeypatch: p
     assert loop.bridge.of(BalancerState)[0].mode == "calibrating"
     assert loop.bridge.of(BalancerState)[-1].mode == "balancing"
     assert loop.bridge.of(BalancerState)[-1].battery == pytest.approx(7.4)
-    assert [odometry.sequence for odometry in loop.bridge.of(Odometry)] == list(range(1, 51))
+    assert [odometry.sequence for odometry in loop.bridge.of(Odometry)] == list(range(1, 52))
     assert loop.bridge.looks == 4
 
 
