@@ -1,4 +1,4 @@
-"""Messages of the mesh service, and the stop of the swarm that it carries."""
+"""Messages of the mesh service."""
 
 from swarm.codec import MAX_BINARY
 from swarm.frozen import frozen
