@@ -11,8 +11,8 @@ ROOT = Path(__file__).parents[1]
 PATIENCE = 6
 """How many times longer than elsewhere a test of the services may wait inside a machine."""
 
-PYTHON = "/usr/lib/lab/python"
-"""Inside: the release's Python, with its modules imported already where the machine was a saved one."""
+PYTHON = "/opt/swarm/current/bin/python"
+"""Inside: the release's."""
 
 INI = """[pytest]
 markers =

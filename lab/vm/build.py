@@ -1,13 +1,14 @@
 """Builds the lab's machine from Debian packages and our own release, and keeps it by its content.
 
-Two layers, each in a folder of the cache named by a hash of all that goes into it: `base-*` (Debian's root, its kernel
-and the initial RAM disk) and `image-*` (the disk with the agent and the release in it). A changed source makes a
-new image in less than a minute and leaves the base. The same packages give the same bytes; `SWARM_LAB_MIRROR` may name
-a mirror that stands still, as snapshot.debian.org does.
+Each part is in a folder of the cache named by a hash of all that goes into it: `kernel-*`, `base-*` (Debian's root) and
+`image-*` (the disk with the agent and the release in it). A changed source makes a new image in less than a minute and
+leaves the others. The same packages give the same bytes; `SWARM_LAB_MIRROR` may name a mirror that stands still, as
+snapshot.debian.org does.
 """
 
 import fcntl
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -15,10 +16,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 from lab import container
-from lab.vm import debian, recipe
-from lab.vm.debian import sh
+from lab.vm import debian, kernel, recipe
+from lab.vm.shell import sh
 from swarm.errors import LocalError
 
 ROOT = Path(__file__).parents[2]
@@ -26,19 +28,23 @@ RELEASED = ("swarm", "services", "deploy", "pyproject.toml", "README.md", "LICEN
 """What a release is made of (deploy/release)."""
 
 TOOLS = {
-    "qemu-system-x86_64": "qemu-system-x86",
-    "qemu-img": "qemu-utils",
     "mmdebstrap": "mmdebstrap",
     "systemd-nspawn": "systemd-container",
-    "busybox": "busybox-static",
-    "cpio": "cpio",
-    "depmod": "kmod",
-    "mke2fs": "e2fsprogs",
+    "gcc": "gcc",
+    "make": "make",
+    "flex": "flex",
+    "bison": "bison",
+    "bc": "bc",
+    "patch": "patch",
     "xz": "xz-utils",
-    "objcopy": "binutils",
+    "mke2fs": "e2fsprogs",
+    "depmod": "kmod",
+    "ip": "iproute2",
     "ssh-keygen": "openssh-client",
 }
 """Programs that the lab needs, and the Debian packages that have them."""
+
+TUN = Path("/dev/net/tun")
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class Image:
 
     disk: Path
     kernel: Path
-    ramdisk: Path
+    """A program of the host."""
     key: Path
     """Private ssh key that root inside accepts."""
 
@@ -56,6 +62,10 @@ def missing() -> str:
     """What this host lacks to run the lab, and how to get it; empty where it lacks nothing."""
     if os.geteuid() != 0:
         return "the lab must be root: it makes Debian roots and boots them"
+    if platform.machine() != recipe.MACHINE:
+        return f"the lab's machines run on {recipe.MACHINE}, this is {platform.machine()}"
+    if not TUN.exists():
+        return f"there is no {TUN}, by which the lab's machines have a network: modprobe tun"
     packages = sorted(package for tool, package in TOOLS.items() if shutil.which(tool) is None)
     return f"apt-get install {' '.join(packages)}" if packages else ""
 
@@ -71,15 +81,20 @@ def image() -> Image:
     if lacking := missing():
         raise LocalError(f"this host cannot run the lab: {lacking}")
     mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
-    of = [Path(recipe.__file__), Path(debian.__file__), recipe.GUEST / "boot"]
-    system = "base-" + recipe.digest(mirror, *map(Path.read_bytes, of))
+    system = "base-" + _digest(mirror, recipe, debian)
+    core = "kernel-" + _digest(mirror, kernel) + recipe.digest(kernel.CONFIG.read_bytes(), kernel.PATCH.read_bytes())
     parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]
-    name = "image-" + recipe.digest(system, *map(_content, parts))
+    name = "image-" + recipe.digest(system, core, *map(_content, parts))
     with ThreadPoolExecutor() as pool:
+        linux = pool.submit(kept, cache() / core, lambda folder: kernel.make(folder, mirror))
         root = pool.submit(kept, cache() / system, lambda folder: debian.make(folder, mirror))
-        made = kept(cache() / name, lambda folder: _image(folder, root))
-        base = root.result()
-    return Image(made / "disk.ext4", base / "vmlinuz", base / "initrd.gz", made / "ssh_key")
+        made = kept(cache() / name, lambda folder: _image(folder, root, linux))
+    return Image(made / "disk.ext4", linux.result() / "linux", made / "ssh_key")
+
+
+def _digest(mirror: str, *modules: ModuleType) -> str:
+    """Of what these modules make from that mirror."""
+    return recipe.digest(mirror, *(Path(str(module.__file__)).read_bytes() for module in modules))
 
 
 def _content(path: Path) -> bytes:
@@ -151,7 +166,7 @@ source = "serial:{NO_MODULE}"
 """Of a robot alone."""
 
 
-def _image(folder: Path, base: Future[Path]) -> None:
+def _image(folder: Path, base: Future[Path], linux: Future[Path]) -> None:
     """disk.ext4: the root with the release installed, by its own `install` under systemd in a container. The release is
     made while the base may still be on its way."""
     artefact = sh(ROOT / "deploy/release", "--machine", recipe.MACHINE, "--python", recipe.PYTHON, folder).split()[-1]
@@ -169,6 +184,9 @@ def _image(folder: Path, base: Future[Path]) -> None:
     if code:
         raise LocalError(f"the release could not be installed in the lab's machine: {said[-2000:]}")
     shutil.rmtree(root / "var/log/journal", ignore_errors=True)
+    for made in (linux.result() / "modules").iterdir():
+        shutil.copytree(made, root / "usr/lib/modules" / made.name)
+        sh("depmod", "-b", root, made.name)
     disk = folder / "disk.ext4"
     options = "hash_seed=0c1d0000-0000-4000-8000-000000000001,root_owner=0:0"
     uuid = "0c1d0000-0000-4000-8000-000000000002"
@@ -181,10 +199,9 @@ def _furnish(root: Path, public_key: str) -> None:
     etc = root / "etc"
     place = root / "usr/lib/lab"
     place.mkdir(exist_ok=True)
-    for name in ("agent.py", "radio.py", "init", "warm.py", "python"):
+    for name in ("agent.py", "radio.py", "init"):
         shutil.copy(recipe.GUEST / name, place / name)
-    for name in ("init", "python"):
-        (place / name).chmod(0o755)
+    (place / "init").chmod(0o755)
     units = etc / "systemd/system"
     for target, unit in (("sysinit", "lab-agent.service"), ("multi-user", "lab-radio.service")):
         shutil.copy(recipe.GUEST / unit, units / unit)

@@ -1,13 +1,14 @@
 """One virtual machine of the lab: boot it, run commands in it, cut its power, boot it again.
 
-A machine's folder holds its disk (what it has written over the image: it outlives a power cut), its console and the
-folder that it sees as /share. Commands go over a virtio-serial port to the agent inside (guest/agent.py), or by ssh as
-to any robot.
+A machine is a kernel that is a program of this host (lab.vm.kernel). Its folder holds its disk (what it has written
+over the image: it outlives a power cut), its console and the folder that it sees as /share. Commands go over a serial
+line to the agent inside (guest/agent.py), or by ssh as to any robot.
 """
 
 import contextlib
 import json
 import os
+import resource
 import shutil
 import signal
 import socket
@@ -20,24 +21,20 @@ from types import TracebackType
 from typing import Any, Self
 
 from lab.vm.build import Image
+from lab.vm.network import Wire
 
 SYSTEMD, PLAIN = "/sbin/init", "/usr/lib/lab/init"
-"""What a machine boots into: all of a robot's system, or a shell script that starts the agent in a few seconds."""
+"""What a machine boots into: all of a robot's system, or a shell script that starts the agent in a second."""
 
 KERNEL = (
-    *("console=ttyS0", "quiet", "loglevel=4", "panic=-1", "oops=panic", "mitigations=off", "tsc=reliable"),
-    *("random.trust_cpu=on", "nowatchdog", "no_timer_check", "audit=0", "systemd.show_status=0", "net.ifnames=0"),
-    *("rodata=off", "apparmor=0"),  # a second of page tables; profiles of nothing that is here
+    *("root=/dev/ubda", "rw", "con=null", "con0=null,fd:1", "ssl=null", "quiet", "loglevel=4", "panic=1"),
+    *("systemd.show_status=0", "net.ifnames=0"),
 )
 
-PLAIN_CPU = "Nehalem,+rdrand"
-"""A processor that is a sixth faster to emulate than one with all that the emulator knows (`max`): no fifth level
-of page tables to be walked after each switch of processes, no string functions for registers that are emulated."""
+MEMORY = "/dev/shm"  # noqa: S108  the kernel makes its file there in one that has no name
+"""Where the host keeps a machine's memory."""
 
-SNAPSHOT = "booted"
-"""Name of the state in a saved disk (lab.vm.saved)."""
-
-BOOT_SECONDS = 900.0
+BOOT_SECONDS = 200.0
 """At most; a busy host is slow."""
 
 
@@ -66,40 +63,18 @@ class Machine:
         *,
         init: str = SYSTEMD,
         memory_mb: int = 512,
-        cores: int = 1,
         radio: Path | None = None,
-        steady: bool = False,
-        alone: bool = False,
-        saved: Path | None = None,
     ) -> None:
-        """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller.
-
-        `steady`: its clock counts its own instructions, 2 ns each, while it has something to do. So a busy host makes
-        it slow but not late, and a program that needs a millisecond inside needs it anywhere. It has one core. Several
-        at once have each a clock of its own, which on a busy host do not go alike.
-
-        `alone`: steady, and nothing outside has another clock: while it waits, its clock goes on to whatever comes next
-        at once. So waiting takes next to no time, and what the host is busy with is in no figure. For a machine that
-        waits for timers; what waits for its disk, as a whole system that boots, finds that it took long.
-
-        `saved`: the disk of a machine like this one, saved when it had booted: what this one goes on from when it is
-        switched on for the first time. After a power cut it boots.
-        """
+        """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller."""
         self.name = name
         self.folder = folder
         self.share = folder / "share"
         """The machine's /share; the host's user owns what is in it."""
-        self.port = 0
-        """TCP port of this host that leads to the machine's ssh; another one after each start."""
         self._image = image
         self._init = init
         self._memory_mb = memory_mb
-        self._cores = cores
         self._radio = radio
-        self._steady = steady or alone
-        self._alone = alone
-        self._saved = saved
-        self._resumes = False
+        self._wire: Wire | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: dict[int, Result] = {}
         self._next = 0
@@ -118,64 +93,57 @@ class Machine:
 
     def switch_on(self) -> None:
         """Begin to boot. The machine ends with the thread that calls this, so it must be one that lasts."""
-        disk = self.folder / "disk.qcow2"
-        self._resumes = self._saved is not None and not disk.exists()
-        if self._resumes:
-            shutil.copy(str(self._saved), disk)
-        elif not disk.exists():
-            made = ["qemu-img", "create", "-q", "-f", "qcow2", "-F", "raw", "-b", str(self._image.disk), str(disk)]
-            subprocess.run(made, check=True)
-        self.port = _free_port()
-        path = self.folder / "agent.sock"
-        with (self.folder / "console.log").open("ab") as console:
+        with (self.folder / "console.log").open("ab") as console, contextlib.ExitStack() as lines:
+            ours, agent = socket.socketpair()
+            lines.enter_context(agent)
+            devices = {1: agent}
+            if self._radio is not None:
+                devices[2] = lines.enter_context(socket.socket(socket.AF_UNIX))
+                devices[2].connect(str(self._radio))
+            self._wire = Wire()
             self._process = subprocess.Popen(
-                self._words(disk, path), stdin=subprocess.DEVNULL, stdout=console, stderr=console,
-                start_new_session=True, preexec_fn=_die_with_us,  # noqa: PLW1509  it makes one system call
+                self._words(self._wire, devices), stdin=subprocess.DEVNULL, stdout=console, stderr=console,
+                env={**os.environ, "TMPDIR": MEMORY}, pass_fds=[each.fileno() for each in devices.values()],
+                start_new_session=True, preexec_fn=_die_with_us,  # noqa: PLW1509  it makes two system calls
             )  # fmt: skip
         self._answers, self._next = {}, 0
-        self._stream = self._connected(path)
+        self._stream = ours
         threading.Thread(target=self._read, args=(self._stream,), daemon=True).start()
 
     def wait_booted(self) -> None:
-        """Until it takes commands."""
-        if self._resumes:
-            seed = os.urandom(64).hex()
-            own = {"name": self.name, "now": time.time(), "seed": seed, "radio": self._radio is not None}
-            self._send({"id": 0, "resumed": own})
+        """Until it takes commands, and has a network."""
         self._wait_for(0, BOOT_SECONDS, "boot")
-
-    def save(self) -> Path:
-        """Keep all of it in its disk, which others may begin with, and switch it off; its /share must be unmounted."""
-        if self._stream is not None:
-            self._stream.shutdown(socket.SHUT_RDWR)
-        with socket.socket(socket.AF_UNIX) as monitor:
-            monitor.connect(str(self.folder / "monitor.sock"))
-            monitor.sendall(f"savevm {SNAPSHOT}\nquit\n".encode())
-            with monitor.makefile("rb") as said:
-                text = said.read().decode(errors="replace")
-        self.kill()
-        if "Error" in text:
-            raise MachineError(f"{self.name} cannot be saved: {text}")
-        return self.folder / "disk.qcow2"
+        if self._wire is not None:
+            self._wire.up()
 
     def kill(self) -> None:
         """Cut its power: what it has not written to its disk is lost."""
         if self._process is not None:
-            self._process.kill()
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)  # each program's memory inside is a process here
             self._process.wait()
             self._process = None
         if self._stream is not None:
             self._stream.close()
             self._stream = None
+        if self._wire is not None:
+            self._wire.close()
+            self._wire = None
 
     def stop(self, seconds: float = 60.0) -> None:
         """Shut it down in good order, or by force after that time."""
         if self._process is not None:
-            last = "poweroff" if self._init == SYSTEMD else "sync; echo o >/proc/sysrq-trigger"
-            self.spawn(last)
+            self.spawn("poweroff" if self._init == SYSTEMD else "sync; poweroff -f")
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(seconds)
         self.kill()
+
+    @property
+    def address(self) -> str:
+        """Where the machine's ssh answers, from this host alone; another one after each start."""
+        if self._wire is None:
+            raise MachineError(f"{self.name} is switched off")
+        return self._wire.machine
 
     @property
     def running(self) -> bool:
@@ -226,10 +194,9 @@ class Machine:
             key.chmod(0o600)
         options = (
             *("StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "LogLevel=ERROR", "ConnectTimeout=100"),
-            "KexAlgorithms=curve25519-sha256",  # the default is a fifth of a connection's work inside
         )
         words = [word for option in options for word in ("-o", option)]
-        return ["ssh", "-i", str(key), "-p", str(self.port), *words, "root@127.0.0.1"]
+        return ["ssh", "-i", str(key), *words, f"root@{self.address}"]
 
     def ssh(self, command: str, seconds: float = 60.0) -> str:
         """Run a command as root by ssh; its standard output. Raises subprocess.CalledProcessError."""
@@ -241,50 +208,13 @@ class Machine:
 
     # -- inside ----------------------------------------------------------------------------------------------
 
-    def _words(self, disk: Path, agent: Path) -> list[str]:
-        words = ["qemu-system-x86_64", "-name", self.name, "-nodefaults", "-no-user-config", "-no-reboot"]
-        # A /dev/kvm may be there and not work (machines of cloud services), so emulation is what is asked for.
-        accelerator = os.environ.get("SWARM_LAB_ACCEL", "tcg,thread=multi")
-        if self._steady:
-            accelerator = "tcg,thread=single"
-            words += ["-icount", f"shift=1,sleep={'off' if self._alone else 'on'}"]
-        words += ["-accel", accelerator, "-cpu", PLAIN_CPU if accelerator.startswith("tcg") else "max"]
-        words += ["-smp", str(self._cores), "-m", str(self._memory_mb), "-display", "none"]
-        words += ["-machine", "q35,usb=off,smbus=off,vmport=off", "-serial", "stdio"]
-        append = [*KERNEL, f"lab.init={self._init}", f"lab.name={self.name}", f"systemd.hostname={self.name}"]
-        if self._radio is not None and not self._resumes:
-            append.append("lab.radio")
-        if self._alone:
-            append.append("nohz=off")  # or its clock would go on by seconds while it waits for its disk
-        words += ["-kernel", str(self._image.kernel), "-initrd", str(self._image.ramdisk), "-append", " ".join(append)]
-        # A flush of the host's disk takes no time of the machine's, but would let its clock run on.
-        cache = "unsafe" if self._alone else "writeback"
-        words += ["-drive", f"file={disk},if=virtio,format=qcow2,cache={cache}"]
-        words += ["-object", "rng-random,id=rng,filename=/dev/urandom", "-device", "virtio-rng-pci,rng=rng"]
-        words += ["-nic", f"user,model=virtio-net-pci,restrict=on,hostfwd=tcp:127.0.0.1:{self.port}-:22"]
-        words += ["-virtfs", f"local,path={self.share},mount_tag=share,security_model=none,id=share"]
-        words += ["-device", "virtio-serial-pci", "-chardev", f"socket,id=agent,path={agent},server=on,wait=off"]
-        words += ["-device", "virtserialport,chardev=agent,name=lab"]
-        # One without a radio has a port that nobody joins: a machine goes on from another's state by the same devices.
-        radio = self._radio or f"{self.folder / 'radio.sock'},server=on,wait=off"
-        words += ["-chardev", f"socket,id=radio,path={radio}", "-device", "virtserialport,chardev=radio,name=radio"]
-        words += ["-monitor", f"unix:{self.folder / 'monitor.sock'},server=on,wait=off"]
-        return [*words, "-loadvm", SNAPSHOT] if self._resumes else words
-
-    def _connected(self, path: Path) -> socket.socket:
-        """The agent's port, once QEMU listens."""
-        deadline = time.monotonic() + 30
-        while True:
-            stream = socket.socket(socket.AF_UNIX)
-            try:
-                stream.connect(str(path))
-            except (FileNotFoundError, ConnectionRefusedError):
-                stream.close()
-                if not self.running or time.monotonic() > deadline:
-                    raise MachineError(f"{self.name} did not start: {self._console()}") from None
-                time.sleep(0.02)
-            else:
-                return stream
+    def _words(self, wire: Wire, devices: dict[int, socket.socket]) -> list[str]:
+        disk = f"ubd0={self.folder / 'disk.cow'},{self._image.disk}"
+        words = [str(self._image.kernel), f"mem={self._memory_mb}M", disk, *KERNEL, f"init={self._init}"]
+        words += [f"ssl{number}=fd:{line.fileno()}" for number, line in devices.items()]
+        words += [f"vec0:transport=tap,ifname={wire.interface}", f"lab.address={wire.machine}"]
+        words += [f"lab.name={self.name}", f"systemd.hostname={self.name}", f"lab.share={self.share.absolute()}"]
+        return [*words, "lab.radio"] if self._radio is not None else words
 
     def _read(self, stream: socket.socket) -> None:
         """The reading thread: answers of the agent, until the machine is off."""
@@ -314,14 +244,9 @@ class Machine:
         return ""
 
 
-def _free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
-
-
 def _die_with_us() -> None:
-    """In the child: no machine outlives the test that started it, however that ends."""
+    """In the child: no machine outlives the test that started it, however that ends, and none leaves a core."""
     import ctypes
 
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

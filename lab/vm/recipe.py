@@ -19,16 +19,6 @@ PACKAGES = (
     *("python3-pytest", "python3-pytest-timeout"),
 )
 
-MODULES = (
-    *("virtio_pci", "virtio_blk", "virtio_console", "virtio_net", "virtio_rng", "ext4", "9p", "9pnet_virtio"),
-    *("bluetooth", "rfcomm", "hci_vhci", "uhid", "algif_hash", "algif_skcipher"),
-    *("i2c-dev", "cuse", "fuse"),
-)
-"""Of the kernel, with all that they depend on; and all of its cryptography."""
-
-BOOT_MODULES = ("virtio_pci", "virtio_blk", "ext4")
-"""What the initial RAM disk loads to mount the root."""
-
 DISK_MB = 1200
 """Size of a machine's disk; what is not used takes no room."""
 

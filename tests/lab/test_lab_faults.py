@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from lab.inside import run_tests
-from lab.vm import saved
 from lab.vm.build import Image
+from lab.vm.machine import PLAIN, Machine
 
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(1000)]
@@ -14,5 +14,5 @@ pytestmark = [pytest.mark.lab, pytest.mark.timeout(1000)]
 
 @pytest.mark.parametrize("words", ["-k 'not thousand'", "-k thousand"], ids=["each fault", "a thousand connections"])
 def test_links_over_real_sockets(lab_image: Image, tmp_path: Path, words: str) -> None:
-    with saved.machine(lab_image, tmp_path, "r0", alone=True, memory_mb=1536) as robot:
+    with Machine(lab_image, tmp_path, "r0", init=PLAIN, memory_mb=1536) as robot:
         run_tests(robot, f"tests/lab/inside_faults.py {words}", 500)

@@ -1,26 +1,19 @@
-"""The lab's machine itself: it goes on from a saved one, boots both ways, does what it is told, and its disk outlives a
-power cut."""
+"""The lab's machine itself: it boots both ways, does what it is told, and its disk outlives a power cut."""
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from lab.vm import saved
-from lab.vm.build import Image
-from lab.vm.machine import Machine, MachineError
+from lab.vm.machine import PLAIN, Machine, MachineError
 
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(400)]
 
 
-def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(lab_image: Image, tmp_path: Path) -> None:
-    with saved.machine(lab_image, tmp_path / "r1", "r1") as another:
-        its = another.run("head -c 16 /dev/urandom | od")
-    robot = saved.machine(lab_image, tmp_path / "r0", "r0")
+def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callable[..., Machine]) -> None:
+    robot = machine("r0", init=PLAIN)
     robot.start()
-    assert robot.run("head -c 16 /dev/urandom | od") != its
     assert abs(int(robot.run("date +%s")) - time.time()) < 60
     assert robot.run("cat /proc/sys/kernel/osrelease") >= "6.12"
     assert robot.run("hostname") == "r0\n"
@@ -37,7 +30,7 @@ def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(lab_image: Imag
         robot.run("true")
     robot.start()
     assert robot.run("cat /root/kept; hostname") == "kept\nr0\n"
-    assert int(robot.run("cut -d. -f1 /proc/uptime")) < int(time.monotonic() - cut), "it has not booted"
+    assert float(robot.run("cut -d' ' -f1 /proc/uptime")) < time.monotonic() - cut, "it has not booted"
     robot.stop()
 
 

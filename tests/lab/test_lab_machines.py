@@ -18,9 +18,8 @@ from bench import restless_rule
 from lab.inside import command, furnish
 from lab.radio.remote import Radio
 from lab.shapes import ITERATIONS, LINE, ROBOTS, SHAPES, config, line
-from lab.vm import saved
 from lab.vm.build import Image
-from lab.vm.machine import Machine
+from lab.vm.machine import PLAIN, Machine
 from swarm.core.graph import Graph
 from swarm.keyfile import new_key_file
 from swarm.recording.run import Run
@@ -42,7 +41,7 @@ class Swarm:
         self.folder = folder
         self.names = [f"r{i}" for i in range(count)]
         self.machines = {
-            name: saved.machine(image, folder / name, name, radio=folder / f"radio-{number}")
+            name: Machine(image, folder / name, name, init=PLAIN, radio=folder / f"radio-{number}")
             for number, name in enumerate(self.names)
         }
         self._commands: dict[str, int] = {}

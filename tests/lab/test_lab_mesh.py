@@ -10,9 +10,8 @@ import pytest
 
 from lab.inside import run_tests
 from lab.shapes import ITERATIONS, LONG, config
-from lab.vm import saved
 from lab.vm.build import Image
-from lab.vm.machine import Machine
+from lab.vm.machine import PLAIN, Machine
 from swarm.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
@@ -44,7 +43,7 @@ def simulate(shape: str, share: Path) -> None:
 
 @pytest.fixture(scope="module")
 def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
-    with saved.machine(lab_image, tmp_path_factory.mktemp("mesh"), "robots", alone=True, memory_mb=1536) as made:
+    with Machine(lab_image, tmp_path_factory.mktemp("mesh"), "robots", init=PLAIN, memory_mb=1536) as made:
         for name in ("swarm", "stranger"):
             new_key_file(made.share / f"{name}.key", int(time.time()))
         yield made

@@ -74,7 +74,7 @@ class Robots:
         self.config.write_text(CONFIG.format(*self.addresses, MESH))
         (folder / "ssh_config").write_text(
             "".join(
-                f"Host lab-{robot.name}\n HostName 127.0.0.1\n Port {robot.port}\n User root\n"
+                f"Host lab-{robot.name}\n HostName {robot.address}\n User root\n"
                 f" IdentityFile {robot.ssh_words()[2]}\n StrictHostKeyChecking no\n UserKnownHostsFile /dev/null\n"
                 for robot in machines
             )

@@ -51,7 +51,7 @@ def report(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Report
     folder = tmp_path_factory.mktemp("robot")
     new_key_file(folder / "swarm.key", int(time.time()))
     image = disk.robots(lab_image, folder, CONFIG, folder / "swarm.key")
-    with Machine(image, folder, "r0", steady=True) as robot:
+    with Machine(image, folder, "r0") as robot:
         shutil.copy(INSIDE, robot.share)
         robot.run(f"PYTHONPATH={disk.PLACE} /opt/swarm/current/bin/python /share/inside_robot.py", 700)
         lines = [json.loads(line) for line in (robot.share / "report").read_text().splitlines()]

@@ -81,21 +81,14 @@ class Laptop:
         self._ssh = folder / "ssh_config"
 
     def knows(self, machines: list[Machine]) -> None:
-        """How robots are reached: another port after each boot, and over one connection each, since a machine may take
-        longer to let one in than the commands have patience."""
+        """How robots are reached: another address after each boot."""
         lines = []
         for machine in machines:
             words = machine.ssh_words()
             options = "".join(f"  {words[at + 1].replace('=', ' ')}\n" for at, word in enumerate(words) if word == "-o")
-            lines.append(
-                f"Host {machine.name}\n  HostName 127.0.0.1\n  User root\n  Port {machine.port}\n"
-                f"  IdentityFile {machine.folder / 'ssh_key'}\n  ControlPath {self.folder}/%p\n{options}"
-            )
+            identity = f"  IdentityFile {machine.folder / 'ssh_key'}\n"
+            lines.append(f"Host {machine.name}\n  HostName {machine.address}\n  User root\n{identity}{options}")
         self._ssh.write_text("".join(lines))
-        for machine in machines:
-            if not (self.folder / str(machine.port)).exists():
-                words = ["ssh", "-F", str(self._ssh), "-M", "-N", "-f", machine.name]
-                subprocess.run(words, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     def words(self, command: str) -> list[str]:
         program, *rest = command.split()
@@ -174,7 +167,7 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
     image = disk.robots(lab_image, tmp_path, config(), tmp_path / "swarm.key")
     with Radio(tmp_path, len(NAMES), machines=True) as radio, ThreadPoolExecutor() as pool:
         machines = [
-            Machine(image, tmp_path / name, name, radio=tmp_path / f"radio-{number}", steady=True)
+            Machine(image, tmp_path / name, name, radio=tmp_path / f"radio-{number}")
             for number, name in enumerate(NAMES)
         ]
         assert radio.addresses == [address(number) for number in range(len(NAMES))]

@@ -36,9 +36,9 @@ def test_equal_content_has_an_equal_name_and_other_content_another(tmp_path: Pat
 
 
 def test_a_host_without_the_tools_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(build.shutil, "which", lambda tool: None if tool in ("cpio", "qemu-img") else tool)
+    monkeypatch.setattr(build.shutil, "which", lambda tool: None if tool in ("flex", "mke2fs") else tool)
     monkeypatch.setattr(build.os, "geteuid", lambda: 0)
-    assert build.missing() == "apt-get install cpio qemu-utils"
+    assert build.missing() == "apt-get install e2fsprogs flex"
     monkeypatch.setattr(build.os, "geteuid", lambda: 1000)
     assert "root" in build.missing()
 

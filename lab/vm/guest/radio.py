@@ -1,15 +1,14 @@
-"""Inside a lab machine: its Bluetooth controller is on the host. Joins /dev/vhci to the virtio-serial port `radio`.
+"""Inside a lab machine: its Bluetooth controller is on the host. Joins /dev/vhci to a serial line.
 
-The kernel gives and takes whole HCI packets at /dev/vhci; on the serial port they follow one another (H4).
+The kernel gives and takes whole HCI packets at /dev/vhci; on the serial line they follow one another (H4).
 """
 
 import errno
 import os
 import select
-import subprocess
 import sys
 
-from agent import port
+from agent import RADIO, line
 
 COMMAND, ACL, EVENT, VENDOR = 1, 2, 4, 0xFF
 HEADERS = {COMMAND: (4, 3, 1), ACL: (5, 3, 2), EVENT: (3, 2, 1)}
@@ -40,8 +39,7 @@ def deliver(vhci: int, packet: bytes) -> None:
 
 def main() -> None:
     """Until the host's radio has gone."""
-    subprocess.run(["modprobe", "-a", "rfcomm", "hci_vhci", "virtio_console"], check=True)
-    serial, vhci = os.open(port("radio"), os.O_RDWR), os.open("/dev/vhci", os.O_RDWR)
+    serial, vhci = line(RADIO), os.open("/dev/vhci", os.O_RDWR)
     os.write(vhci, bytes((VENDOR, 0)))
     rest = b""
     while True:
