@@ -40,8 +40,7 @@ def main() -> int:
     chosen = [_path(word) for word in words]
     if not any(Path(word.split("::")[0]).exists() for word in chosen):
         chosen.append(str(TESTS))
-    # A test for each core: an emulated machine seldom uses more than one. Those with the longest time-outs begin first
-    # (tests/conftest.py): the three machines of a swarm, and beside them such as have clocks of their own, too.
+    # A test for each core. Those with the longest time-outs begin first (tests/conftest.py).
     words = [sys.executable, "-m", "pytest", "-m", "lab", "--durations=0", "-v", "-n", str(os.cpu_count()), *chosen]
     return subprocess.run(words, check=False).returncode
 

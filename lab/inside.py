@@ -9,7 +9,7 @@ from lab.vm.machine import Machine
 ROOT = Path(__file__).parents[1]
 
 PATIENCE = 6
-"""How many times longer than elsewhere a test of the services may wait inside a machine."""
+"""How many times longer than elsewhere a test of the services may wait inside a machine: all have one processor."""
 
 PYTHON = "/opt/swarm/current/bin/python"
 """Inside: the release's."""

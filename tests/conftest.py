@@ -31,7 +31,7 @@ with contextlib.suppress(ImportError):  # a machine of the lab has none
     settings.load_profile("swarm")
 
 PATIENCE = float(os.environ.get("LAB_PATIENCE", "1"))
-"""How many times longer a failure may take to show: an emulated machine is slow (docs/lab.md)."""
+"""How many times longer a failure may take to show: a machine has one processor for all (docs/lab.md)."""
 
 CONFIG = """\
 network = "test"

@@ -4,7 +4,7 @@ answers (linux/fuse.h, protocol 7.31; what Debian's 6.12 speaks).
 Each request read from /dev/cuse is a header of 40 bytes and a body; each answer a header of 16 bytes and a body. An
 ioctl comes without its data, since the kernel cannot know what the argument points at. It would fetch them when told
 where they are, in a request more for each step from pointer to pointer; we read and fill the caller's memory ourselves,
-since what an emulated processor takes for this bus is its switches between the caller and us.
+since most of what this bus costs is switches between the caller and us.
 """
 
 import errno

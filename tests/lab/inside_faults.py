@@ -21,7 +21,7 @@ from swarm.errors import LocalError
 
 CHANNEL = 3
 PATIENCE = 60.0
-"""s; bounds a failure in an emulated machine that shares its processors."""
+"""s; bounds a failure on a busy host."""
 
 PASSING = (errno.EBUSY, errno.ECONNREFUSED, errno.EHOSTDOWN, errno.EALREADY, errno.ECONNRESET)
 """Errors of a dial that end when an earlier connection or its adapter's absence has ended. A call that meets the end of

@@ -1,5 +1,5 @@
 """Inside a machine: services whose modules are imported once for all of them, since importing is most of what starting
-a dozen of them costs an emulated processor; and their supervisor, as systemd is on a robot.
+a dozen of them on one processor takes; and their supervisor, as systemd is on a robot.
 
 Reads lines of JSON {"environment", "module", "words"} from its standard input; for each it forks the service and prints
 its process id. One that is killed is started again and its new process id stands in RUNTIME/MODULE.pid. At the end of

@@ -25,7 +25,7 @@ FAR = "r3"
 """Of r0, three hops either way around the loop."""
 
 PATIENCE = 60.0
-"""s until an answer of a mesh in an emulated machine."""
+"""s until an answer of a mesh in a machine."""
 
 CLOCK_S = 0.1
 """Within which mesh time must be right here, where all robots have the same clock; some ms on a machine with time."""

@@ -16,7 +16,7 @@ from swarm import clock
 from swarm.recording.run import Run
 
 LATENCIES = (0.03, 0.1)
-"""s one way: the thesis' radio, and where an emulated processor is less of it."""
+"""s one way: the thesis' radio, and where computing is less of it."""
 ITERATIONS = 120
 WARM_UP = 30
 SIZE = 40

@@ -22,6 +22,7 @@ from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from swarm.core.graph import Graph
 from swarm.keyfile import new_key_file
+from swarm.recording import trajectory
 from swarm.recording.run import Run
 
 pytest_plugins = ("lab_fixtures",)
@@ -85,6 +86,14 @@ class Swarm:
             if "ended" in text.splitlines()[-1:] or time.monotonic() > end:
                 pytest.fail(f"{name}, {shape}: not {what}: {text[-3000:]}")
             time.sleep(0.2)
+
+    def until_recorded(self, name: str, shape: str, app: str, iteration: int) -> None:
+        """The robot's recording has that iteration: what it does not have by now goes with a power cut."""
+        path = self.machines[name].share / f"records-{shape}/{name}.{app}.mcap"
+        end = time.monotonic() + PATIENCE_S
+        while trajectory.read(path).last < iteration:
+            assert time.monotonic() < end, f"{name}: iteration {iteration} is not recorded"
+            time.sleep(0.1)
 
     def end_run(self, shape: str) -> None:
         """What follows may begin."""
@@ -157,6 +166,7 @@ def test_a_machine_that_loses_its_power_boots_and_joins_again(lab_image: Image, 
         swarm.begin(texts, words, *swarm.names)
         for name in swarm.names:
             swarm.until(name, "line", lambda said: said["k"] >= 30, "at iteration 30")
+        swarm.until_recorded("r2", "line", "restless", 30)
         swarm.machines["r2"].kill()
         two = swarm.until("r0", "line", lambda said: set(said["members"]) == {"r0", "r1"}, "an epoch of two")
         swarm.until("r0", "line", lambda said: said["k"] >= two["k"] + 30, "30 iterations of two")

@@ -1,7 +1,5 @@
 """One whole robot: booted from the installed units on real systemd and a live /dev/i2c-1, its bus broken in every way
 that docs/devices.md knows. tests/lab/inside_robot.py has the checks.
-
-The machine's clock is that of its instructions, so that a busy host makes it slow but never late.
 """
 
 import ast
