@@ -18,7 +18,7 @@ SHAPES = {
 
 
 TIMES = "heartbeat = 1.0\nsuspect = 10.0\ndead = 30.0\n"
-"""Longer than normal: a dozen processes share one processor with whatever else the host does, and none is lost for it."""
+"""Longer than normal: a dozen processes share one processor, and none is lost for being slow."""
 
 
 def config(shape: str, key: str, extra: str = "") -> str:

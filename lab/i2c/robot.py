@@ -15,7 +15,7 @@ ANY = 0
 """In place of an address: whichever device is spoken to."""
 AT_ONCE_S = 3e-3
 """Of time on the wire is waited for at the latest; before that, with what writes more than an index. So a tick's four
-transfers, 3.5 ms, share the wait of the last one, which commands the motors: each wait is a switch of processes more."""
+transfers, 3.5 ms, share the wait of the last one, which commands the motors: each wait takes a switch of processes."""
 
 
 @dataclass
