@@ -17,7 +17,7 @@ SHAPES = {
 }
 
 
-TIMES = "heartbeat = 1.0\nsuspect = 10.0\ndead = 30.0\n"
+TIMES = "suspect = 3.0\ndead = 9.0\n"
 """Longer than normal: a dozen processes share one processor, and none is lost for being slow."""
 
 
