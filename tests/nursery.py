@@ -33,7 +33,6 @@ PACKAGES = (
 MODULES = ("services.balancer.bridge", "services.sim.body", "swarm.cli.z_sub")
 COMMAND = "swarm.cli"
 """Its `__main__` is one line, and does something when imported."""
-MORE = (COMMAND, "services.dwm.tool")
 
 _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
 _ROOM = 1 << 17
@@ -90,7 +89,7 @@ def _serve() -> list[str]:
     door = socket.socket(fileno=os.dup(0))
     before = set(os.environ)
     programs = [*(f"{each}.__main__" for each in PACKAGES), *MODULES]
-    for each in (*programs, *MORE):
+    for each in (*programs, COMMAND):
         importlib.import_module(each)
     for each in programs:
         del sys.modules[each]  # it is run under another name
