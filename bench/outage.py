@@ -1,16 +1,21 @@
-"""Lockstep over links that are cut for 1 s every 20 s: nothing lost, nothing doubled, and what it costs in time."""
+"""Lockstep over links that are cut for 1 s every 20 s: nothing lost, nothing doubled, and what it costs in time.
+
+Each trajectory is compared with the undisturbed one, of virtual time. Robots as in `bench.lockstep`: bus, mesh and app;
+with all processes of six robots one graph is told beside them.
+"""
 
 import math
 import random
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bench import lockstep_model
+from bench import lockstep_model, talking_sim
 from bench.lockstep import JITTER_GOAL, JITTER_S, LATENCY_S, NAMES, TOPOLOGIES
 from bench.lockstep_model import Outage
 from bench.rows import Row
-from bench.simulation import Simulation
+from bench.simulation import SWARM_SIM, Simulation
 from services.mesh.core.delay import AirModel
+from services.sim.virtual.run import simulate as virtual
 from swarm.core.graph import Graph
 from swarm.recording.trajectory import WARM_UP, Trajectory
 
@@ -24,6 +29,9 @@ SEED = 4
 
 ITERATIONS = 1200
 
+WHOLE = "loop"
+"""The graph that is run with all processes, too: the one whose limit asks for most."""
+
 TAGGED_AND_RESUME_S = {"line": 0.0507, "loop": 0.0522, "thesis-d": 0.0669, "full": 0.0928}
 """Mean iteration of a discrete-event simulation of tagged messages with resume after a cut, made when this protocol was
 designed: latency 30 +- 10 ms, 1.4 ms for a step, exponentially distributed cuts, 4.8 % of the time. One draw of cuts
@@ -35,30 +43,21 @@ def rows() -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     for topology in TOPOLOGIES:
         graph = Graph.of_shape(topology, NAMES)
-        arguments = (
-            str(APP),
-            "--robots",
-            "6",
-            "--topology",
-            topology,
-            "--iterations",
-            str(ITERATIONS),
-            "--seed",
-            str(SEED),
-        )
-        undisturbed = _run(*arguments, "--latency", "0ms")
+        undisturbed = virtual(*_swarm(topology), rows=True)[1].trajectories
         cuts = outages(graph)
-        options = [
-            option for cut in cuts for option in ("--cut", f"{'-'.join(cut.link)}@{cut.at:.3f}s,{cut.seconds:g}s")
-        ]
-        paths = _run(*arguments, "--latency", f"{LATENCY_S}s", "--jitter", f"{JITTER_S}s", *options)
+        paths = _run(topology, talking_sim.PROGRAM, _options(cuts))
         # A value that stands twice with different bits is an error of `read` already.
         yield Row(f"values that differ, {topology} 6", differing(undisturbed, paths), "", 1.0, 0.0)
-        mean = lockstep_model.mean_iteration({name: path.times for name, path in paths.items()}, first=WARM_UP)
-        yield Row(f"mean iteration, {topology} 6, 1 s cuts", mean, "s", TAGGED_AND_RESUME_S[topology], 1.0)
+        mean, stated = _mean(paths), TAGGED_AND_RESUME_S[topology]
+        yield Row(f"mean iteration, {topology} 6, 1 s cuts", mean, "s", stated, 1.0)
         model = lockstep_model.run(graph, AirModel(LATENCY_S, JITTER_S, seed=SEED), ITERATIONS, cuts)
         limit = lockstep_model.mean_iteration(model, first=WARM_UP)
         yield Row("the same beside a model with the same cuts", mean, "s", limit, JITTER_GOAL)
+        if topology == WHOLE:
+            paths = _run(topology, SWARM_SIM, _options(cuts))
+            differ = differing(undisturbed, paths)
+            yield Row(f"values that differ, {topology} 6, all processes", differ, "", 1.0, 0.0)
+            yield Row(f"mean iteration, {topology} 6, 1 s cuts, all processes", _mean(paths), "s", stated, None)
 
 
 def outages(graph: Graph) -> list[Outage]:
@@ -79,7 +78,24 @@ def differing(expected: Mapping[str, Trajectory], found: Mapping[str, Trajectory
     return float(sum(path.rows[k] != found[name].rows[k] for name, path in expected.items() for k in path.rows))
 
 
-def _run(*arguments: str) -> dict[str, Trajectory]:
-    with Simulation(*arguments) as simulation:
+def _options(cuts: Sequence[Outage]) -> list[str]:
+    options = ["--latency", f"{LATENCY_S}s", "--jitter", f"{JITTER_S}s"]
+    for cut in cuts:
+        options += ["--cut", f"{'-'.join(cut.link)}@{cut.at:.3f}s,{cut.seconds:g}s"]
+    return options
+
+
+def _swarm(topology: str) -> list[str]:
+    """The arguments that every run has."""
+    swarm = ("--robots", "6", "--topology", topology, "--iterations", str(ITERATIONS), "--seed", str(SEED))
+    return [str(APP), *swarm]
+
+
+def _run(topology: str, program: Sequence[str], options: Sequence[str]) -> dict[str, Trajectory]:
+    with Simulation(*_swarm(topology), *options, program=program) as simulation:
         simulation.finish(600.0)
         return {name: simulation.trajectory(name, APP.stem) for name in NAMES}
+
+
+def _mean(paths: Mapping[str, Trajectory]) -> float:
+    return lockstep_model.mean_iteration({name: path.times for name, path in paths.items()}, first=WARM_UP)

@@ -13,6 +13,7 @@ from swarm.recording.reader import SUFFIX
 from swarm.recording.trajectory import Trajectory, TrajectoryReader
 
 POLL_S = 0.02
+SWARM_SIM = ("swarm.cli", "sim")
 
 
 class SimulationError(Exception):
@@ -22,9 +23,7 @@ class SimulationError(Exception):
 class Simulation:
     """One `swarm sim ARGUMENTS --json`, in directories of its own that go with it. A context."""
 
-    def __init__(
-        self, *arguments: str, program: Sequence[str] = ("swarm.cli", "sim"), run_dir: Path | None = None
-    ) -> None:
+    def __init__(self, *arguments: str, program: Sequence[str] = SWARM_SIM, run_dir: Path | None = None) -> None:
         """`program`: module, and its first arguments, that does what `swarm sim` does; `run_dir`: another's."""
         # Short, and not below a test's own directory: sockets' paths have at most 107 bytes.
         self._home = Path(tempfile.mkdtemp(prefix="swarm-"))
@@ -82,7 +81,7 @@ class Simulation:
         return Path(self._error.name).read_text()[-1500:]
 
 
-def simulate(*arguments: str) -> dict[str, object]:
+def simulate(*arguments: str, program: Sequence[str] = SWARM_SIM) -> dict[str, object]:
     """Run a simulation to its end; the object of `--json`."""
-    with Simulation(*arguments) as simulation:
+    with Simulation(*arguments, program=program) as simulation:
         return simulation.finish()

@@ -30,6 +30,11 @@ with contextlib.suppress(ImportError):  # a machine of the lab has none
     settings.register_profile("swarm", deadline=None)
     settings.load_profile("swarm")
 
+try:
+    from nursery import start
+except ImportError:  # there, too, and what starts Python there is warm by itself
+    start = subprocess.Popen
+
 PATIENCE = float(os.environ.get("LAB_PATIENCE", "1"))
 """How many times longer a failure may take to show: a machine has one processor for all (docs/lab.md)."""
 
@@ -168,7 +173,7 @@ class Processes:
 
     def start(self, *arguments: str, program: str = sys.executable, **environment: str) -> subprocess.Popen[str]:
         """Start `python ARGUMENTS` with pipes for all three streams."""
-        process = subprocess.Popen(
+        process = start(
             [program, *arguments],
             env=self.environment(**environment),
             stdin=subprocess.PIPE,

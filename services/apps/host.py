@@ -22,7 +22,7 @@ from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.steps import Steps
-from services.apps.worker import CLOSE_WITHIN, Latest, Queue, Worker
+from services.apps.worker import CLOSE_WITHIN, Arrival, Latest, Queue, Worker
 from swarm import clock
 from swarm.app import SyncApp
 from swarm.codec import Value, decode
@@ -169,21 +169,24 @@ class Host:
     # On Zenoh's thread
 
     def _on_frames(self, name: str, payload: bytes) -> None:
-        """Neighbours' frames that came together."""
+        """Neighbours' frames that came together: each worker gets its own at once."""
+        arrived: dict[Worker, list[Arrival]] = {}
         try:
             for part, frame in together.unpack(payload):
-                self._on_sync(part, frame)
+                self._on_sync(part, frame, arrived)
         except PayloadError as error:
             self._refuse(error)
+        _hand_over(arrived)
 
-    def _on_sync(self, name: str, payload: bytes) -> None:
+    def _on_sync(self, name: str, payload: bytes, arrived: dict[Worker, list[Arrival]]) -> None:
         """A frame: `swarm/<sender>/app/<app>/sync/<channel>`, with `/<receiver>` behind it when it is for one
-        robot."""
+        robot. One of a neighbour's state is put to those that have `arrived`, all else is done now, after those."""
         _, sender, _, _, _, text, *receiver = name.split("/")
         if receiver and receiver != [self._service.robot]:
             return
         if (told := self._notes.get(text)) is not None:
             if sender != self._service.robot:
+                _hand_over(arrived)
                 told.receive_note(sender, payload)
             return
         try:
@@ -194,7 +197,7 @@ class Host:
             return
         worker = self._by_schema.get(channel.schema)
         if worker is not None and channel.run == self._run:
-            worker.receive(sender, channel, payload)
+            arrived.setdefault(worker, []).append((sender, channel, payload))
             return
         self._service.counters["sync_other_run" if channel.run != self._run else "sync_other_version"] += 1
         for worker in self._workers.values():
@@ -273,6 +276,12 @@ class Host:
         deadlines = [worker.next_deadline() for worker in self._workers.values()]
         first = min((deadline for deadline in deadlines if deadline is not None), default=None)
         return TICK if first is None else min(TICK, max(0.0, first - clock.now()))
+
+
+def _hand_over(arrived: dict[Worker, list[Arrival]]) -> None:
+    for worker, frames in arrived.items():
+        worker.receive(frames)
+    arrived.clear()
 
 
 def schema_of(runner: Runner, channel: str, digest: bytes) -> int:

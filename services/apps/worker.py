@@ -1,7 +1,7 @@
 """Files, thread and keys of one strand of an app: a lockstep with its snapshot, recording, state and progress."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 from services.apps import topology
@@ -45,6 +45,10 @@ class Latest:
     t: float
     """s, when it was computed."""
     state: dict[str, Value]
+
+
+Arrival = tuple[str, Channel, bytes]
+"""A frame, its sender and the channel it came by."""
 
 
 class Queue(Protocol):
@@ -162,12 +166,15 @@ class Worker:
 
     # On Zenoh's thread
 
-    def receive(self, sender: str, channel: Channel, payload: bytes) -> None:
-        """A frame of this run and this strand."""
+    def receive(self, frames: Iterable[Arrival]) -> None:
+        """Frames of this run and this strand that came together."""
+        robot, strand = self._service.robot, self._strand
         with self._lock:
-            if sender != self._service.robot:
-                self._watch.heard(sender, channel, self._strand.channel)
-            self._strand.receive(sender, channel, payload, clock.now())
+            now = clock.now()
+            for sender, channel, payload in frames:
+                if sender != robot:
+                    self._watch.heard(sender, channel, strand.channel)
+                strand.receive(sender, channel, payload, now)
             self._perform()
 
     def stranger(self, sender: str, channel: Channel) -> None:

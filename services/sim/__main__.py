@@ -15,7 +15,6 @@ from services.sim.options import Options
 from services.sim.report import Outcome
 from services.sim.run import Run
 from services.sim.scenario import Scenario
-from services.sim.virtual import run as virtual
 from swarm import log, service
 from swarm.errors import LocalError
 from swarm.simulations import claim, default_run_dir
@@ -45,6 +44,8 @@ def main() -> int:
 
 
 def _virtual(options: Options) -> int:
+    from services.sim.virtual import run as virtual  # most of the services: a quarter of what a simulation imports
+
     if options.record is not None:
         virtual.make_records(options.record)
     plan = scenario.build(options, virtual.PLACE)

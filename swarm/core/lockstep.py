@@ -348,18 +348,19 @@ class Lockstep:
         """After any change: say that a wait is over or has fewer robots, compute, or be done."""
         if self.fault is not None or self._computing:
             return
-        lacking = self._lacking()
         if self.k == self._last:
-            if not lacking:
+            if not self._lacking():
                 self.done = True
             return
         if self._named:
-            self._name(lacking)
-        if not lacking:
-            self._computing = True
-            place = self.k % 3
-            values = {name: value for name, peer in self._peers.items() if (value := peer.slots[place]) is not None}
-            self._actions.append(Compute(self.k, self._value, values))
+            self._name(self._lacking())
+        place, values = self.k % 3, {}
+        for name, peer in self._peers.items():
+            if (value := peer.slots[place]) is None:
+                return  # after each frame but the last one of an iteration: whom else it lacks nobody asks here
+            values[name] = value
+        self._computing = True
+        self._actions.append(Compute(self.k, self._value, values))
 
     def _lacking(self) -> tuple[str, ...]:
         """Neighbours whose x(k) is missing; at the last iteration those not known to be there (R7)."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import nursery
 import pytest
 
 from swarm.bus import Bus, Router
@@ -96,7 +97,7 @@ class Rig:
             "SWARM_PARENT": str(os.getpid()),
         }
         with (self.directory / robot / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(
+            process = nursery.start(
                 [sys.executable, *command],
                 env={**os.environ, **own, **environment},
                 stdin=subprocess.DEVNULL,

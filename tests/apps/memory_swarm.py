@@ -1,6 +1,7 @@
 """A swarm of app runners and lockstep cores joined in memory: no process, no clock, no thread."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,6 @@ class MemorySwarm:
         self.runners = {n: Runner(found.make(config, n, seed=1), found.source) for n in config.names}
         self.trajectory: dict[str, list[bytes]] = {n: [] for n in config.names}
         self.results: dict[str, list[dict[str, Any]]] = {n: [] for n in config.names}
-        self.states: dict[str, list[dict[str, Any]]] = {n: [] for n in config.names}
         self.messages = 0
         self._config = config
         self._measure = measure
@@ -73,6 +73,15 @@ class MemorySwarm:
             self._cores[receiver].receive(sender, self._cores[sender].channel, data, 0.0)
             self._carry_out(receiver)
         assert all(core.done for core in self._cores.values())
+
+    @cached_property
+    def states(self) -> dict[str, list[dict[str, Any]]]:
+        """`trajectory` by the fields' names."""
+        return {
+            name: [schema.plain(dict(zip(schema.names, schema.unpack(each), strict=True))) for each in packed]
+            for name, packed in self.trajectory.items()
+            for schema in (self.runners[name].schema,)
+        }
 
     @property
     def final(self) -> dict[str, dict[str, Any]]:
@@ -97,7 +106,6 @@ class MemorySwarm:
                         self.trajectory[name].append(value)
                         if self._every or k == self._last:
                             self.results[name].append(runner.result())
-                        self.states[name].append(runner.state())
                     case Compute(k, own, values):
                         core.computed(*runner.step(k, own, values, self._measurement(name, k)), 0.0)
                     case Fault(reason):

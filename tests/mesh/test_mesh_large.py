@@ -1,6 +1,7 @@
 """Large messages of flood and unicast: every byte once, whatever happens to links, robots and packets."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import pytest
 from conftest import costly
@@ -20,9 +21,14 @@ from swarm.messages import FloodRequest, SendRequest
 GRAPHS = {"line": line(4), "ring": ring(5), "full": full(4), "thesis-d": thesis_d()}
 
 
+@cache
+def numbers(count: int) -> bytes:
+    return b"".join(b"%06d" % n for n in range(count))
+
+
 def large(count: int, size: int = 60_000) -> bytes:
     """A payload that shows it if a piece is at the wrong place."""
-    return b"%06d" % count + b"".join(b"%06d" % n for n in range(size // 6 - 1))
+    return b"%06d" % count + numbers(size // 6 - 1)
 
 
 def arrived(world: World, name: str, topic: str) -> list[bytes]:

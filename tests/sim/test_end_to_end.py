@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import wait_until
 
+from bench import talking_sim
 from bench.simulation import Simulation, SimulationError, simulate
 from services.sim.virtual.run import simulate as virtual
 
@@ -72,6 +73,17 @@ def test_killed_services_and_a_stopped_app_change_no_bit():
             simulation.kill(robot, service)
         report = simulation.finish()
         assert report["restarts"] == len(victims)
+        for name, path in undisturbed().items():
+            assert simulation.trajectory(name).rows == path.rows
+
+
+def test_robots_that_only_talk_have_the_same_trajectory_and_three_processes_each():
+    """What the benchmarks of lockstep run."""
+    with Simulation(*RUN, program=talking_sim.PROGRAM) as simulation:
+        simulation.wait_for("r0", 5)
+        started = {path.name for path in (simulation.run_dir / "r0").glob("*.log")}
+        assert started == {"bus.log", "mesh.log", "app.consensus.log"}
+        simulation.finish()
         for name, path in undisturbed().items():
             assert simulation.trajectory(name).rows == path.rows
 

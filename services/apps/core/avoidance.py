@@ -106,6 +106,8 @@ def _nearest(wish: Point, planes: Sequence[_HalfPlane]) -> Point:
     """Projection of `wish` onto the intersection of half-planes; in the plane the optimum of this quadratic programme
     is the wish, its foot on one of the lines, or where two of them cross. Where there is none: the candidate that is
     violated least."""
+    if all(plane.room(wish) >= -1e-9 for plane in planes):
+        return wish
     candidates = [wish]
     for n, a in enumerate(planes):
         square = a.x * a.x + a.y * a.y

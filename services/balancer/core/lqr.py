@@ -8,6 +8,8 @@ matrices are 5 x 5, and the loop's process shall not carry numpy.
 """
 
 import math
+from functools import cache
+from operator import mul
 
 from services.balancer.core.body import GRAVITY, BodyModel
 from swarm.errors import LocalError
@@ -61,6 +63,7 @@ def feed_forward(body: BodyModel) -> tuple[float, float, float]:
     return 1.0 / (body.wheel_radius * body.free_speed), tilt, tilt * duty_per_tilt
 
 
+@cache  # the robots of a simulation mostly have the same body
 def gains(body: BodyModel) -> tuple[float, ...]:
     """Feedback (k_x, k_v, k_th, k_rate, k_u): u = k . (x, x', th, th', previous u)."""
     a, before, after = delayed(*linear_model(body), PERIOD_S, DELAY_S)
@@ -154,7 +157,7 @@ def add(a: Matrix, b: Matrix) -> Matrix:
 def multiply(a: Matrix, b: Matrix) -> Matrix:
     """A B."""
     columns = list(zip(*b, strict=True))
-    return [[math.fsum(x * y for x, y in zip(row, column, strict=True)) for column in columns] for row in a]
+    return [[math.fsum(map(mul, row, column)) for column in columns] for row in a]
 
 
 def inverse(a: Matrix) -> Matrix:

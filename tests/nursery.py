@@ -1,0 +1,132 @@
+"""Our programs' processes, forked from one Python that has imported all of them: importing is most of what starting one
+takes, and tests start hundreds.
+
+`start` is `subprocess.Popen`, and what it starts is a child of this process as any other, with its own environment,
+folder and streams. Simulations (tests/sim/test_end_to_end.py and others) start the same services by `python -m`.
+"""
+
+import atexit
+import ctypes
+import gc
+import importlib
+import json
+import os
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+PACKAGES = (
+    "services.apps",
+    "services.balancer",
+    "services.bus",
+    "services.dwm",
+    "services.dwm.calibrate",
+    "services.mesh",
+)
+MODULES = ("services.balancer.bridge", "services.sim.body", "swarm.cli.z_sub")
+COMMAND = "swarm.cli"
+"""Its `__main__` is one line, and does something when imported."""
+
+_PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
+_ROOM = 1 << 17
+"""Bytes of one order: words and an environment."""
+
+_one = threading.Lock()
+"""One order at a time: the answers say not to which order."""
+
+
+def start(command: Sequence[str], env: Mapping[str, str], **streams: Any) -> "subprocess.Popen[Any]":
+    """Start `python WORDS`, the quicker way where that is the same."""
+    python, *words = command
+    plain = python == sys.executable and words[0] == "-m" and words[1] in (*PACKAGES, *MODULES, COMMAND)
+    # Another path may bring another `sitecustomize`.
+    same = plain and env.get("PYTHONPATH") == os.environ.get("PYTHONPATH") and "PYTHONHASHSEED" not in env
+    return (_Forked if same else subprocess.Popen)(list(command), env=dict(env), **streams)
+
+
+class _Forked(subprocess.Popen[Any]):
+    """A process that the nursery has forked."""
+
+    def _execute_child(self, args: Any, *rest: Any) -> None:
+        """In place of fork and exec."""
+        environment, pipes = rest[5], rest[9:15]  # both ends of each, as its caller has them
+        order = json.dumps([args[2:], str(Path.cwd()), environment]).encode()
+        with _one:
+            door = _nursery()
+            # Whoever is between the nursery and the program ends at once, and its orphan is to be ours.
+            ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+            socket.send_fds(door, [order], [pipes[0], pipes[3], pipes[5]])
+            self.pid = int(door.recv(_ROOM))
+            ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 0)
+        self._child_created = True
+        self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
+
+
+@cache
+def _nursery() -> socket.socket:
+    """The door of this process' own nursery; it ends when nobody has the door any more."""
+    door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    process = subprocess.Popen([sys.executable, __file__], stdin=inside, stdout=subprocess.DEVNULL)
+    inside.close()
+
+    def end() -> None:
+        door.close()
+        process.wait()
+
+    atexit.register(end)
+    return door
+
+
+def _serve() -> list[str]:
+    """Fork a process for each order; returns the words of its order in each of them."""
+    door = socket.socket(fileno=os.dup(0))
+    before = set(os.environ)
+    programs = [*(f"{each}.__main__" for each in PACKAGES), *MODULES]
+    for each in (*programs, COMMAND):
+        importlib.import_module(each)
+    for each in programs:
+        del sys.modules[each]  # it is run under another name
+    chosen = {name: value for name, value in os.environ.items() if name not in before}
+    # Of threads only the one that forks would be copied.
+    assert threading.active_count() == 1
+    gc.freeze()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        order, streams, _, _ = socket.recv_fds(door, _ROOM, 3)
+        if not order:
+            os._exit(0)
+        waits, begin = os.pipe()
+        if not os.fork():
+            if os.fork():
+                os._exit(0)
+            os.close(begin)
+            os.read(waits, 1)  # until the one between is gone, and this is the child of who asked for it
+            os.close(waits)
+            break
+        os.wait()
+        for number in (waits, begin, *streams):
+            os.close(number)
+    door.send(str(os.getpid()).encode())
+    door.close()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+        os.close(stream)
+    words, folder, environment = json.loads(order)
+    os.chdir(folder)
+    sys.path[0] = folder
+    os.environ.clear()
+    os.environ.update(chosen | environment)
+    return words
+
+
+if __name__ == "__main__":
+    sys.argv = _serve()
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
