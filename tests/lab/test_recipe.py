@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lab.vm import build, recipe
+from lab.vm import build, kernel, recipe
+from lab.vm.network import Wire
+from swarm.errors import LocalError
 
 
 def guest(name: str) -> object:
@@ -35,12 +37,39 @@ def test_equal_content_has_an_equal_name_and_other_content_another(tmp_path: Pat
     assert recipe.digest("ab", "c") != recipe.digest("a", "bc")
 
 
-def test_a_host_without_the_tools_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_that_cannot_is_told_what_it_lacks(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(build.shutil, "which", lambda tool: None if tool in ("flex", "mke2fs") else tool)
     monkeypatch.setattr(build.os, "geteuid", lambda: 0)
+    monkeypatch.setattr(build.platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(build, "TUN", tmp_path)
     assert build.missing() == "apt-get install e2fsprogs flex"
+    monkeypatch.setattr(build, "TUN", tmp_path / "none")
+    assert "modprobe tun" in build.missing()
+    monkeypatch.setattr(build.platform, "machine", lambda: "aarch64")
+    assert "x86_64, this is aarch64" in build.missing()
     monkeypatch.setattr(build.os, "geteuid", lambda: 1000)
     assert "root" in build.missing()
+
+
+def test_an_option_that_the_kernel_has_dropped_is_named(tmp_path: Path) -> None:
+    wanted = [line for line in kernel.CONFIG.read_text().splitlines() if line.startswith("CONFIG_")]
+    made = tmp_path / ".config"
+    made.write_text("\n".join(wanted))
+    kernel._check(made)
+    made.write_text("\n".join(line for line in wanted if "BT_RFCOMM" not in line))
+    with pytest.raises(LocalError, match="no CONFIG_BT_RFCOMM=y"):
+        kernel._check(made)
+
+
+def test_no_two_machines_have_the_same_addresses() -> None:
+    one, other = Wire(), Wire()
+    assert len({one.host, one.machine, other.host, other.machine}) == 4
+    assert one.interface != other.interface
+    one.close()
+    again = Wire()
+    assert again.machine != other.machine
+    again.close()
+    other.close()
 
 
 packet = st.one_of(
