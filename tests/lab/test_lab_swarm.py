@@ -23,7 +23,7 @@ from lab.vm.machine import Machine
 from swarm.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
-pytestmark = [pytest.mark.lab, pytest.mark.timeout(3000)]
+pytestmark = [pytest.mark.lab, pytest.mark.timeout(1400)]
 
 NAMES = ("r0", "r1", "r2")
 TARGET = (1.3, 0.8)
