@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from lab.vm.build import image
+from lab.vm.build import image, missing
 from swarm.errors import LocalError
 
 TESTS = Path(__file__).parents[1] / "tests/lab"
@@ -23,9 +23,16 @@ SHORT = (
 """Of each part of the lab the tests that say most in a minute."""
 
 
+UNAVAILABLE = 69
+"""Exit code where this host cannot run the lab (EX_UNAVAILABLE of sysexits.h)."""
+
+
 def main() -> int:
-    """Exit code: 1 where this host cannot run the lab."""
+    """Exit code: `UNAVAILABLE`, 1 where the machine cannot be built, else pytest's."""
     words = sys.argv[1:]
+    if lacking := missing():
+        sys.stderr.write(f"lab: this host cannot run the lab: {lacking}\n")
+        return UNAVAILABLE
     began = time.monotonic()
     try:
         image()

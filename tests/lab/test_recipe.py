@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lab import __main__ as command
 from lab.vm import build, kernel, recipe
 from lab.vm.network import Wire
 from swarm.errors import LocalError
@@ -49,6 +50,14 @@ def test_a_host_that_cannot_is_told_what_it_lacks(monkeypatch: pytest.MonkeyPatc
     assert "x86_64, this is aarch64" in build.missing()
     monkeypatch.setattr(build.os, "geteuid", lambda: 1000)
     assert "root" in build.missing()
+
+
+def test_where_it_cannot_run_the_exit_code_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "missing", lambda: "apt-get install flex")
+    assert command.main() == command.UNAVAILABLE == 69
+    assert capsys.readouterr().err == "lab: this host cannot run the lab: apt-get install flex\n"
 
 
 def test_an_option_that_the_kernel_has_dropped_is_named(tmp_path: Path) -> None:
