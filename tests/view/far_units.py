@@ -3,6 +3,7 @@ units are started, stopped, and started again when they die."""
 
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,9 @@ esac
 
 _LOOK_S = 0.02
 
+RESTART_S = 0.6
+"""s until what has died runs again: RestartSec= of the units, and what Python takes to start where it is not forked."""
+
 
 class Units:
     """Of one robot; apps, and services that a test names."""
@@ -39,6 +43,7 @@ class Units:
         self._environment = environment
         self._running: dict[str, Any] = {}
         self._wanted: dict[str, bool] = {}
+        self._died: dict[str, float] = {}
         self._read = 0
         for folder in ("active", "etc/apps", "lib/apps"):
             (home / folder).mkdir(parents=True)
@@ -65,7 +70,11 @@ class Units:
             self._read = len(lines)
             for unit, wanted in list(self._wanted.items()):
                 process = self._running.get(unit)
-                if wanted and (process is None or process.poll() is not None):
+                if not wanted or (process is not None and process.poll() is None):
+                    continue
+                now = time.monotonic()
+                if process is None or now - self._died.setdefault(unit, now) >= RESTART_S:
+                    self._died.pop(unit, None)
                     self._running[unit] = self._spawn(unit)
                     (self._home / "active" / unit).touch()
 
