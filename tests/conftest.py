@@ -32,7 +32,7 @@ with contextlib.suppress(ImportError):  # a machine of the lab has none
 
 try:
     from nursery import start
-except ImportError:  # there, too, and what starts Python there is warm by itself
+except ImportError:  # nor this; its services have a nursery of their own (tests/lab/inside_nursery.py)
     start = subprocess.Popen
 
 PATIENCE = float(os.environ.get("LAB_PATIENCE", "1"))

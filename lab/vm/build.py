@@ -16,7 +16,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 from lab import container
 from lab.vm import debian, kernel, recipe
@@ -81,8 +80,10 @@ def image() -> Image:
     if lacking := missing():
         raise LocalError(f"this host cannot run the lab: {lacking}")
     mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
-    system = "base-" + _digest(mirror, recipe, debian)
-    core = "kernel-" + _digest(mirror, kernel) + recipe.digest(kernel.CONFIG.read_bytes(), kernel.PATCH.read_bytes())
+    of_system = (Path(recipe.__file__), Path(debian.__file__))
+    of_core = (Path(kernel.__file__), kernel.CONFIG, kernel.PATCH)
+    system = "base-" + recipe.digest(mirror, *map(Path.read_bytes, of_system))
+    core = "kernel-" + recipe.digest(mirror, *map(Path.read_bytes, of_core))
     parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]
     name = "image-" + recipe.digest(system, core, *map(_content, parts))
     with ThreadPoolExecutor() as pool:
@@ -90,11 +91,6 @@ def image() -> Image:
         root = pool.submit(kept, cache() / system, lambda folder: debian.make(folder, mirror))
         made = kept(cache() / name, lambda folder: _image(folder, root, linux))
     return Image(made / "disk.ext4", linux.result() / "linux", made / "ssh_key")
-
-
-def _digest(mirror: str, *modules: ModuleType) -> str:
-    """Of what these modules make from that mirror."""
-    return recipe.digest(mirror, *(Path(str(module.__file__)).read_bytes() for module in modules))
 
 
 def _content(path: Path) -> bytes:

@@ -192,9 +192,7 @@ class Machine:
         if not key.exists():
             shutil.copy(self._image.key, key)
             key.chmod(0o600)
-        options = (
-            *("StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "LogLevel=ERROR", "ConnectTimeout=100"),
-        )
+        options = ("StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "LogLevel=ERROR", "ConnectTimeout=100")
         words = [word for option in options for word in ("-o", option)]
         return ["ssh", "-i", str(key), *words, f"root@{self.address}"]
 
