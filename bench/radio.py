@@ -43,16 +43,23 @@ class _End(asyncio.Protocol):
 
 
 class _Caller(_End):
-    """The end of the robot that called; nothing of it is read before the other end is there."""
+    """The end of the robot that called; what it says before the other end is there is kept for it."""
 
     def __init__(self, robot: int, port: int) -> None:
         self._address = of_robot(robot), port
+        self._said = b""
         self._joining: asyncio.Task[None]
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        self.transport.pause_reading()
         self._joining = asyncio.get_running_loop().create_task(self._join())
+
+    # Not by pause_reading: before Python 3.11.4 a transport reads all the same when it is asked for that here.
+    def data_received(self, data: bytes) -> None:
+        if hasattr(self, "other"):
+            super().data_received(data)
+        else:
+            self._said += data
 
     async def _join(self) -> None:
         try:
@@ -61,7 +68,8 @@ class _Caller(_End):
             self.transport.close()
             return
         self.other, called.other = called, self
-        self.transport.resume_reading()
+        if self._said:
+            super().data_received(self._said)
 
 
 async def _serve(robots: int, port: int) -> None:
