@@ -20,8 +20,8 @@ from swarm.messages import Pose
 
 CHUNK_SIZE = 256 * 1024
 """Bytes of messages after which a chunk ends."""
-CHUNK_NS = 2_000_000_000
-"""ns between a chunk's first message and the one that ends it; a file that is written once a second ends it before."""
+CHUNK_NS = 1_000_000_000
+"""ns between a chunk's first message and the one that ends it."""
 
 MAX_CHANNELS = 65_535
 """The format has 16 bits for them."""
