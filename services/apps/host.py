@@ -28,7 +28,7 @@ from swarm.app import SyncApp
 from swarm.codec import Value, decode
 from swarm.conduct import Conduct
 from swarm.core import together
-from swarm.core.lockstep import Channel
+from swarm.core.lockstep import WANT_AFTER, Channel
 from swarm.core.lockstep_actions import AROUND
 from swarm.errors import FrameError, PayloadError
 from swarm.frozen import frozen
@@ -38,9 +38,12 @@ from swarm.messages import Links, SetAppEpoch, Topology
 from swarm.service import Service
 
 TICK = 0.1
-"""s between two looks of the ticker: state goes out at 10 Hz at most, for people and programs that watch. The
-lockstep's timers are never late for it: when set they are at least as far away (`WANT_AFTER`). At 25 Hz the ticker and
-what it published took a fifth of the app's CPU time."""
+"""s between two looks of the ticker while there is something to see: state goes out at 10 Hz at most, for people and
+programs that watch. At 25 Hz the ticker and what it published took a fifth of the app's CPU time."""
+
+SELDOM = WANT_AFTER
+"""s between two looks while nobody hears the states. The lockstep's timers are never late for it: when set they are at
+least as far away."""
 
 
 @frozen
@@ -262,7 +265,7 @@ class Host:
     def _ticker(self) -> None:
         told_ready = False
         workers = tuple(self._workers.values())
-        while not self._service.stopping.wait(self._pause()):
+        while not self._service.stopping.wait(self._pause(SELDOM if told_ready else TICK)):
             if self._listens is None and any(worker.busy for worker in workers):
                 # Who would take frames runs a step that takes its time; neighbours get answers all the same.
                 while (data := self._lane.take()) is not None:
@@ -275,10 +278,13 @@ class Host:
             if any(news) and not any(worker.stuck for worker in workers):
                 self._service.watchdog()
 
-    def _pause(self) -> float:
-        deadlines = [worker.next_deadline() for worker in self._workers.values()]
+    def _pause(self, longest: float) -> float:
+        workers = self._workers.values()
+        if any(worker.watched or worker.busy for worker in workers):
+            longest = TICK
+        deadlines = [worker.next_deadline() for worker in workers]
         first = min((deadline for deadline in deadlines if deadline is not None), default=None)
-        return TICK if first is None else min(TICK, max(0.0, first - clock.now()))
+        return longest if first is None else min(longest, max(0.0, first - clock.now()))
 
 
 def _hand_over(arrived: dict[Worker, list[Arrival]]) -> None:

@@ -110,11 +110,12 @@ class Worker:
         self._measuring: float | None = None
         self._muted = False
         self._state: AppState | None = None
-        self._slow = Slow(service.bus, key(service.robot, self._keys, "state"), APP_STATE_S)
+        self._state_key = key(service.robot, self._keys, "state")
+        self._slow = Slow(service.bus, self._state_key, APP_STATE_S)
         self._told: tuple[object, ...] = ()
         self._told_at = 0.0
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
-        service.bus.serve(key(service.robot, self._keys, "state"), self._answer)
+        service.bus.serve(self._state_key, self._answer)
         service.bus.serve(key(service.robot, self._keys, "progress"), lambda *_: encode(self._progress()))
         service.bus.serve(key(service.robot, self._keys, "epoch"), lambda *_: encode(self._epoch()))
         # A daemon: a step that never returns must not keep the process from ending.
@@ -143,6 +144,11 @@ class Worker:
     def busy(self) -> bool:
         """Whether it runs a step, or waits for what a step needs."""
         return self._step_began is not None or self._measuring is not None
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody hears its states."""
+        return self._service.bus.wanted(self._state_key)
 
     @property
     def stuck(self) -> bool:
@@ -333,7 +339,7 @@ class Worker:
             finally:
                 self._app_lock.release()
             self._state = state
-            self._publish("state", state)
+            self._service.bus.publish(self._state_key, state)
             self._slow.publish(state, clock.now(), news=strand.phase == "done")
 
     def _report(self, now: float) -> tuple[str, tuple[str, ...], str]:

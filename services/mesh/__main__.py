@@ -12,7 +12,7 @@ from services.mesh import keep
 from services.mesh.core.dialler import can_link, dials
 from services.mesh.core.events import Received
 from services.mesh.core.frames import BULK, NONCE_SIZE
-from services.mesh.core.gather import by_app
+from services.mesh.core.gather import app_of, by_app
 from services.mesh.core.handshake import Local
 from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
@@ -37,6 +37,9 @@ from swarm.service import Service
 
 _REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links` and `mesh/clock` when nothing changes."""
+
+_FRAMES = "swarm/*/app/*/sync/**"
+"""All frames of locksteps: most of what comes in, and hardly ever does anybody listen to them on the bus."""
 
 
 def local_of(config: Config, me: str) -> Local:
@@ -74,7 +77,7 @@ class _Mesh(Runner):
             changed=self.report,
             keep=self._keep_topology,
             lane=lane,
-            show=partial(service.bus.publish, urgent=True),
+            show=self._show,
         )
         self._service = service
         self._bus = service.bus
@@ -86,6 +89,10 @@ class _Mesh(Runner):
         self._topology_key = key(service.robot, "mesh", "topology")
         self._reporting = threading.Lock()
         self._keeping = threading.Lock()
+
+    def _show(self, key: str, payload: bytes) -> None:
+        if self._bus.wanted(_FRAMES, urgent=True):
+            self._bus.publish(key, payload, urgent=True)
 
     def report(self) -> None:
         """Publish `mesh/links`, `mesh/clock` and `mesh/topology`."""
@@ -106,7 +113,10 @@ class _Mesh(Runner):
         for app, frames in by_app(messages).items():
             if not self._lane.send(of_app(app), frames):
                 self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
+        frames_wanted = self._bus.wanted(_FRAMES, urgent=True)
         for each in messages:
+            if not frames_wanted and app_of(each.key) is not None:
+                continue
             self._heard(each.key, each.payload)
             if len(each.payload) <= MAX_BINARY:
                 self._bus.publish(each.key, each.payload, urgent=each.priority < BULK)

@@ -18,15 +18,13 @@ def pose(message: Pose, log_time: int) -> bytes:
     """JSON text of a pose at a log time, ns. A robot whose heading is not known looks along x."""
     sec, nsec = divmod(log_time, 1_000_000_000)
     half = (message.heading or 0.0) / 2.0
-    view = {
-        "timestamp": {"sec": sec, "nsec": nsec},
-        "frame_id": FRAME,
-        "pose": {
-            "position": {"x": message.x, "y": message.y, "z": 0.0},
-            "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
-        },
-    }
-    return json.dumps(view, separators=(",", ":"))[:-1].encode() + b"," + jsontext.encode(message)[1:]
+    # Written out: the most frequent message of a recording, and the encoder takes five times as long.
+    view = (
+        f'{{"timestamp":{{"sec":{sec},"nsec":{nsec}}},"frame_id":"{FRAME}",'
+        f'"pose":{{"position":{{"x":{message.x!r},"y":{message.y!r},"z":0.0}},'
+        f'"orientation":{{"x":0.0,"y":0.0,"z":{math.sin(half)!r},"w":{math.cos(half)!r}}}}},'
+    )
+    return view.encode() + jsontext.encode(message)[1:]
 
 
 def pose_schema() -> bytes:

@@ -1,7 +1,7 @@
-"""A recording on disk: what is written is kept in memory and put into the file by a thread of its own, twice a second.
+"""A recording on disk: what is written is kept in memory and put into the file by a thread of its own, once a second.
 
 Nobody who records ever waits for a disk (an SD card may take seconds). Whoever reads the file of a killed process
-misses half a second; with a journal the next process of the run puts that in, too. Losing the recording stops nothing:
+misses a second; with a journal the next process of the run puts that in, too. Losing the recording stops nothing:
 it is logged once and counted.
 """
 
@@ -21,7 +21,7 @@ from swarm.recording.budget import hold
 from swarm.recording.journal import Journal
 from swarm.recording.survey import survey
 
-FLUSH_S = 0.5
+FLUSH_S = 1.0
 """s between two writes to the file."""
 SYNC_S = 10.0
 """s between two waits for the disk itself: what a robot loses at most when its battery falls out."""
@@ -136,7 +136,7 @@ class RecordingFile:
         try:
             return Journal(path)
         except OSError as error:
-            _log.warning("%s: %s; a process that is killed loses half a second of its recording", path, error.strerror)
+            _log.warning("%s: %s; a process that is killed loses a second of its recording", path, error.strerror)
             return None
 
     def _restore(self, left: list[tuple[int, bytes]]) -> None:

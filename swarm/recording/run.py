@@ -17,7 +17,7 @@ from swarm.recording.trajectory import Builder, Trajectory, epoch_topic, is_stat
 _NO_SCHEMA = Schema(0, "", "", b"{}")
 
 DISORDER_S = 5.0
-"""s by which a message may stand in a file behind later ones: what came over the bus is written twice a second."""
+"""s by which a message may stand in a file behind later ones: what came over the bus is written once a second."""
 
 
 class Run:

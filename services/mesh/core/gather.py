@@ -129,13 +129,13 @@ def by_app(messages: Iterable[Received]) -> dict[str, list[tuple[str, bytes]]]:
     """What hosts of apps hear of some messages: key and payload of each frame of a lockstep, by app, in order."""
     found: dict[str, list[tuple[str, bytes]]] = {}
     for message in messages:
-        if (app := _app_of(message.key)) is not None:
+        if (app := app_of(message.key)) is not None:
             found.setdefault(app, []).append((message.key, message.payload))
     return found
 
 
 @lru_cache(maxsize=MAX_KEYS)
-def _app_of(key: str) -> str | None:
+def app_of(key: str) -> str | None:
     """The app whose lockstep uses a key, if one does."""
     chunks = key.split("/")
     return chunks[3] if len(chunks) >= 6 and chunks[2] == "app" and chunks[4] == "sync" else None
