@@ -267,6 +267,7 @@ class Host:
                 # Who would take frames runs a step that takes its time; neighbours get answers all the same.
                 while (data := self._lane.take()) is not None:
                     self._take(data)
+                self._lane.wake()  # it may have been waiting again, and what was to wake it was taken here
             news = [worker.tick() for worker in workers]
             self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
             if not told_ready and all(worker.begun for worker in workers) and not self.failed:
