@@ -60,8 +60,8 @@ def _plain(value: object) -> object:
 
 
 _pieces = c_make_encoder(None, _plain, encode_basestring_ascii, None, ":", ",", False, False, False)
-"""What `json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_plain)` makes each time, which takes longer than
-a small message."""
+"""What `json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_plain)` makes each time; that takes
+longer than a small message."""
 
 
 @cache
