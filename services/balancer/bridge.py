@@ -38,7 +38,7 @@ from swarm.messages import (
     read,
 )
 from swarm.service import Service, run
-from swarm.slow import SLOW, Slow
+from swarm.slow import SLOW, Gathered, Slow
 
 SILENCE_S = 1.0
 """A loop that said nothing for so long is stuck."""
@@ -85,6 +85,7 @@ class Relay:
         self._notices_since = self._heard
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         self._slow = Slow(service.bus, self._keys[BalancerState], SLOW_STATE_S)
+        self._gathered = Gathered(service.bus, self._keys[BalancerState])
         self._mode = ""
         self._lane = Sender(service.runtime)
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
@@ -118,7 +119,8 @@ class Relay:
                 self._service.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
-            self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True)
+            if self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True):
+                self._gathered.add(message, message.t)
             self._mode = message.mode
         name = self._keys[type(message)]
         if isinstance(message, Odometry):

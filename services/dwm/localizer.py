@@ -19,6 +19,7 @@ from swarm.errors import ConfigError, PayloadError
 from swarm.keys import key
 from swarm.lane import DWM, Lane
 from swarm.messages import Odometry
+from swarm.slow import Gathered
 
 _MAX_WAITING = 250
 """Odometry messages that wait for a report of the module: ten seconds of them. Then the oldest go."""
@@ -91,6 +92,7 @@ class Localizer:
         # An anchor ranges to nobody, so its answers say nothing.
         is_tag = config.robot(robot).uwb_role == "tag"
         self._watch = Watch(config.anchors, known_modules(config), now) if is_tag else None
+        self._poses = Gathered(service.bus, key(robot, "dwm", "pose"))
         self._odometry: deque[Odometry] = deque(maxlen=_MAX_WAITING)
         self._increments = Increments()
         self._lane: Lane | None = None
@@ -114,6 +116,7 @@ class Localizer:
         service.counters["filter_restarts"] = self._pipeline.tracker.restarts
         service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(service.robot, "dwm", "pose"), pose)
+        self._poses.add(pose, when)
 
     def listen(self) -> None:
         """Take the odometry that has come. A lane holds ten messages, 0.4 s of them: call it as often where no reports
