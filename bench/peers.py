@@ -29,6 +29,7 @@ from swarm import clock, log, service
 from swarm.app import SyncApp
 from swarm.config import Config, load
 from swarm.core.lockstep import Channel, Compute, Lockstep, Send
+from swarm.core.lockstep_actions import AROUND
 from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.lane import Lane
@@ -55,6 +56,7 @@ class Peer:
             start=Start(Ground(config.names, config.edges, auto=config.auto), local.dials),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
+            admits_around=relay.admits_around,
         )
         nonce = partial(os.urandom, NONCE_SIZE)
         network = Network(config, local, runtime_dir())
@@ -96,9 +98,10 @@ class Peer:
         """On the mesh's thread."""
         with self._lock:
             for name, frame in by_app(messages).get(APP, ()) if self._began else ():
-                _, sender, _, _, _, text, *_ = name.split("/")
+                _, sender, _, _, _, text, *receiver = name.split("/")
+                around = receiver[1:] == [AROUND]
                 try:
-                    self._lockstep.receive(sender, Channel.parse(text), frame, clock.now())
+                    self._lockstep.receive(sender, Channel.parse(text), frame, clock.now(), around=around)
                 except FrameError:  # what robots say about the members
                     continue
             self._carry_out()
@@ -110,8 +113,7 @@ class Peer:
                     own, private = self._app.step(action.k, action.own, action.values, None)
                     self._lockstep.computed(own, private, clock.now())
                 elif isinstance(action, Send):
-                    name = self._key if action.to is None else f"{self._key}/{action.to}"
-                    self._mesh.publish(None, name, action.data)
+                    self._mesh.publish(None, action.key(self._key), action.data)
 
 
 def main() -> None:

@@ -24,6 +24,27 @@ EDGES = {
 }
 
 
+def way_around(edges, sender, receiver):
+    """The robots of a shortest way that does not use the link between the two, as a mesh finds it; None: there is none.
+
+    A mesh does not know of cuts yet: `edges` are all links."""
+    neighbours = {}
+    for edge in edges:
+        if set(edge) != {sender, receiver}:
+            for a, b in (edge, edge[::-1]):
+                neighbours.setdefault(a, set()).add(b)
+    ways = deque([(sender,)])
+    seen = {sender}
+    while ways:
+        way = ways.popleft()
+        if way[-1] == receiver:
+            return way
+        for name in sorted(neighbours.get(way[-1], set()) - seen):
+            seen.add(name)
+            ways.append((*way, name))
+    return None
+
+
 def named(edges):
     return [(f"r{i}", f"r{j}") for i, j in edges]
 
@@ -99,8 +120,8 @@ class Process:
         match action:
             case Save(snapshot):
                 world.disk[self.robot] = snapshot.encode()
-            case Send(data, to):
-                world.send(self, data, to)
+            case Send(data, to, around):
+                world.send(self, data, to, around=around)
             case Advanced(k, value):
                 assert value == world.truth[self.robot][k], f"{self.robot} forked at iteration {k}"
                 world.reached[self.robot] = max(world.reached[self.robot], k)
@@ -132,13 +153,13 @@ class Process:
         self.core.computed(x_next, private, self.world.now)
         self.pump()
 
-    def receive(self, sender, text, data):
+    def receive(self, sender, text, data, *, around=False):
         if not self.alive:
             return
         if self.stopped:
-            self.inbox.append(lambda: self.receive(sender, text, data))
+            self.inbox.append(lambda: self.receive(sender, text, data, around=around))
             return
-        self.core.receive(sender, Channel.parse(text), data, self.world.now)
+        self.core.receive(sender, Channel.parse(text), data, self.world.now, around=around)
         self.pump()
 
     def nudge(self):
@@ -183,6 +204,8 @@ class World:
         self.reached = dict.fromkeys(names, -1)
         self.sent = Counter()
         """Messages by (from, to, kind)."""
+        self.around = 0
+        """How many of them went around a link."""
         self._order = count()
         self._events = []
         self._last_arrival = {}
@@ -262,7 +285,7 @@ class World:
     def lost(self):
         return self.loss > 0 and self.random.random() < self.loss
 
-    def send(self, process, data, to):
+    def send(self, process, data, to, *, around=False):
         robot, text = process.robot, process.channel.text
         kind = data[0]
         if self.hears_itself:
@@ -274,6 +297,11 @@ class World:
             assert peer in self.neighbours[robot]
             self.sent[robot, peer, kind] += 1
             if own_bus_lost:
+                continue
+            if around:
+                self.around += 1
+                if (way := way_around(self.edges, robot, peer)) is not None:
+                    self.pass_on(way, lambda peer=peer: self.arrive(robot, peer, text, data, around=True))
                 continue
             self.carry(robot, peer, lambda peer=peer: self.arrive(robot, peer, text, data))
 
@@ -294,10 +322,15 @@ class World:
         if self.copies > 0 and self.random.random() < self.copies:
             self.at(arrival + 3 * self.random.random(), arrive)
 
-    def arrive(self, sender, receiver, text, data):
+    def pass_on(self, way, arrive):
+        """From robot to robot; over the last link `arrive` is called."""
+        sender, receiver, *rest = way
+        self.carry(sender, receiver, (lambda: self.pass_on((receiver, *rest), arrive)) if rest else arrive)
+
+    def arrive(self, sender, receiver, text, data, *, around=False):
         for process in list(self.processes[receiver]):
             if not self.lost():
-                process.receive(sender, text, data)
+                process.receive(sender, text, data, around=around)
 
     def cut_link(self, edge):
         self.cut.add(edge)

@@ -10,6 +10,8 @@ from collections import Counter, deque
 from itertools import count
 from random import Random
 
+from lockstep_world import way_around
+
 from services.apps.core.strand import Renew, Strand
 from services.apps.core.terms import Terms
 from swarm.core.epoch_actions import Keep, Switch, Tell
@@ -111,9 +113,16 @@ class Process:
                 world.kept[robot] = kept
             case Tell(data):
                 world.broadcast(robot, lambda other: other.strand.receive_note(robot, data, world.now))
-            case Send(data, to):
+            case Send(data, to, around):
                 channel = Channel.parse(strand.channel.text)
-                world.broadcast(robot, lambda other: other.strand.receive(robot, channel, data, world.now), to)
+
+                def deliver(other):
+                    other.strand.receive(robot, channel, data, world.now, around=around)
+
+                if not around:
+                    world.broadcast(robot, deliver, to)
+                elif world.goes_around and (way := way_around(world.in_force, robot, to)) is not None:
+                    world.pass_on(way, deliver)
             case Advanced(k, _):
                 state = strand._history[-1]
                 assert state.k == k
@@ -164,6 +173,8 @@ class World:
         self.compute = 0.01
         self.latency = 0.03
         self.cut = set()
+        self.goes_around = True
+        """Whether the mesh finds ways around links that are cut."""
         self.births = Counter()
         self.pages = {name: {} for name in self.names}
         self.kept = {}
@@ -238,17 +249,32 @@ class World:
         if self.loss and self.random.random() < self.loss:
             return
         for edge in sorted(self.edges):
-            if robot in edge and edge not in self.cut:
+            if robot in edge:
                 other = edge[1] if edge[0] == robot else edge[0]
                 if to in (None, other):
-                    arrival = max(
-                        self.now + self.latency * (1 + 0.3 * self.random.random()), self._arrival.get((robot, other), 0)
-                    )
-                    self._arrival[robot, other] = arrival
-                    self.at(arrival, lambda other=other, edge=edge: self._arrive(other, edge, deliver))
+                    self._carry(robot, other, lambda other=other: self._arrive(other, deliver))
 
-    def _arrive(self, other, edge, deliver):
-        if edge not in self.cut and other in self.processes and not (self.loss and self.random.random() < self.loss):
+    def pass_on(self, way, deliver):
+        """From robot to robot, to the last one."""
+        robot, other, *rest = way
+        onwards = (lambda: self.pass_on((other, *rest), deliver)) if rest else lambda: self._arrive(other, deliver)
+        self._carry(robot, other, onwards)
+
+    def _carry(self, robot, other, arrive):
+        edge = tuple(sorted((robot, other)))
+        if edge in self.cut:
+            return
+        arrival = max(self.now + self.latency * (1 + 0.3 * self.random.random()), self._arrival.get((robot, other), 0))
+        self._arrival[robot, other] = arrival
+
+        def over():
+            if edge not in self.cut:
+                arrive()
+
+        self.at(arrival, over)
+
+    def _arrive(self, other, deliver):
+        if other in self.processes and not (self.loss and self.random.random() < self.loss):
             self.processes[other].take(deliver)
 
     def heal(self):

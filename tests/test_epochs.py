@@ -124,8 +124,18 @@ def test_the_operator_sends_a_robot_away_that_is_well():
     assert world.processes["r0"].strand.epochs.epoch.members == ("r0", "r1", "r3")
 
 
-def test_a_link_that_stays_cut_is_left_out():
+def test_a_link_that_stays_cut_is_gone_around():
     world = running(loop(4))
+    world.cut.add(("r0", "r1"))
+    for _ in range(5):
+        assert world.moving()
+    world.run(20.0)
+    assert set(counters(world).values()) == {0}
+
+
+def test_a_link_that_stays_cut_and_cannot_be_gone_around_is_left_out():
+    world = running(loop(4))
+    world.goes_around = False
     world.cut.add(("r0", "r1"))
     assert world.run(8.0, until=lambda: set(counters(world).values()) == {1})
     assert world.processes["r0"].strand.epochs.epoch.edges == (("r0", "r3"), ("r1", "r2"), ("r2", "r3"))

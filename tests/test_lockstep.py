@@ -305,11 +305,119 @@ def test_a_malformed_frame_does_not_claim_an_incarnation():
     assert kinds(one.actions()) == [Compute]
 
 
+# Around silent links
+
+
+def asked(neighbours=("r1", "r2")):
+    """Has asked all its neighbours for x(1), 0.25 s after it was there."""
+    one = at(1, neighbours)
+    one.handle_timer(0.25)
+    one.actions()
+    return one
+
+
+def test_who_does_not_answer_is_talked_to_around_its_link():
+    one = asked()
+    one.receive("r2", THEIRS, step_of(0), 0.3)  # it waits for others, but can be heard
+    assert one.next_deadline() == pytest.approx(0.25 + 2 * 0.06)
+    one.handle_timer(0.3701)
+    assert one.actions() == [
+        Send(encode_step(1, b"a1", b"a0"), "r1", around=True),
+        Send(encode_want(1), "r1", around=True),
+    ]
+    assert one.counters["links gone around"] == 1
+    assert one.next_deadline() == pytest.approx(0.5)
+
+
+def test_a_slow_link_has_two_round_trips_to_answer():
+    one = at(1, rtt=0.4)
+    one.handle_timer(1.6)
+    assert wants(one.actions()) == [("r1", encode_step(1, b"a1", b"a0")), ("r1", encode_want(1))]
+    assert one.next_deadline() == pytest.approx(1.6 + 2 * 0.4)
+
+
+def test_at_the_first_iteration_nothing_goes_around_before_who_is_waited_for_is_named():
+    one = started()
+    sent = []
+    while one.next_deadline() < 2.5:
+        one.handle_timer(one.next_deadline())
+        sent += [action for action in one.actions() if isinstance(action, Send)]
+    assert sent
+    assert not any(action.around for action in sent)
+    one.handle_timer(2.5)
+    assert [action.around for action in one.actions() if isinstance(action, Send)] == [True, True]
+
+
+def test_what_follows_goes_around_at_once_until_the_link_speaks():
+    one = asked()
+    one.handle_timer(0.38)
+    one.actions()
+    for peer in ("r1", "r2"):
+        one.receive(peer, THEIRS, step_of(1), 0.5, around=True)
+    one.computed(b"a2", b"", 0.5)
+    frame = encode_step(2, b"a2", b"a1")
+    sends = [action for action in one.actions() if isinstance(action, Send)]
+    assert sends == [Send(frame, None), Send(frame, "r1", around=True), Send(frame, "r2", around=True)]
+    one.receive("r1", THEIRS, step_of(2), 0.6)
+    one.receive("r2", THEIRS, step_of(2), 0.7, around=True)
+    one.computed(b"a3", b"", 0.7)
+    sends = [action for action in one.actions() if isinstance(action, Send)]
+    assert sends == [Send(encode_step(3, b"a3", b"a2"), None), Send(encode_step(3, b"a3", b"a2"), "r2", around=True)]
+
+
+def test_who_comes_around_with_what_is_missing_is_answered_around():
+    one = at(1, ("r1", "r2"))
+    one.receive("r2", THEIRS, step_of(1), 0.04)
+    one.receive("r1", THEIRS, step_of(1), 0.1, around=True)
+    one.computed(b"a2", b"", 0.1)
+    assert Send(encode_step(2, b"a2", b"a1"), "r1", around=True) in one.actions()
+
+
+def test_what_the_link_has_overtaken_changes_nothing():
+    one = at(1, ("r1", "r2"))
+    one.receive("r1", THEIRS, step_of(1), 0.04)
+    one.receive("r1", THEIRS, step_of(1), 0.1, around=True)
+    one.receive("r2", THEIRS, step_of(1), 0.1)
+    one.computed(b"a2", b"", 0.1)
+    assert not any(action.around for action in one.actions() if isinstance(action, Send))
+
+
+def test_a_question_that_came_around_is_answered_around():
+    one = at(2)
+    one.receive("r1", THEIRS, encode_want(2), 1.0, around=True)
+    assert one.actions() == [Send(encode_step(2, b"a2", b"a1"), "r1", around=True)]
+
+
+def test_the_key_of_a_frame_says_its_way():
+    assert Send(b"", None).key("a/sync/c") == "a/sync/c"
+    assert Send(b"", "r1").key("a/sync/c") == "a/sync/c/r1"
+    assert Send(b"", "r1", around=True).key("a/sync/c") == "a/sync/c/r1/around"
+
+
+def test_a_loop_goes_on_around_a_link_that_carries_nothing():
+    world = World(named(EDGES["loop"](4)), 60)
+    world.start_all()
+    world.run(0.5)
+    world.cut_link(("r0", "r1"))
+    assert world.run(60 * 0.2, until=world.finished)
+    assert world.around > 0
+
+
+def test_a_line_has_no_way_around_and_waits():
+    world = World(named(EDGES["line"](4)), 60)
+    world.start_all()
+    world.run(0.5)
+    world.cut_link(("r1", "r2"))
+    assert not world.run(30.0, until=world.finished)
+    world.mend_link(("r1", "r2"))
+    assert world.run(5.0, until=world.finished)
+
+
 # WANT
 
 
 def wants(actions):
-    return [(action.to, action.data) for action in actions if isinstance(action, Send)]
+    return [(action.to, action.data) for action in actions if isinstance(action, Send) and not action.around]
 
 
 def test_what_is_missing_is_asked_for_with_the_own_frame_beside_it():
@@ -362,10 +470,10 @@ def test_want_for_the_last_two_iterations_is_answered_to_the_asker_alone(k):
     assert one.actions() == [Send(encode_step(2, b"a2", b"a1"), "r1")]
 
 
-def test_want_for_what_is_not_computed_yet_is_not_answered():
+def test_want_for_what_is_not_computed_yet_is_answered_since_the_link_carries():
     one = at(2)
     one.receive("r1", THEIRS, encode_want(3), 1.0)
-    assert one.actions() == []
+    assert one.actions() == [Send(encode_step(2, b"a2", b"a1"), "r1")]
 
 
 def test_want_is_answered_once_a_round_trip():
@@ -468,6 +576,9 @@ def test_a_restarted_robot_sends_its_frame_asks_and_says_where_it_is():
         Advanced(3, b"a3"),
         Send(encode_want(3), "r1"),
     ]
+    assert again.next_deadline() == pytest.approx(100.12)
+    again.handle_timer(100.12)
+    assert wants(again.actions()) == []
     assert again.next_deadline() == pytest.approx(100.25)
 
 

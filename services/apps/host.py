@@ -29,6 +29,7 @@ from swarm.codec import Value, decode
 from swarm.conduct import Conduct
 from swarm.core import together
 from swarm.core.lockstep import WANT_AFTER, Channel
+from swarm.core.lockstep_actions import AROUND
 from swarm.errors import FrameError, PayloadError
 from swarm.frozen import frozen
 from swarm.keys import key
@@ -182,10 +183,11 @@ class Host:
         _hand_over(arrived)
 
     def _on_sync(self, name: str, payload: bytes, arrived: dict[Worker, list[Arrival]]) -> None:
-        """A frame: `swarm/<sender>/app/<app>/sync/<channel>`, with `/<receiver>` behind it when it is for one
-        robot. One of a neighbour's state is put to those that have `arrived`, all else is done now, after those."""
+        """A frame: `swarm/<sender>/app/<app>/sync/<channel>`, with `/<receiver>` behind it when it is for one robot,
+        and `/around` behind that when it has not come over the link with it. One of a neighbour's state is put to those
+        that have `arrived`, all else is done now, after those."""
         _, sender, _, _, _, text, *receiver = name.split("/")
-        if receiver and receiver != [self._service.robot]:
+        if receiver and receiver[0] != self._service.robot:
             return
         if (told := self._notes.get(text)) is not None:
             if sender != self._service.robot:
@@ -200,7 +202,7 @@ class Host:
             return
         worker = self._by_schema.get(channel.schema)
         if worker is not None and channel.run == self._run:
-            arrived.setdefault(worker, []).append((sender, channel, payload))
+            arrived.setdefault(worker, []).append((sender, channel, payload, receiver[1:] == [AROUND]))
             return
         self._service.counters["sync_other_run" if channel.run != self._run else "sync_other_version"] += 1
         for worker in self._workers.values():
@@ -213,7 +215,8 @@ class Host:
             self._refuse(error)
             return
         up = {link.peer: link.connection for link in links if link.state == "up"}
-        rtts = [link.rtt for link in links if link.rtt is not None]
+        # The median: after a cut the smoothed one is for seconds as long as the cut was.
+        rtts = [link.rtt_median for link in links if link.rtt_median is not None]
         renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
         self._connections.update(up)
         for worker in self._workers.values():

@@ -47,8 +47,8 @@ class Latest:
     state: dict[str, Value]
 
 
-Arrival = tuple[str, Channel, bytes]
-"""A frame, its sender and the channel it came by."""
+Arrival = tuple[str, Channel, bytes, bool]
+"""A frame behind its sender and the channel it came by, and whether it came around a silent link."""
 
 
 class Queue(Protocol):
@@ -177,10 +177,10 @@ class Worker:
         robot, strand = self._service.robot, self._strand
         with self._lock:
             now = clock.now()
-            for sender, channel, payload in frames:
+            for sender, channel, payload, around in frames:
                 if sender != robot:
                     self._watch.heard(sender, channel, strand.channel)
-                strand.receive(sender, channel, payload, now)
+                strand.receive(sender, channel, payload, now, around=around)
             self._perform()
 
     def stranger(self, sender: str, channel: Channel) -> None:
@@ -212,7 +212,7 @@ class Worker:
             self._perform()
 
     def take_rtt(self, rtt: float) -> None:
-        """The slowest link's round-trip time, s."""
+        """The slowest link's usual round-trip time, s."""
         self._strand.rtt = rtt
 
     def take(self, in_force: Topology) -> None:
@@ -389,11 +389,11 @@ class Worker:
                 self._publish("epoch", message)
                 if self._recorder is not None:
                     self._recorder.epoch(message, self._part)
-            case Send(data, to):
+            case Send(data):
                 if self._channel is not self._strand.channel:
                     self._channel = self._strand.channel
                     self._sync = f"{self._prefix}/{self._channel.text}"
-                self._send(self._sync if to is None else f"{self._sync}/{to}", data)
+                self._send(action.key(self._sync), data)
             case Advanced(k, _):
                 self.latest = Latest(k, self._strand.computed_at, self._runner.state())
                 if self._recorder is not None:

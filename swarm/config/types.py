@@ -44,7 +44,8 @@ class RelayRule:
     keys: str
     """Key expression; `{self}` is the own name, `{peer}` (a whole chunk) the robot it goes to."""
     overlay: str = "neighbours"
-    """neighbours (one link), flood (the whole swarm) or unicast (the robot called `{peer}`)."""
+    """neighbours (one link), flood (the whole swarm) or unicast (the robot `{peer}`); of the rules that are always in
+    force also around (the neighbour `{peer}`, over other robots than the link)."""
     priority: str = "bulk"
     """control, sync or bulk."""
     queue: str = "latest"
@@ -56,10 +57,11 @@ class RelayRule:
 DEFAULT_RELAY = (
     RelayRule("swarm/{self}/app/*/sync/*", priority="sync", queue="all"),
     RelayRule("swarm/{self}/app/*/sync/*/{peer}", priority="sync", queue="all"),
+    RelayRule("swarm/{self}/app/*/sync/*/{peer}/around", overlay="around", priority="sync", queue="all"),
     RelayRule("swarm/{self}/app/*/latest/*", priority="sync", queue="latest"),
 )
-"""Always in force, before the rules of the file: what synchronous apps say to all neighbours, and to one, and what
-event-driven and periodic ones say to all."""
+"""Always in force, before the rules of the file: what synchronous apps say to all neighbours, to one, and to one whose
+link is silent, and what event-driven and periodic ones say to all."""
 
 
 @frozen

@@ -27,6 +27,7 @@ from swarm.core.lockstep_frames import (
     encode_step,
     encode_want,
 )
+from swarm.core.lockstep_links import SilentLinks
 from swarm.errors import FrameError, LocalError
 
 __all__ = [
@@ -70,6 +71,7 @@ class Lockstep:
         "_last",
         "_leave_at",
         "_linger",
+        "_links",
         "_name_at",
         "_named",
         "_patience",
@@ -120,6 +122,7 @@ class Lockstep:
         self._wanted_at = float("-inf")
         self._leave_at = 0.0
         self._answered: dict[str, tuple[int, float]] = {}
+        self._links = SilentLinks()
         self._actions: list[Action] = []
         if me in self._peers:
             raise LocalError(f"lockstep: {me} cannot be its own neighbour")
@@ -148,10 +151,11 @@ class Lockstep:
             return None  # all values were there
         lacking = self._lacking()  # once: this is asked after each frame
         if self.k == self._last:
-            return min(self._want_at, self._leave_at) if lacking else self._leave_at
+            return min(self._want_at, self._links.due, self._leave_at) if lacking else self._leave_at
         if not lacking:
             return None
-        return self._want_at if self._named or self._want_at < self._name_at else self._name_at
+        asks_at = min(self._want_at, self._links.due)
+        return asks_at if self._named or asks_at < self._name_at else self._name_at
 
     # What the host tells
 
@@ -227,18 +231,28 @@ class Lockstep:
         """Do what is due at `now`; may be called at any time."""
         if self.k < 0 or self.fault is not None or self.done:
             return
-        if (lacking := self._lacking()) and now >= self._want_at:
+        lacking = self._lacking()
+        if now >= self._links.due:
+            for name in self._links.silent():
+                if name in lacking:
+                    self._go_around(name)
+                    self._send_around(name)
+        if lacking and now >= self._want_at:
             # With the own frame beside the question: the peer may be waiting for just that (R4).
             self._actions += [Send(self._frame(), name) for name in lacking]
             self._ask(lacking, now)
+            for name in self._links.around:
+                if name in lacking:
+                    self._send_around(name)
         waiting = self.waiting_for
         if waiting and now >= self._name_at:
             self._name(waiting)
         if self.k == self._last and now >= self._leave_at:
             self.done = True
 
-    def receive(self, sender: str, channel: Channel, data: bytes, now: float) -> None:
-        """Take a frame of `sender` from `channel`. What is of no use is dropped and counted, never raised."""
+    def receive(self, sender: str, channel: Channel, data: bytes, now: float, *, around: bool = False) -> None:
+        """Take a frame of `sender` from `channel`; `around`: it has not come over the link with it. What is of no use
+        is dropped and counted, never raised."""
         if self.k < 0:
             raise LocalError("lockstep: start() or resume() comes first")
         own = self.channel
@@ -258,21 +272,24 @@ class Lockstep:
             except FrameError:
                 self.counters["malformed"] += 1
                 return
+            if self._links.matter and not around:
+                self._links.speaks(sender)
             if channel.incarnation < peer.incarnation:
                 self.counters["old incarnation"] += 1
             elif self.fault is None:
-                self._accept(sender, peer, channel.incarnation, frame)
-            if isinstance(frame, Want):
-                if frame.k < self.k - 1:
-                    # A late copy, or a robot that lost its state and perhaps its incarnation with it. Our frame
-                    # does nothing to the former and tells the latter that it is lost: so this one answer goes to
-                    # an old incarnation too, and even after a fault.
-                    self._answer(sender, frame.k, now)
-                elif self.fault is None and channel.incarnation == peer.incarnation:
-                    if frame.k <= self.k:
-                        self._answer(sender, frame.k, now)
-                    else:
-                        self.counters["want of the next"] += 1
+                useful = self._accept(sender, peer, channel.incarnation, frame)
+                if around and useful:
+                    # Whoever goes around has reason to, and is lacking what we say as we lacked this. A frame of no
+                    # use may be one that the link has overtaken meanwhile.
+                    self._go_around(sender)
+            # An old WANT is a late copy, or of a robot that lost its state and perhaps its incarnation with it. Our
+            # frame does nothing to the former and tells the latter that it is lost: so this one answer goes to an old
+            # incarnation too, and even after a fault. A WANT of the next iteration, which we have not either, is
+            # answered as a sign that the link carries.
+            if isinstance(frame, Want) and (
+                frame.k < self.k - 1 or (self.fault is None and channel.incarnation == peer.incarnation)
+            ):
+                self._answer(sender, frame.k, now, around=around)
             self._settle(now)
 
     # How it works
@@ -287,8 +304,8 @@ class Lockstep:
         else:
             self.counters["own frame"] += 1
 
-    def _accept(self, sender: str, peer: Heard, incarnation: int, frame: Step | Want) -> None:
-        """Learn from a frame of the newest incarnation (R3)."""
+    def _accept(self, sender: str, peer: Heard, incarnation: int, frame: Step | Want) -> bool:
+        """Learn from a frame of the newest incarnation (R3); whether it held a value that was missing."""
         restarted = incarnation > peer.incarnation
         peer.incarnation = incarnation
         if frame.k > peer.reached:
@@ -309,8 +326,10 @@ class Lockstep:
             new = False
             if frame.previous is not None and frame.k >= self.k:
                 new = self._fill(sender, peer, frame.k - 1, frame.previous)
-            if not self._fill(sender, peer, frame.k, frame.value) and not new:
-                self.counters["duplicate"] += 1
+            if self._fill(sender, peer, frame.k, frame.value) or new:
+                return True
+            self.counters["duplicate"] += 1
+        return False
 
     def _fill(self, sender: str, peer: Heard, k: int, value: bytes) -> bool:
         """Take a value of iteration k-1 to k+1; whether it was missing."""
@@ -332,6 +351,7 @@ class Lockstep:
     def _enter(self, k: int, value: bytes, previous: bytes | None, now: float) -> None:
         """Be at iteration k; all clocks run from here: progress of the own k alone winds them (hole 1)."""
         self.k, self._value, self._previous = k, value, previous
+        self._links.progress()
         self._patience = max(WANT_AFTER_RTTS * self.rtt, WANT_AFTER)
         self._want_at = now + self._patience
         self._name_at = now + NAME_AFTER
@@ -340,6 +360,7 @@ class Lockstep:
     def _broadcast(self) -> None:
         if self._peers:
             self._actions.append(Send(self._frame(), None))
+        self._actions += [Send(self._frame(), name, around=True) for name in self._links.around]
         self._actions.append(Advanced(self.k, self._value))
         if self.k == self._last:
             self._actions.append(Finished(self.k))
@@ -377,19 +398,29 @@ class Lockstep:
         """Ask each of `peers` for its x(k); ask again later and later, for ever (R4)."""
         self._actions += [Send(encode_want(self.k), name) for name in peers]
         self.counters["want sent"] += len(peers)
+        # At the first iteration neighbours are yet to start.
+        self._links.asked(peers, self.rtt, now, least=now if self.k else self._name_at)
         self._wanted_at = now
         self._want_at = now + self._patience
         self._patience = max(min(2 * self._patience, WANT_AFTER_MOST), WANT_AFTER_RTTS * self.rtt)
 
-    def _answer(self, sender: str, k: int, now: float) -> None:
-        """Send the own frame to who asked, at most once per (peer, k) and round trip (R4)."""
+    def _go_around(self, peer: str) -> None:
+        if self._links.go_around(peer):
+            self.counters["links gone around"] += 1
+
+    def _send_around(self, peer: str) -> None:
+        """What a neighbour may lack, and the question for what we lack, around the link with it."""
+        self._actions += (Send(self._frame(), peer, around=True), Send(encode_want(self.k), peer, around=True))
+
+    def _answer(self, sender: str, k: int, now: float, *, around: bool) -> None:
+        """Send the own frame to who asked, the way it asked, at most once per (peer, k) and round trip (R4)."""
         asked, at = self._answered.get(sender, (-1, 0.0))
         if asked == k and now - at < self.rtt:
             self.counters["want suppressed"] += 1
             return
         self._answered[sender] = (k, now)
         self.counters["want answered"] += 1
-        self._actions.append(Send(self._frame(), sender))
+        self._actions.append(Send(self._frame(), sender, around=around))
 
     def _name(self, peers: tuple[str, ...]) -> None:
         if peers != self._named:

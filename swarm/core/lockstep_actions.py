@@ -3,6 +3,9 @@
 from swarm.core.lockstep_frames import Snapshot
 from swarm.frozen import frozen
 
+AROUND = "around"
+"""Last chunk of the key of a frame that takes another way than the link to its receiver."""
+
 
 @frozen
 class Compute:
@@ -31,6 +34,14 @@ class Send:
     data: bytes
     to: str | None
     """One neighbour, or None for all of them."""
+    around: bool = False
+    """Over other robots, since the link is silent."""
+
+    def key(self, channel: str) -> str:
+        """What it is published under; `channel` is the key of what all neighbours get."""
+        if self.to is None:
+            return channel
+        return f"{channel}/{self.to}/{AROUND}" if self.around else f"{channel}/{self.to}"
 
 
 @frozen

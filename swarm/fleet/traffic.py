@@ -11,8 +11,9 @@ from swarm.bus import Bus, Subscription
 from swarm.errors import PayloadError
 from swarm.keys import parse
 
-FRAMES = ("swarm/*/app/*/sync/**", "swarm/*/app/*/latest/**")
-"""Messages of synchronous and of asynchronous apps."""
+FRAMES = ("swarm/*/app/*/sync/*", "swarm/*/app/*/sync/*/*", "swarm/*/app/*/latest/*")
+"""Messages of synchronous and of asynchronous apps over the links between robots; what goes around one has a longer
+key."""
 
 MANY = 10.0
 """a second from each robot, above which nobody listens: the page does not show them either."""

@@ -97,7 +97,7 @@ class MemorySwarm:
                 match action:
                     case Save():
                         pass  # nobody restarts here
-                    case Send(data, to):
+                    case Send(data, to, False):
                         receivers = self._config.neighbours(name) if to is None else (to,)
                         self.messages += len(receivers)
                         self._queue += [(name, receiver, data) for receiver in receivers]

@@ -203,6 +203,17 @@ def test_a_renewed_link_is_a_reason_to_ask_at_once(make_rig: MakeRig) -> None:
     assert ask(rig, "r0", "consensus/status", Status).counters["refused_payloads"] == 1
 
 
+def test_a_silent_link_is_gone_around(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    rig.gate = 5
+    rig.start_all("consensus", "--iterations", "20")
+    rig.until_k(5)
+    rig.silent, rig.gate = True, 20
+    rig.until_phase("done")
+    assert rig.values("r0") == consensus(20)["r0"]
+    wait_until(lambda: ask(rig, "r0", "consensus/status", Status).counters.get("sync_links_gone_around") == 1)
+
+
 def test_another_run_begins_anew(make_rig: MakeRig) -> None:
     rig = make_rig()
     for run, last in (("a1", 20), ("a2", 10)):

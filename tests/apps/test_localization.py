@@ -6,7 +6,7 @@ import statistics
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from localization_rig import Point, exact, measured, noisy, recorded, rounds_to_own_limit
 from memory_swarm import ANCHORS, PLACES, TARGET, MemorySwarm, config_of
@@ -37,6 +37,7 @@ def squared_range_cost(places: list[Point], distances: list[float], sigma: float
     st.tuples(st.floats(-2, 2), st.floats(-2, 2)),
     st.integers(0, 2**32),
 )
+@example([(0.03125, 0.03125), (0.03125, 0.0), (0.0, 1.0)], (0.0, -0.5625), 0)
 def test_the_closed_form_is_the_global_minimum(places: list[Point], target: Point, seed: int) -> None:
     numbers = random.Random(seed)
     distances = [abs(math.dist(p, target) + numbers.gauss(0, 0.1)) for p in places]
@@ -48,7 +49,10 @@ def test_the_closed_form_is_the_global_minimum(places: list[Point], target: Poin
     side = np.linspace(-4, 4, 161)
     grid = squared_range_cost(places, distances, 0.05, np.stack(np.meshgrid(side, side), -1))
     here = squared_range_cost(places, distances, 0.05, np.array([found.x, found.y]))
-    assert here <= grid.min() * (1 + 1e-6) + 1e-3  # the grid's floor; within a millimetre places are one
+    # The grid's floor. Places that are within a millimetre of a line are taken for one, and what they tell of its sides
+    # is lost.
+    tolerance = 1e-6 if found.rank == 3 else 1e-3
+    assert here <= grid.min() * (1 + tolerance) + 1e-3
     if found.other is not None:
         around = np.array(found.other) + 1e-3 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
         costs = squared_range_cost(places, distances, 0.05, around)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core import packets, pieces
+from services.mesh.core import around, packets, pieces
 from services.mesh.core.frames import MAX_PAYLOAD
 from services.mesh.core.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
 from services.mesh.core.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, Id, Packet
@@ -37,6 +37,7 @@ GOLDEN = {
     "piece": pieces.encode(Packet(PIECE, "r0", "r3", LARGE, pieces.encode_piece(2, b"abc"), 32)),
     "state": pieces.encode(Packet(STATE, "r3", "r0", LARGE, pieces.encode_state(DONE), 32)),
     "gone": pieces.encode(Packet(GONE, "r1", "r2", Id("r0", 1, 7, flood=True), b"", 32)),
+    "around": around.encode(around.Packet("r0", "r1", "swarm/r0/app/x/sync/c/r1/around", b"hi", 32)),
 }
 
 DECODERS: dict[str, Callable[[bytes], object]] = {
@@ -56,6 +57,7 @@ DECODERS: dict[str, Callable[[bytes], object]] = {
     "piece": lambda data: pieces.decode_piece(pieces.decode(data).body),
     "state": lambda data: pieces.decode_state(pieces.decode(data).body),
     "gone": pieces.decode,
+    "around": around.decode,
 }
 
 

@@ -92,6 +92,21 @@ def test_a_key_goes_to_all_neighbours_or_to_the_one_it_names() -> None:
     assert sent(both, "swarm/r1/app/consensus/state") == []
 
 
+def test_around_a_silent_link_is_for_neighbours_alone_and_comes_in_from_them() -> None:
+    one = relay(*DEFAULT_RELAY)
+    key = "swarm/r1/app/x/sync/c/r2/around"
+    assert sent(one, key) == [("r2", b"x")]
+    assert sent(one, "swarm/r1/app/x/sync/c/r9/around") == []
+    assert one.admits_around("r2", "swarm/r2/app/x/sync/c/r1/around")
+    assert not one.admits("r2", "swarm/r2/app/x/sync/c/r1/around")
+    assert not one.admits_around("r2", "swarm/r2/app/x/sync/c/r0/around")
+    assert not one.admits_around("r2", "swarm/r0/app/x/sync/c/r1/around")
+    assert not one.admits_around("r9", "swarm/r9/app/x/sync/c/r1/around")
+    one.set_peers(["r0"])
+    assert sent(one, key) == []
+    assert not one.admits_around("r2", "swarm/r2/app/x/sync/c/r1/around")
+
+
 def test_classes_and_queues_are_those_of_the_rule() -> None:
     both = relay(RelayRule("swarm/{self}/dwm/*"), RelayRule("swarm/{self}/a/*", priority="control", queue="all"))
     (pose,) = both.publish(0, POSE, b"", 0.0)

@@ -221,15 +221,16 @@ class Strand:
             self._enter(epoch, *answer, now)
         self.epochs.settle()
 
-    def receive(self, sender: str, channel: Channel, payload: bytes, now: float) -> None:
-        """A frame. Before the own start there is no slot for it: its sender is asked again."""
+    def receive(self, sender: str, channel: Channel, payload: bytes, now: float, *, around: bool = False) -> None:
+        """A frame; `around`: over other robots, not the link with its sender. Before the own start there is no slot for
+        it: its sender is asked again."""
         core = self._lockstep
         if self.terms.drop:
             self._heard[sender] = now
         if channel.epoch != self.epochs.number and sender != self._me:
             self.epochs.stranger(now)
         if core is not None and not self._changing:
-            core.receive(sender, channel, payload, now)
+            core.receive(sender, channel, payload, now, around=around)
 
     def receive_note(self, sender: str, payload: bytes, now: float) -> None:
         """What a robot has to say about the membership, passed on by `sender`."""

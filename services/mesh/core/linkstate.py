@@ -134,6 +134,7 @@ class LinkState:
         self._leaving = False
         self._topology = self._heard = 0
         self._routes: dict[str, Route] | None = {}
+        self._around: dict[tuple[str, str], Route | None] = {}
         self._trust_ends = _NEVER
         self._oldest_at = _NEVER
         self.version = 0
@@ -248,6 +249,15 @@ class LinkState:
         """The way to a robot; None where there is none."""
         return self.routes().get(to)
 
+    def route_around(self, sender: str, to: str) -> Route | None:
+        """The way to a robot that does not use the link between it and `sender`; None where there is none."""
+        if (sender, to) not in self._around:
+            graph = self.graph()
+            for a, b in ((sender, to), (to, sender)):
+                graph.get(a, {}).pop(b, None)
+            self._around[sender, to] = routes(self._me, graph).get(to)
+        return self._around[sender, to]
+
     def routes(self) -> dict[str, Route]:
         """The ways to all robots that can be reached."""
         if self._routes is None and self._metric == HOPS:
@@ -342,4 +352,5 @@ class LinkState:
 
     def _changed(self) -> None:
         self._routes = None
+        self._around.clear()
         self.version += 1

@@ -24,7 +24,7 @@ from services.mesh.core.link import Link
 from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.problems import Problems
-from services.mesh.core.relay import Relay, Send
+from services.mesh.core.relay import AROUND, Relay, Send
 from services.mesh.core.session import DOWN, Session
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
@@ -245,6 +245,9 @@ class Node:
         if leg.overlay != frames.NEIGHBOURS:
             if leg.overlay == frames.FLOOD:
                 self.overlays.flood(leg.key, payload, leg.priority, now, latest=leg.latest)
+            elif leg.overlay == AROUND:
+                for peer in leg.peers:
+                    self.overlays.go_around(peer, leg.key, payload, leg.priority, now)
             else:
                 for peer in leg.peers:
                     self.overlays.send(peer, leg.key, payload, leg.priority, now, latest=leg.latest)

@@ -8,8 +8,9 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 
-from services.mesh.core import catchup, exchange, flood, largefloods, packets, transfers, unicast
+from services.mesh.core import around, catchup, exchange, flood, largefloods, packets, transfers, unicast
 from services.mesh.core.actions import LinkAction, Transmit
+from services.mesh.core.around import Around
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
 from services.mesh.core.frames import BULK, CONTROL, FLOOD
@@ -46,8 +47,8 @@ LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
-COUNTERS = (*flood.COUNTERS, *catchup.COUNTERS, *largefloods.COUNTERS, *unicast.COUNTERS, *transfers.COUNTERS,
-            *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
+COUNTERS = (*around.COUNTERS, *flood.COUNTERS, *catchup.COUNTERS, *largefloods.COUNTERS, *unicast.COUNTERS,
+            *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
 
 _NEVER = float("inf")
 
@@ -70,12 +71,13 @@ class Overlays:
         start: Start | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
+        admits_around: Callable[[str, str], bool] = lambda sender, key: False,
         wanted: Callable[[str], bool] = lambda key: True,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
         `start` is where the topology begins; without it links are the caller's matter. `admits_flood(key)`,
-        `admits_unicast(sender, key)`: which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on
-        the own bus, where that can be known."""
+        `admits_unicast(sender, key)`, `admits_around(sender, key)`: which keys the relay rules let in. `wanted(key)`:
+        whether anybody hears a key on the own bus, where that can be known."""
         self.me = me
         self._robots = frozenset(robots)  # the very same, if it is one already: simulations share it
         if me not in self._robots:
@@ -97,6 +99,10 @@ class Overlays:
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
             ended=self._requests.sent, passed=self._requests.passed, on_large=self._on_large, counters=counters,
+        )  # fmt: skip
+        self._around = Around(
+            me, self._robots,
+            emit=emit, route=self._map.route_around, admits=admits_around, deliver=self._to_bus, counters=counters,
         )  # fmt: skip
         self._requests.flood, self._requests.unicast = self._flood, self._unicast
         self._large = Large(
@@ -199,7 +205,9 @@ class Overlays:
         may be far away, and innocent links must not break for it."""
         self._now = now
         try:
-            if overlay != FLOOD:
+            if overlay != FLOOD and packets.kind_of(data) == around.AROUND:
+                self._around.receive(data, priority)
+            elif overlay != FLOOD:
                 self._unicast.receive(peer, data, priority, now)
             elif packets.kind_of(data) == packets.HALT:
                 self._register.receive(peer, data, now)
@@ -231,6 +239,11 @@ class Overlays:
         """Carry a value to one robot, as a relay rule says."""
         self._now = now
         self._unicast.send(None, to, key, payload, priority, now, latest=latest)
+
+    def go_around(self, to: str, key: str, payload: bytes, priority: int, now: float) -> None:
+        """Carry a value to a neighbour, but not over the link with it, as a relay rule says."""
+        self._now = now
+        self._around.send(to, key, payload, priority)
 
     def request(self, request: FloodRequest | SendRequest | Reminder | TopologyRequest, now: float) -> None:
         """An app's wish; the answer goes to the own bus."""

@@ -15,7 +15,10 @@ from swarm.config.types import RelayRule
 from swarm.errors import PayloadError
 from swarm.keys import parse
 
-OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST}
+AROUND = UNICAST + 1
+"""Its packets go over unicast's channels, along a way of their own (`core.around`)."""
+
+OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST, "around": AROUND}
 
 MAX_ROUTES = 4096
 """Keys whose routes are remembered; past that, all are found anew and what is held back is lost."""
@@ -79,7 +82,7 @@ class Leg:
     interval: float
     """s between two values; 0 = as published."""
     peers: tuple[str, ...]
-    """Neighbours; the receiver with unicast; nobody with flood."""
+    """Neighbours, also with around; the receiver with unicast; nobody with flood."""
     overlay: int = NEIGHBOURS
     next_at: float = 0.0
     held: bytes | None = None
@@ -134,10 +137,11 @@ class Relay:
 
     def admits(self, peer: str, key: str) -> bool:
         """Whether a key of `peer` may appear on our bus."""
-        return may_cross(key, peer) and any(
-            rule.overlay == NEIGHBOURS and matches(instantiate(rule.config.keys, peer, self._me), key)
-            for rule in self._rules
-        )
+        return self._admits(NEIGHBOURS, peer, key)
+
+    def admits_around(self, peer: str, key: str) -> bool:
+        """Whether a key of `peer` that has not come over a link with it may appear on our bus: a neighbour's alone."""
+        return peer in self._peers and self._admits(AROUND, peer, key)
 
     def admits_flood(self, key: str) -> bool:
         """Whether a key may be flooded by the robot it belongs to."""
@@ -226,6 +230,12 @@ class Relay:
             self._held.clear()
         route = self._routes[key] = Route(source, tuple(legs))
         return route
+
+    def _admits(self, overlay: int, peer: str, key: str) -> bool:
+        return may_cross(key, peer) and any(
+            rule.overlay == overlay and matches(instantiate(rule.config.keys, peer, self._me), key)
+            for rule in self._rules
+        )
 
     def _receiver(self, rule: _Rule, key: str, sender: str) -> str | None:
         """The robot that a unicast rule sends a key of `sender`'s bus to; None where it does not."""

@@ -175,7 +175,7 @@ class Unicast:
         route = self._route(packet.to)
         if route is None:
             return False
-        data = pieces.encode(packet._replace(ttl=_ttl(route)))
+        data = pieces.encode(packet._replace(ttl=ttl_of(route)))
         self._emit_large(route.next_hop, packet.kind, data)
         return True
 
@@ -243,7 +243,7 @@ class Unicast:
         flight.via = route.next_hop if route is not None else None
         if route is not None:
             message = Message(
-                self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, _ttl(route)
+                self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, ttl_of(route)
             )  # fmt: skip
             self._passed(_hop(message, route.next_hop)._replace(token=flight.token))
             self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message),
@@ -305,7 +305,7 @@ class Unicast:
         ack = Ack(self._me, message.sender, message.incarnation, message.number, refused, TTL)
         route = self._route(message.sender)
         if route is not None:
-            ack = ack._replace(ttl=_ttl(route))
+            ack = ack._replace(ttl=ttl_of(route))
             hop = _hop(ack, route.next_hop)._replace(key=message.key)
             self._hand_over(hop, message.sender, packets.encode_ack(ack), min(priority, SYNC), now)
         else:
@@ -363,5 +363,6 @@ def _hop(packet: Message | Ack, next_hop: str) -> Hop:
     return Hop(packet.to, packet.sender, packet.number, next_hop, back=True)
 
 
-def _ttl(route: Route) -> int:
+def ttl_of(route: Route) -> int:
+    """Hops that a packet on this way may take."""
     return min(max(TTL, 2 * route.hops), 255)

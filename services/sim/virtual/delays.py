@@ -14,7 +14,7 @@ from functools import partial
 
 from services.mesh.core.delay import AirModel, DelayLine
 from services.mesh.core.frames import NEIGHBOURS
-from services.mesh.core.relay import Relay
+from services.mesh.core.relay import AROUND, Relay
 from services.sim.virtual.air import line_of
 from services.sim.virtual.bus import OnSample, VirtualBus
 from services.sim.virtual.events import EventQueue
@@ -69,6 +69,8 @@ class DelayMesh:
     def _publish(self, source: int, name: str, payload: bytes) -> None:
         now = self._time.now
         for leg, data in self._relay.publish(source, name, payload, now):
+            if leg.overlay == AROUND:
+                continue  # the business of a mesh, too, but nobody has asked for it by name
             if leg.overlay != NEIGHBOURS:
                 self._refuse(name, payload)
             size = OVERHEAD + len(data)

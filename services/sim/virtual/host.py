@@ -17,6 +17,7 @@ from swarm.core.epoch_actions import Order
 from swarm.core.epoch_notes import Epoch, Kept
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
+from swarm.core.lockstep_actions import AROUND
 from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.messages import Links, SetAppEpoch, Topology
@@ -85,7 +86,7 @@ class VirtualHost:
         self._by_schema: dict[int, VirtualStrand] = {}
         self._notes: dict[str, VirtualStrand] = {}
         self._edges: tuple[tuple[str, ...], ...] = ()
-        self._senders: dict[str, tuple[VirtualStrand, str, Channel | None] | None] = {}
+        self._senders: dict[str, tuple[VirtualStrand, str, Channel | None, bool] | None] = {}
         self._connections: dict[str, int] = {}
         for part, runner in runners.items():
             schema = schema_of(runner, part, digest)
@@ -135,31 +136,32 @@ class VirtualHost:
         except KeyError:
             known = self._senders[name] = self._parsed(name)
         if known is not None:
-            strand, sender, channel = known
+            strand, sender, channel, around = known
             if channel is not None:
-                strand.receive(sender, channel, payload)
+                strand.receive(sender, channel, payload, around=around)
             elif sender != self.robot:
                 strand.receive_note(sender, payload)
 
-    def _parsed(self, name: str) -> tuple[VirtualStrand, str, Channel | None] | None:
-        """Whom a frame's key is for, sender and channel (None for a note about the members); None where it is for
-        another robot, or is no such key."""
+    def _parsed(self, name: str) -> tuple[VirtualStrand, str, Channel | None, bool] | None:
+        """Whom a frame's key is for, sender and channel (None for a note about the members), whether it has come around
+        a silent link; None where it is for another robot, or is no such key."""
         _, sender, _, _, _, text, *receiver = name.split("/")
-        if receiver and receiver != [self.robot]:
+        if receiver and receiver[0] != self.robot:
             return None
         if text in self._notes:
-            return self._notes[text], sender, None
+            return self._notes[text], sender, None, False
         try:
             channel = Channel.parse(text)
         except FrameError:
             return None
         strand = self._by_schema.get(channel.schema)
-        return None if strand is None else (strand, sender, channel)
+        return None if strand is None else (strand, sender, channel, receiver[1:] == [AROUND])
 
     def _on_links(self, name: str, payload: bytes) -> None:
         links = decode(Links, payload, name).links
         up = {link.peer: link.connection for link in links if link.state == "up"}
-        rtts = [link.rtt for link in links if link.rtt is not None]
+        # The median: after a cut the smoothed one is for seconds as long as the cut was.
+        rtts = [link.rtt_median for link in links if link.rtt_median is not None]
         renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
         self._connections.update(up)
         for strand in self.strands.values():

@@ -181,9 +181,9 @@ class VirtualStrand:
         else:
             self._measurements.get(0, self._begin)
 
-    def receive(self, sender: str, channel: Channel, payload: bytes) -> None:
-        """A frame of this run and this strand."""
-        self.strand.receive(sender, channel, payload, self._time.now)
+    def receive(self, sender: str, channel: Channel, payload: bytes, *, around: bool) -> None:
+        """A frame of this run and this strand; `around` a silent link, or over it."""
+        self.strand.receive(sender, channel, payload, self._time.now, around=around)
         if not self._heard:  # once for all frames that come in one moment
             self._heard = True
             self._time.soon(self._perform)
@@ -208,7 +208,7 @@ class VirtualStrand:
         self._closed = True
 
     def take_rtt(self, rtt: float) -> None:
-        """The slowest link's round-trip time, s."""
+        """The slowest link's usual round-trip time, s."""
         self.strand.rtt = rtt
 
     def show(self) -> None:
@@ -282,11 +282,10 @@ class VirtualStrand:
             return
         for action in strand.actions():
             if type(action) is Send:
-                to = action.to
                 if self._channel is not strand.channel:
                     self._channel = strand.channel
                     self._sync = f"{self._prefix}/{self._channel.text}"
-                self._bus.publish(self._sync if to is None else f"{self._sync}/{to}", action.data, urgent=True)
+                self._bus.publish(action.key(self._sync), action.data, urgent=True)
             elif type(action) is Compute:
                 # Not from within: a robot without neighbours would never come back.
                 self._time.soon(self._compute, action)

@@ -1,0 +1,54 @@
+"""Which of a robot's neighbours a lockstep talks to around their link, since it carries nothing."""
+
+SILENT_AFTER_RTTS = 2.0
+SILENT_AFTER = 0.1
+"""A neighbour that has not answered a question after so many round-trip times, and s, is talked to around its link.
+Whoever hears us answers at once; what jitter and a loaded robot add to a round trip is within this."""
+
+_NEVER = float("inf")
+
+
+class SilentLinks:
+    """Learns from questions and from what comes over links; whatever comes over one ends its silence."""
+
+    __slots__ = ("_asked", "around", "due")
+
+    def __init__(self) -> None:
+        self._asked: tuple[str, ...] = ()
+        """Who was asked, and has said nothing over its link since."""
+        self.due = _NEVER
+        """When `silent` is to be called."""
+        self.around: tuple[str, ...] = ()
+        """Neighbours to be talked to around their links."""
+
+    @property
+    def matter(self) -> bool:
+        """Whether it matters who speaks."""
+        return bool(self._asked or self.around)
+
+    def asked(self, peers: tuple[str, ...], rtt: float, now: float, *, least: float) -> None:
+        """A question went out over the links with `peers`; before `least` none of them is taken for silent."""
+        self._asked = peers
+        self.due = max(now + max(SILENT_AFTER_RTTS * rtt, SILENT_AFTER), least)
+
+    def progress(self) -> None:
+        """What was asked for is there."""
+        self._asked, self.due = (), _NEVER
+
+    def speaks(self, peer: str) -> None:
+        """Something came over the link with `peer`."""
+        self._asked = tuple(name for name in self._asked if name != peer)
+        self.around = tuple(name for name in self.around if name != peer)
+
+    def silent(self) -> tuple[str, ...]:
+        """At `due`: whose link turns out to be silent."""
+        new = tuple(name for name in self._asked if name not in self.around)
+        self._asked, self.due = (), _NEVER
+        return new
+
+    def go_around(self, peer: str) -> bool:
+        """Talk to `peer` around its link from now on; whether that is new."""
+        new = peer not in self.around
+        if new:
+            self.around = (*self.around, peer)
+        return new
