@@ -34,6 +34,21 @@ def test_a_cut_holds_what_arrives_in_it_and_spreads_one_neighbour_an_iteration()
     assert times["r2"][3] == pytest.approx(1.08)
 
 
+def test_a_cut_that_is_gone_around_holds_up_less() -> None:
+    graph = Graph.of_shape("loop", NAMES[:4])
+    times = lockstep_model.run(graph, AirModel(0.03), 10, [Outage(("r0", "r1"), 0.05, 1.0)], around_after=0.2)
+    # Both ends look 0.2 s after 0.03, and hear of each other over three hops; so again three hops later, and so on.
+    assert [times["r0"][k] for k in range(2, 10)] == pytest.approx([0.03 + 0.2 + 0.09 * k for k in range(1, 9)])
+    assert times["r1"] == times["r0"]
+
+
+def test_a_line_cannot_be_gone_around() -> None:
+    graph, cuts = Graph.of_shape("line", NAMES), [Outage(("r2", "r3"), 0.05, 1.0)]
+    assert lockstep_model.run(graph, AirModel(0.03), 50, cuts, around_after=0.2) == lockstep_model.run(
+        graph, AirModel(0.03), 50, cuts
+    )
+
+
 def test_one_seed_gives_one_run() -> None:
     graph = Graph.of_shape("thesis-d", NAMES)
     runs = [lockstep_model.run(graph, AirModel(0.03, 0.01, seed=seed), 50) for seed in (1, 1, 2)]

@@ -64,6 +64,15 @@ def test_jitter_and_cuts_cost_the_time_that_they_should(undisturbed):
     assert cut["seconds"] == pytest.approx(undisturbed[0]["seconds"] + 2.0, abs=0.15)
 
 
+def test_a_loop_goes_on_around_a_link_that_never_comes_back():
+    loop = (*SIX, "--topology", "loop")
+    report, outcome = simulate(*loop, "--cut", "r0-r1@0.5s,1000s", rows=True)
+    assert report["problems"] == []
+    assert values(outcome) == values(simulate(*loop, rows=True)[1])
+    # Over the other five links, of 30 ms each.
+    assert report["iteration_s_median"] == pytest.approx(5 * 0.03, abs=0.005)
+
+
 def test_equal_seeds_give_equal_recordings_and_others_do_not(tmp_path):
     def files(name, *arguments):
         folder = tmp_path / name
