@@ -6,7 +6,7 @@ Waking up is most of what a message costs its sender, the bus and its receiver. 
 
 from swarm.bus_protocol import BusLike
 from swarm.codec import encode
-from swarm.core import together
+from swarm.messages import Gathered
 
 SLOW, GATHERED = "slow", "gathered"
 """The last chunk of a copy's key."""
@@ -39,28 +39,27 @@ class Slow:
         return True
 
 
-class Gathered:
-    """The gathered copy of one key: messages of a while in one, as `swarm.core.together` packs them."""
+class Gathering:
+    """The gathered copy of one key: messages of a while in one."""
 
     def __init__(self, bus: BusLike, key: str) -> None:
         self._bus = bus
-        self._fast = key
         self._key = f"{key}/{GATHERED}"
-        self._parts: list[tuple[str, bytes]] = []
+        self._waiting: list[bytes] = []
         self._due = float("-inf")
 
     def add(self, message: object, t: float) -> None:
         """Take a message of time `t`, and publish all that wait where that is due."""
         if not self._bus.wanted(self._key):
-            self._parts.clear()
+            self._waiting.clear()
             return
-        self._parts.append((self._fast, encode(message)))
+        self._waiting.append(encode(message))
         if t >= self._due:
             self._due = t + GATHERED_S
             self.flush()
 
     def flush(self) -> None:
         """Publish what waits."""
-        if self._parts:
-            self._bus.publish(self._key, together.pack(self._parts))
-            self._parts.clear()
+        if self._waiting:
+            self._bus.publish(self._key, Gathered(tuple(self._waiting)))
+            self._waiting.clear()

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from swarm.codec import encode
 from swarm.core import together
 from swarm.errors import PayloadError
-from swarm.messages import Clock, Pose
+from swarm.messages import Clock, Gathered, Pose
 from swarm.recording.watch import Watch
-from swarm.slow import GATHERED_S, Gathered, Slow
+from swarm.slow import GATHERED_S, Gathering, Slow
 
 keys = st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=255)
 
@@ -105,7 +105,7 @@ class Sink:
 
 def test_what_is_gathered_is_recorded_one_by_one() -> None:
     bus, sink = Wire(), Sink()
-    poses = Gathered(bus, "swarm/r0/dwm/pose")  # type: ignore[arg-type]
+    poses = Gathering(bus, "swarm/r0/dwm/pose")  # type: ignore[arg-type]
     sent = [Pose(0.1 * k, k, 0.5 * k, 0.0, None, 90, "ekf") for k in range(11)]
     poses.add(sent[0], sent[0].t)
     assert bus.told == [], "nobody hears it"
@@ -125,7 +125,7 @@ def test_what_is_gathered_is_recorded_one_by_one() -> None:
 def test_what_was_not_gathered_is_not_recorded() -> None:
     bus, sink = Wire(), Sink()
     watch = Watch(bus, "r0", "x", sink, lambda: 9.0)  # type: ignore[arg-type]
-    whole = together.pack([("swarm/r0/dwm/pose", encode(Clock(1.0, 0.0, 0.0, "r0", 0, 0.0)))])
+    whole = encode(Gathered((b"", encode(Clock(1.0, 0.0, 0.0, "r0", 0, 0.0)))))
     for noise in (b"noise", whole):
         bus.publish("swarm/r0/dwm/pose/gathered", noise)
     watch.drain()

@@ -38,7 +38,7 @@ from swarm.messages import (
     read,
 )
 from swarm.service import Service, run
-from swarm.slow import SLOW, Gathered, Slow
+from swarm.slow import SLOW, Gathering, Slow
 
 SILENCE_S = 1.0
 """A loop that said nothing for so long is stuck."""
@@ -85,7 +85,7 @@ class Relay:
         self._notices_since = self._heard
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         self._slow = Slow(service.bus, self._keys[BalancerState], SLOW_STATE_S)
-        self._gathered = Gathered(service.bus, self._keys[BalancerState])
+        self._gathered = Gathering(service.bus, self._keys[BalancerState])
         self._mode = ""
         self._lane = Sender(service.runtime)
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)

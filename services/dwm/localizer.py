@@ -19,7 +19,7 @@ from swarm.errors import ConfigError, PayloadError
 from swarm.keys import key
 from swarm.lane import DWM, Lane
 from swarm.messages import Odometry
-from swarm.slow import Gathered
+from swarm.slow import Gathering
 
 _MAX_WAITING = 250
 """Odometry messages that wait for a report of the module: ten seconds of them. Then the oldest go."""
@@ -92,7 +92,7 @@ class Localizer:
         # An anchor ranges to nobody, so its answers say nothing.
         is_tag = config.robot(robot).uwb_role == "tag"
         self._watch = Watch(config.anchors, known_modules(config), now) if is_tag else None
-        self._poses = Gathered(service.bus, key(robot, "dwm", "pose"))
+        self._poses = Gathering(service.bus, key(robot, "dwm", "pose"))
         self._odometry: deque[Odometry] = deque(maxlen=_MAX_WAITING)
         self._increments = Increments()
         self._lane: Lane | None = None

@@ -13,7 +13,7 @@ from swarm.keys import key
 from swarm.messages import Measurement, Pose, Range, Ranges
 from swarm.recordings import Recording
 from swarm.service import Service
-from swarm.slow import Gathered
+from swarm.slow import Gathering
 
 NOBODY = "0000"
 """Address under which the target is published where the config names none."""
@@ -61,7 +61,7 @@ def serve(service: Service, recording: Recording) -> None:
 
     robot, target = service.robot, service.config.dwm.target or NOBODY
     service.bus.serve(key(robot, "dwm", "measurement"), answer)
-    poses = Gathered(service.bus, key(robot, "dwm", "pose"))
+    poses = Gathering(service.bus, key(robot, "dwm", "pose"))
     service.log.info("replays %s rows=%d", recording.path, recording.steps)
     service.ready()
     while not service.stopping.is_set():

@@ -11,10 +11,10 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 from swarm.bus_protocol import BusLike, Clock
-from swarm.core import together
+from swarm.codec import decode
 from swarm.errors import PayloadError
 from swarm.keys import key
-from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent, read
+from swarm.messages import Flooded, FloodRequest, Gathered, Passed, SendRequest, Sent, read
 from swarm.slow import GATHERED, SLOW
 
 TOPICS = {
@@ -138,7 +138,7 @@ class Watch:
             if name in self._least:
                 self._record(name, payload, t)
             elif name in self._gathered:
-                self._record_all(self._gathered[name], payload, t)
+                self._record_all(name, payload, t)
             else:
                 _, sender, _, _, kind, *_ = name.split("/")
                 heard = Heard(t, sender, kind == "flood", len(payload))
@@ -157,10 +157,12 @@ class Watch:
 
     def _record_all(self, name: str, payload: bytes, t: float) -> None:
         try:
-            for _, part in together.unpack(payload):
-                self._record(name, part, t)
+            gathered = decode(Gathered, payload, name)
         except PayloadError as error:
-            _log.debug("not recorded: %s: %s", name, error)
+            _log.debug("not recorded: %s", error)
+            return
+        for message in gathered.messages:
+            self._record(self._gathered[name], message, t)
 
     def _record(self, name: str, payload: bytes, t: float) -> None:
         try:
