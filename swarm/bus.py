@@ -235,12 +235,12 @@ class Bus:
             if not self._closed:
                 _log.warning("put failed key=%s error=%s", key, _text(error))
 
-    def wanted(self, key: str, *, urgent: bool = False) -> bool:
-        """Whether anybody listens to a key, or to any of an expression, as far as is known: until the router has told
-        somebody may. `urgent` as of what would be published."""
+    def wanted(self, key: str) -> bool:
+        """Whether anybody hears what this session publishes under a key, or a key of an expression; somebody may until
+        the router has told."""
         session = self._session
         try:
-            return session is not None and self._outlet(session, key, urgent).heard()
+            return session is not None and self._outlet(session, key, False).heard()
         except zenoh.ZError as error:
             if not self._closed:
                 _log.warning("key=%s error=%s", key, _text(error))

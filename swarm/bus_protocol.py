@@ -27,6 +27,9 @@ class BusLike(Protocol):
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """Send a message dataclass or raw bytes; silently lost while the router is away."""
 
+    def wanted(self, key: str) -> bool:
+        """Whether anybody hears what is published under a key."""
+
     def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> object:
         """Call `callback(key, payload)` for every sample of other sessions."""
 

@@ -1,21 +1,25 @@
-"""A fast key's slow copy, `KEY/slow`: the same messages, but few, for who would throw most of them away.
+"""A fast key's copies, for who would throw most of its messages away (`KEY/slow`), or looks at them later only
+(`KEY/gathered`).
 
-Waking up is most of what a message costs its sender, the bus and its receiver, and what a receiver does not want it has
-been woken for all the same. A copy that nobody hears costs nothing.
+Waking up is most of what a message costs its sender, the bus and its receiver. A copy that nobody hears costs nothing.
 """
 
 from swarm.bus_protocol import BusLike
+from swarm.codec import encode
+from swarm.messages import Gathered
 
-SLOW = "slow"
+SLOW, GATHERED = "slow", "gathered"
 """The last chunk of a copy's key."""
-
 
 APP_STATE_S = 0.5
 """s between two messages of an app's state: a display shows no more."""
 
+GATHERED_S = 0.4
+"""s whose messages come together. The last ones of a key that falls silent come late, with the next one."""
+
 
 class Slow:
-    """The slow copy of one key."""
+    """The slow copy of one key: the same messages, but few."""
 
     def __init__(self, bus: BusLike, key: str, period: float) -> None:
         """`period`: s between two messages."""
@@ -24,11 +28,38 @@ class Slow:
         self._period = period
         self._due = float("-inf")
 
-    def publish(self, message: object, t: float, *, news: bool = False, urgent: bool = False) -> None:
-        """Take a message of time `t`, and publish it where one is due, or where it is `news`."""
+    def publish(self, message: object, t: float, *, news: bool = False, urgent: bool = False) -> bool:
+        """Take a message of time `t`, and publish it where one is due, or where it is `news`; says whether it did."""
         if t >= self._due:
             # From when it was due, not from now: a period need not be a multiple of the fast key's.
             self._due = max(self._due, t - self._period) + self._period
         elif not news:
-            return
+            return False
         self._bus.publish(self._key, message, urgent=urgent)
+        return True
+
+
+class Gathering:
+    """The gathered copy of one key: messages of a while in one."""
+
+    def __init__(self, bus: BusLike, key: str) -> None:
+        self._bus = bus
+        self._key = f"{key}/{GATHERED}"
+        self._waiting: list[bytes] = []
+        self._due = float("-inf")
+
+    def add(self, message: object, t: float) -> None:
+        """Take a message of time `t`, and publish all that wait where that is due."""
+        if not self._bus.wanted(self._key):
+            self._waiting.clear()
+            return
+        self._waiting.append(encode(message))
+        if t >= self._due:
+            self._due = t + GATHERED_S
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish what waits."""
+        if self._waiting:
+            self._bus.publish(self._key, Gathered(tuple(self._waiting)))
+            self._waiting.clear()

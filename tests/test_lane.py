@@ -76,6 +76,15 @@ def test_who_waits_comes_back_when_woken(runtime: Path) -> None:
     app.close()
 
 
+def test_waking_does_not_wait_for_who_does_not_read(runtime: Path) -> None:
+    app = Lane(runtime, of_app("x"))
+    while app.send(of_app("x"), PARTS):
+        pass
+    app.wake()
+    assert app.wait() == together.pack(PARTS)
+    app.close()
+
+
 def test_where_there_can_be_none(runtime: Path) -> None:
     with pytest.raises(LocalError, match=r"nowhere/mesh\.lane: No such file or directory"):
         Lane(runtime / "nowhere", MESH)

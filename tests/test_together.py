@@ -1,12 +1,17 @@
 """Several keys' messages in one, and slow copies of fast keys."""
 
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarm.codec import encode
 from swarm.core import together
 from swarm.errors import PayloadError
-from swarm.slow import Slow
+from swarm.messages import Clock, Gathered, Pose
+from swarm.recording.watch import Watch
+from swarm.slow import GATHERED_S, Gathering, Slow
 
 keys = st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=255)
 
@@ -67,3 +72,61 @@ def test_news_do_not_wait() -> None:
     for t, news in ((0.0, False), (0.04, True), (0.08, False), (0.2, False), (0.24, False), (0.4, False)):
         slow.publish(t, t, news=news)
     assert [message for _, message in bus.told] == [0.0, 0.04, 0.2, 0.4]
+
+
+class Wire(Notes):
+    """A bus whose messages its own subscriber hears, where it hears them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: dict[str, Callable[[str, bytes], None]] = {}
+
+    def wanted(self, key: str) -> bool:
+        return key in self.heard
+
+    def subscribe(self, keys: list[str], callback: Callable[[str, bytes], None]) -> None:
+        self.heard |= dict.fromkeys(keys, callback)
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        super().publish(key, message)
+        if key in self.heard:
+            self.heard[key](key, message if isinstance(message, bytes) else encode(message))
+
+
+class Sink:
+    """What was recorded."""
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[str, float, object]] = []
+
+    def write(self, topic: str, t: float, message: object, name: str = "") -> None:
+        self.taken.append((topic, t, message))
+
+
+def test_what_is_gathered_is_recorded_one_by_one() -> None:
+    bus, sink = Wire(), Sink()
+    poses = Gathering(bus, "swarm/r0/dwm/pose")  # type: ignore[arg-type]
+    sent = [Pose(0.1 * k, k, 0.5 * k, 0.0, None, 90, "ekf") for k in range(11)]
+    poses.add(sent[0], sent[0].t)
+    assert bus.told == [], "nobody hears it"
+    watch = Watch(bus, "r0", "x", sink, lambda: 9.0)  # type: ignore[arg-type]
+    assert "swarm/r0/dwm/pose" not in bus.heard
+    for pose in sent[1:]:
+        poses.add(pose, pose.t)
+    watch.drain()
+    assert len(bus.told) == 1 + int(0.9 / GATHERED_S)
+    assert sink.taken == [("swarm/r0/dwm/pose", pose.t, pose) for pose in sent[1:10]]
+    poses.flush()
+    poses.flush()
+    watch.drain()
+    assert sink.taken[9:] == [("swarm/r0/dwm/pose", 1.0, sent[10])]
+
+
+def test_what_was_not_gathered_is_not_recorded() -> None:
+    bus, sink = Wire(), Sink()
+    watch = Watch(bus, "r0", "x", sink, lambda: 9.0)  # type: ignore[arg-type]
+    whole = encode(Gathered((b"", encode(Clock(1.0, 0.0, 0.0, "r0", 0, 0.0)))))
+    for noise in (b"noise", whole):
+        bus.publish("swarm/r0/dwm/pose/gathered", noise)
+    watch.drain()
+    assert sink.taken == []

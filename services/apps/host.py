@@ -42,8 +42,8 @@ TICK = 0.1
 programs that watch. At 25 Hz the ticker and what it published took a fifth of the app's CPU time."""
 
 SELDOM = WANT_AFTER
-"""s between two looks while nobody hears the states. The lockstep's timers are never late for it: when set they are at
-least as far away."""
+"""s between two looks while nobody hears the states. The lockstep's timers are never late for it: they are set to at
+least as far away, or by a look itself, or the ticker is woken (`nudge`)."""
 
 
 @frozen
@@ -87,6 +87,7 @@ class Host:
         self._lane = Lane(service.runtime, of_app(name))
         self._listens = None if len(parts) == 1 else threading.Thread(target=self._listen, name="frames", daemon=True)
         self._closing = False
+        self._hurry = threading.Event()
         self._connections: dict[str, int] = {}
         self._workers: dict[str, Worker] = {}
         self._by_schema: dict[int, Worker] = {}
@@ -140,6 +141,7 @@ class Host:
         """The bus or a link came up: ask now for what is missing."""
         for worker in self._workers.values():
             worker.nudge()
+        self._hurry.set()
 
     def close(self) -> None:
         """End the threads and let go of the files. A step that runs is waited for, but not for ever."""
@@ -149,6 +151,7 @@ class Host:
         if self._listens is not None:
             self._lane.wake()
             self._listens.join(CLOSE_WITHIN)
+        self._hurry.set()
         self._ticks.join(CLOSE_WITHIN)
         closed = [worker.close() for worker in self._workers.values()]
         self._hold.close()
@@ -222,8 +225,8 @@ class Host:
         for worker in self._workers.values():
             if rtts:
                 worker.take_rtt(max(rtts))
-            if renewed:
-                worker.nudge()
+        if renewed:
+            self.nudge()
 
     def _on_order(self, name: str, payload: bytes) -> None:
         try:
@@ -265,11 +268,16 @@ class Host:
     def _ticker(self) -> None:
         told_ready = False
         workers = tuple(self._workers.values())
-        while not self._service.stopping.wait(self._pause(SELDOM if told_ready else TICK)):
+        while True:
+            self._hurry.wait(self._pause(SELDOM if told_ready else TICK))
+            self._hurry.clear()
+            if self._closing or self._service.stopping.is_set():
+                return
             if self._listens is None and any(worker.busy for worker in workers):
                 # Who would take frames runs a step that takes its time; neighbours get answers all the same.
                 while (data := self._lane.take()) is not None:
                     self._take(data)
+                self._lane.wake()  # it may have been waiting again, and what was to wake it was taken here
             news = [worker.tick() for worker in workers]
             self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
             if not told_ready and all(worker.begun for worker in workers) and not self.failed:

@@ -374,9 +374,20 @@ class Worker:
                 self._do(action)
 
     def _do(self, action: Action) -> None:
-        match action:
+        match action:  # what is of each iteration first
             case Save(snapshot):
                 self._keep(lambda: self._snapshots.write(snapshot.encode()))
+            case Send(data):
+                if self._channel is not self._strand.channel:
+                    self._channel = self._strand.channel
+                    self._sync = f"{self._prefix}/{self._channel.text}"
+                self._send(action.key(self._sync), data)
+            case Advanced(k, _):
+                self.latest = Latest(k, self._strand.computed_at, self._runner.state())
+                if self._recorder is not None:
+                    self._recorder.state(k, self.latest.t, self.latest.state, self._runner.result(), self._part)
+            case Compute() | Renew():
+                self._todo.put(action)
             case Keep(kept):
                 self._keep(lambda: self._ballots.write(kept))
             case Tell(data):
@@ -389,17 +400,6 @@ class Worker:
                 self._publish("epoch", message)
                 if self._recorder is not None:
                     self._recorder.epoch(message, self._part)
-            case Send(data):
-                if self._channel is not self._strand.channel:
-                    self._channel = self._strand.channel
-                    self._sync = f"{self._prefix}/{self._channel.text}"
-                self._send(action.key(self._sync), data)
-            case Advanced(k, _):
-                self.latest = Latest(k, self._strand.computed_at, self._runner.state())
-                if self._recorder is not None:
-                    self._recorder.state(k, self.latest.t, self.latest.state, self._runner.result(), self._part)
-            case Compute() | Renew():
-                self._todo.put(action)
             case Fault(reason):
                 self._tell(reason)
 

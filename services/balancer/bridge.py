@@ -13,8 +13,10 @@ from services.balancer.core.requests import check
 from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
 from swarm import clock
+from swarm.codec import encode
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import STOP, key, parse
+from swarm.lane import DWM, Sender
 from swarm.messages import (
     AppState,
     BalancerFault,
@@ -36,7 +38,7 @@ from swarm.messages import (
     read,
 )
 from swarm.service import Service, run
-from swarm.slow import SLOW, Slow
+from swarm.slow import SLOW, Gathering, Slow
 
 SILENCE_S = 1.0
 """A loop that said nothing for so long is stuck."""
@@ -83,7 +85,9 @@ class Relay:
         self._notices_since = self._heard
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
         self._slow = Slow(service.bus, self._keys[BalancerState], SLOW_STATE_S)
+        self._gathered = Gathering(service.bus, self._keys[BalancerState])
         self._mode = ""
+        self._lane = Sender(service.runtime)
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe([STOP, *commands], self._command)
         self._composer = Composer(service.robot)
@@ -115,10 +119,15 @@ class Relay:
                 self._service.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
-            self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True)
+            if self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True):
+                self._gathered.add(message, message.t)
             self._mode = message.mode
+        name = self._keys[type(message)]
+        if isinstance(message, Odometry):
+            # Half of all that a robot's bus would carry, and nobody is woken for it: the filter looks when it needs it.
+            self._lane.send(DWM, [(name, encode(message))])
         # The body's state goes ahead of whatever floods the bus.
-        self._service.bus.publish(self._keys[type(message)], message, urgent=True)
+        self._service.bus.publish(name, message, urgent=True)
 
     def _command(self, name: str, payload: bytes) -> None:
         """Runs on Zenoh's thread: check, and pass on without waiting."""

@@ -1,7 +1,6 @@
 """What all live sources do with a module's answers: pipeline, odometry from the balancer, messages on the bus."""
 
-import queue
-from collections import Counter
+from collections import Counter, deque
 from logging import INFO, WARNING, Logger
 from pathlib import Path
 from typing import Protocol
@@ -15,9 +14,12 @@ from services.dwm.core.tlv import Location
 from swarm.bus_protocol import BusLike
 from swarm.codec import decode
 from swarm.config import Config
+from swarm.core import together
 from swarm.errors import ConfigError, PayloadError
 from swarm.keys import key
+from swarm.lane import DWM, Lane
 from swarm.messages import Odometry
+from swarm.slow import Gathering
 
 _MAX_WAITING = 250
 """Odometry messages that wait for a report of the module: ten seconds of them. Then the oldest go."""
@@ -74,8 +76,9 @@ class Host(Protocol):
 class Localizer:
     """Turns a module's answers into `dwm/ranges` and `dwm/pose`."""
 
-    def __init__(self, service: Host, now: float) -> None:
-        """Raises `ConfigError` where the robot's calibration does not fit."""
+    def __init__(self, service: Host, now: float, runtime: Path | None = None) -> None:
+        """`runtime`: where the balancer's odometry comes by a lane; else it is heard on the bus (in virtual time).
+        Raises `ConfigError` where the robot's calibration does not fit."""
         config, robot = service.config, service.robot
         self._service = service
         kind = config.dwm.filter_of(robot)
@@ -89,13 +92,19 @@ class Localizer:
         # An anchor ranges to nobody, so its answers say nothing.
         is_tag = config.robot(robot).uwb_role == "tag"
         self._watch = Watch(config.anchors, known_modules(config), now) if is_tag else None
-        self._odometry: queue.SimpleQueue[Odometry] = queue.SimpleQueue()
+        self._poses = Gathering(service.bus, key(robot, "dwm", "pose"))
+        self._odometry: deque[Odometry] = deque(maxlen=_MAX_WAITING)
         self._increments = Increments()
+        self._lane: Lane | None = None
         if kind in ("auto", "ekf"):
-            service.bus.subscribe(key(robot, "balancer", "odometry"), self._take)
+            if runtime is None:
+                service.bus.subscribe(key(robot, "balancer", "odometry"), self._take)
+            else:
+                self._lane = Lane(runtime, DWM)
 
     def report(self, location: Location, when: float) -> None:
         """Publish what follows from an answer that the module gave at `when`."""
+        self.listen()
         self._move()
         ranges, pose = self._pipeline.report(location, when)
         service = self._service
@@ -107,18 +116,34 @@ class Localizer:
         service.counters["filter_restarts"] = self._pipeline.tracker.restarts
         service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(service.robot, "dwm", "pose"), pose)
+        self._poses.add(pose, when)
+
+    def listen(self) -> None:
+        """Take the odometry that has come. A lane holds ten messages, 0.4 s of them: call it as often where no reports
+        come."""
+        while self._lane is not None and (data := self._lane.take()) is not None:
+            try:
+                for name, payload in together.unpack(data):
+                    self._take(name, payload)
+            except PayloadError as error:
+                self._refuse(error)
+
+    def close(self) -> None:
+        """Hear no more odometry."""
+        if self._lane is not None:
+            self._lane.close()
 
     def _take(self, name: str, payload: bytes) -> None:
-        """Runs on Zenoh's thread."""
         try:
-            self._odometry.put(decode(Odometry, payload, name))
+            self._odometry.append(decode(Odometry, payload, name))
         except PayloadError as error:
-            self._service.counters["refused_payloads"] += 1
-            self._service.log.debug("%s", error)
-        if self._odometry.qsize() > _MAX_WAITING:
-            self._odometry.get_nowait()
+            self._refuse(error)
+
+    def _refuse(self, error: PayloadError) -> None:
+        self._service.counters["refused_payloads"] += 1
+        self._service.log.debug("%s", error)
 
     def _move(self) -> None:
         """Give the filter the motion since the last report."""
-        for _ in range(self._odometry.qsize()):
-            self._pipeline.tracker.odometry(*self._increments.take(self._odometry.get_nowait()))
+        while self._odometry:
+            self._pipeline.tracker.odometry(*self._increments.take(self._odometry.popleft()))

@@ -13,6 +13,7 @@ from swarm.keys import key
 from swarm.messages import Measurement, Pose, Range, Ranges
 from swarm.recordings import Recording
 from swarm.service import Service
+from swarm.slow import Gathering
 
 NOBODY = "0000"
 """Address under which the target is published where the config names none."""
@@ -60,6 +61,7 @@ def serve(service: Service, recording: Recording) -> None:
 
     robot, target = service.robot, service.config.dwm.target or NOBODY
     service.bus.serve(key(robot, "dwm", "measurement"), answer)
+    poses = Gathering(service.bus, key(robot, "dwm", "pose"))
     service.log.info("replays %s rows=%d", recording.path, recording.steps)
     service.ready()
     while not service.stopping.is_set():
@@ -67,7 +69,9 @@ def serve(service: Service, recording: Recording) -> None:
         try:
             k = first_asked.get(timeout=0.25)  # a signal does not wake a queue: this bounds the time to stop
         except queue.Empty:
+            poses.flush()
             continue
         ranges, pose = Row(recording, k).published(target, clock.now())
         service.bus.publish(key(robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(robot, "dwm", "pose"), pose)
+        poses.add(pose, pose.t)

@@ -91,7 +91,7 @@ class _Mesh(Runner):
         self._keeping = threading.Lock()
 
     def _show(self, key: str, payload: bytes) -> None:
-        if self._bus.wanted(_FRAMES, urgent=True):
+        if self._bus.wanted(_FRAMES):
             self._bus.publish(key, payload, urgent=True)
 
     def report(self) -> None:
@@ -113,7 +113,7 @@ class _Mesh(Runner):
         for app, frames in by_app(messages).items():
             if not self._lane.send(of_app(app), frames):
                 self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
-        frames_wanted = self._bus.wanted(_FRAMES, urgent=True)
+        frames_wanted = self._bus.wanted(_FRAMES)
         for each in messages:
             if not frames_wanted and app_of(each.key) is not None:
                 continue

@@ -161,16 +161,16 @@ class Snapshot:
             self.value,
             self.previous or b"",
         ]
-        for name, peer in sorted(self.heard.items()):
-            chars = name.encode()
-            values = [peer.slots[k % 3] for k in (self.k - 1, self.k, self.k + 1)]
-            mask = sum(1 << bit for bit, value in enumerate(values) if value is not None)
+        places = (self.k - 1) % 3, self.k % 3, (self.k + 1) % 3
+        for name in sorted(self.heard):
+            peer, chars, values, mask = self.heard[name], name.encode(), [], 0
+            for bit, place in enumerate(places):  # of each iteration, so without generators
+                if (value := peer.slots[place]) is not None:
+                    values.append(value)
+                    mask |= 1 << bit
             known = peer.incarnation >= 0
-            parts += [
-                _PEER.pack(peer.incarnation if known else 0, known, max(peer.reached, 0), mask, len(chars)),
-                chars,
-                *(value for value in values if value is not None),
-            ]
+            head = _PEER.pack(peer.incarnation if known else 0, known, max(peer.reached, 0), mask, len(chars))
+            parts += (head, chars, *values)
         parts.append(self.private)
         data = b"".join(parts)
         return data + _CHECK.pack(zlib.crc32(data))

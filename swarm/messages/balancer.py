@@ -1,6 +1,7 @@
 """Messages of the balancer."""
 
 from swarm.frozen import frozen
+from swarm.messages.service import Gathered
 
 
 @frozen
@@ -160,6 +161,7 @@ class SetParameters:
 TOPICS: dict[tuple[str, str], type] = {
     ("balancer", "state"): BalancerState,
     ("balancer", "state/slow"): BalancerState,
+    ("balancer", "state/gathered"): Gathered,
     ("balancer", "odometry"): Odometry,
     ("balancer", "leds"): Leds,
     ("balancer", "fault"): BalancerFault,

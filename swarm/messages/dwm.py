@@ -2,6 +2,7 @@
 
 from swarm.frozen import frozen
 from swarm.messages.devices import ModuleAnswer, ModuleRequest
+from swarm.messages.service import Gathered
 
 
 @frozen
@@ -81,6 +82,7 @@ class Measurement:
 TOPICS: dict[tuple[str, str], type] = {
     ("dwm", "ranges"): Ranges,
     ("dwm", "pose"): Pose,
+    ("dwm", "pose/gathered"): Gathered,
     ("dwm", "measurement"): Measurement,
     ("dwm", "module"): ModuleAnswer,
     ("dwm", "set/module"): ModuleRequest,

@@ -29,6 +29,14 @@ class Stop:
     reason: str
 
 
+@frozen
+class Gathered:
+    """Messages of one key, on `KEY/gathered`, for who wants all of them but none at once."""
+
+    messages: tuple[bytes, ...]
+    """As they were packed, the oldest first."""
+
+
 TOPICS: dict[tuple[str, str], type] = {
     ("*", "status"): Status,
 }

@@ -11,10 +11,11 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 from swarm.bus_protocol import BusLike, Clock
+from swarm.codec import decode
 from swarm.errors import PayloadError
 from swarm.keys import key
-from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent, read
-from swarm.slow import SLOW
+from swarm.messages import Flooded, FloodRequest, Gathered, Passed, SendRequest, Sent, read
+from swarm.slow import GATHERED, SLOW
 
 TOPICS = {
     "dwm/pose": 0.0,
@@ -35,8 +36,8 @@ TOPICS = {
 }
 """What is recorded of the robot's own keys, and the least time between two messages of a key, s."""
 
-SLOW_TOPICS = ("balancer/state", "sim/truth")
-"""Of which `TOPICS/slow` is heard."""
+SLOW_TOPICS, GATHERED_TOPICS = ("sim/truth",), ("balancer/state", "dwm/pose")
+"""Of which `TOPIC/slow` or `TOPIC/gathered` is heard."""
 
 EARLY = 0.75
 """A message may come that share of the least time after the one before: clocks of publishers are not even."""
@@ -87,8 +88,8 @@ class Heard(NamedTuple):
 class Watch:
     """Listens on one robot's bus, and puts what it hears into a recording when told to."""
 
-    def __init__(self, bus: BusLike, robot: str, app: str, sink: Takes, now: Clock, *, slow: bool = True) -> None:
-        """`slow`: fast keys have slow copies, which are heard in their place (not so in virtual time)."""
+    def __init__(self, bus: BusLike, robot: str, app: str, sink: Takes, now: Clock, *, copies: bool = True) -> None:
+        """`copies`: fast keys have some, which are heard in their place (not so in virtual time)."""
         self._sink = sink
         self._now = now
         self._app = app
@@ -99,8 +100,11 @@ class Watch:
         self._least = {key(robot, topic): least for topic, least in TOPICS.items()}
         self.on_sample: Callable[[], None] = lambda: None
         """Called after each message: in virtual time `drain`, as there is no thread that would."""
-        self._copies = {f"{name}/{SLOW}": name for name in map(partial(key, robot), SLOW_TOPICS if slow else ())}
-        heard = set(self._least) - set(self._copies.values()) | set(self._copies)
+        of = partial(key, robot)
+        self._copies = {f"{name}/{SLOW}": name for name in map(of, SLOW_TOPICS if copies else ())}
+        self._gathered = {f"{name}/{GATHERED}": name for name in map(of, GATHERED_TOPICS if copies else ())}
+        kinds = self._copies | self._gathered
+        heard = set(self._least) - set(kinds.values()) | set(kinds)
         bus.subscribe(sorted(heard), self._take)
         bus.subscribe([key("*", "app", app, "flood"), key("*", "app", app, "send", robot)], self._take)
 
@@ -133,6 +137,8 @@ class Watch:
             name, payload, t = self._waiting.popleft()
             if name in self._least:
                 self._record(name, payload, t)
+            elif name in self._gathered:
+                self._record_all(name, payload, t)
             else:
                 _, sender, _, _, kind, *_ = name.split("/")
                 heard = Heard(t, sender, kind == "flood", len(payload))
@@ -148,6 +154,15 @@ class Watch:
         self._last[name] = t
         self._waiting.append((name, payload, t))
         self.on_sample()
+
+    def _record_all(self, name: str, payload: bytes, t: float) -> None:
+        try:
+            gathered = decode(Gathered, payload, name)
+        except PayloadError as error:
+            _log.debug("not recorded: %s", error)
+            return
+        for message in gathered.messages:
+            self._record(self._gathered[name], message, t)
 
     def _record(self, name: str, payload: bytes, t: float) -> None:
         try:

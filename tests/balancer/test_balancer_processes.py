@@ -17,6 +17,8 @@ import pytest
 from conftest import Processes, stop, wait_until
 
 from swarm.bus import Bus
+from swarm.core import together
+from swarm.lane import DWM, Lane
 from swarm.messages import (
     AppState,
     BalancerState,
@@ -96,8 +98,16 @@ def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Wat
     wait_until(lambda: len(watcher.heard["state"]) > first + 25)
     steps = [b.ticks - a.ticks for a, b in pairwise(watcher.heard["state"][first:])]
     assert set(steps) == {4}
+    took: list[bytes] = []
     sequences = [odometry.sequence for odometry in watcher.heard["odometry"]]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+    lane = Lane(runtime, DWM)
+    wait_until(lambda: (data := lane.take()) is not None and took.append(data) is None and len(took) >= 5)
+    lane.close()
+    parts = [part for data in took for part in together.unpack(data)]
+    assert {name for name, _ in parts} == {"swarm/r0/balancer/odometry"}
+    told = [read(name, payload).sequence for name, payload in parts]
+    assert told == list(range(told[0], told[0] + len(told)))
     wait_until(lambda: watcher.last("status") is not None and watcher.last("status").state == "ready")
 
     watcher.command("leds", SetLeds(True, True, False))

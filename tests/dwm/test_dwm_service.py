@@ -16,7 +16,8 @@ from services.dwm.core.calibration_file import CalibrationFile, Evidence, layout
 from swarm import clock
 from swarm import config as configuration
 from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.codec import decode, encode
+from swarm.lane import DWM, Sender
 from swarm.messages import Measurement, Odometry, read
 
 LIVE = (
@@ -89,10 +90,10 @@ def test_ranges_and_pose_come_calibrated_at_10_hz(processes, board, ear):
 
 
 class Wheels:
-    """Odometry as the balancer publishes it, of a robot that drives and sends its true place to the module."""
+    """Odometry as the balancer tells it, of a robot that drives and sends its true place to the module."""
 
-    def __init__(self, bus, board):
-        self.bus, self.board = bus, board
+    def __init__(self, runtime, board):
+        self.lane, self.board = Sender(runtime), board
         self.x, self.y, self.t0 = 0.5, 1.5, clock.now()
         self.sequence, self.rolled, self.t = 0, 0.0, self.t0
 
@@ -102,15 +103,13 @@ class Wheels:
         self.x, self.t = 0.5 + self.rolled, now
         self.sequence += 1
         self.board.update_pose("r0", self.x, self.y, 0.0)
-        self.bus.publish(
-            "swarm/r0/balancer/odometry",
-            Odometry(now, self.sequence, self.rolled, self.rolled, self.rolled, 0.0, 0.0, 0.0, 0.0, 0.0),
-        )
+        told = Odometry(now, self.sequence, self.rolled, self.rolled, self.rolled, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self.lane.send(DWM, [("swarm/r0/balancer/odometry", encode(told))])
 
 
-def test_with_odometry_the_pose_is_the_kalman_filters(processes, board, ear, bus):
+def test_with_odometry_the_pose_is_the_kalman_filters(processes, board, ear, runtime):
     processes.start_ready("-m", "services.dwm")
-    wheels = Wheels(bus, board)
+    wheels = Wheels(runtime, board)
 
     def driven(speed, condition):
         wheels.step(speed)
@@ -132,6 +131,7 @@ def test_with_odometry_the_pose_is_the_kalman_filters(processes, board, ear, bus
     last = tracked()[-1]
     assert last.heading == pytest.approx(0.0, abs=0.5)
     assert 0 < last.deviation_x < 0.15
+    wheels.lane.close()
 
 
 def test_a_calibration_is_loaded_and_one_of_other_anchors_refused(processes, board, ear, runtime):

@@ -43,7 +43,7 @@ class Ledger:
         world.records |= {(name, app.name): recorder.value for name, recorder in self._recorders.items()}
         for name, robot in world.robots.items():
             bus = VirtualBus(robot.router)
-            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), slow=False)
+            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), copies=False)
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 
