@@ -34,8 +34,8 @@ ITERATIONS = 1200
 
 WHOLE = "loop"
 RUNS = 3
-"""The graph whose limit asks for most is run so often, of which the median counts, and once with all processes: a second
-that the host stands still is a cut of all links."""
+"""The graph whose limit asks for most is run so often, of which the median counts, and once with all processes. Where
+the host stands still for a second, all links are cut."""
 
 MODELS = (
     ("waits until they end", None, None),
