@@ -64,7 +64,7 @@ def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    recorded(folder, "consensus", "--robots", "6", "--topology", "loop", "--seconds", "10", "--cut", "r2-r3@2s,7s")
+    recorded(folder, "consensus", "--robots", "6", "--topology", "line", "--seconds", "10", "--cut", "r2-r3@2s,7s")
     return folder
 
 

@@ -1,4 +1,4 @@
-"""The lockstep front, in a real browser: a link of a loop is cut, and robots wait for each other."""
+"""The lockstep front, in a real browser: a link of a line is cut, and robots wait for each other."""
 
 import re
 from pathlib import Path
@@ -32,7 +32,7 @@ PICTURE = """(() => {
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    recorded(folder, "consensus", "--robots", "6", "--topology", "loop", "--seconds", "12", "--cut", "r2-r3@2s,6s")
+    recorded(folder, "consensus", "--robots", "6", "--topology", "line", "--seconds", "12", "--cut", "r2-r3@2s,6s")
     return folder
 
 
