@@ -119,16 +119,19 @@ class _Run:
                 self._around.add((name, peer))
                 self._go_around(name, peer, k, now)
 
-    def _go_around(self, name: str, to: str, k: int, now: float, at: str = "") -> None:
-        """From robot to robot, along the shortest way without the link."""
-        here = at or name
+    def _go_around(self, name: str, to: str, k: int, now: float) -> None:
+        """Along the shortest way without the link."""
         edges = {
             a: {b: Edge(1, 0) for b in self._graph.neighbours(a) if {a, b} != {name, to}} for a in self._graph.names
         }
-        if here == to:
-            self._arrive((name, to), k, now)
-        elif (route := routes(here, edges).get(to)) is not None:
-            self._pass((here, route.next_hop), now, lambda then: self._go_around(name, to, k, then, route.next_hop))
+
+        def pass_on(here: str, now: float) -> None:
+            if here == to:
+                self._arrive((name, to), k, now)
+            elif (route := routes(here, edges).get(to)) is not None:
+                self._pass((here, route.next_hop), now, lambda then: pass_on(route.next_hop, then))
+
+        pass_on(name, now)
 
 
 def mean_iteration(times: Mapping[str, Mapping[int, float]], first: int = 0) -> float:

@@ -11,6 +11,8 @@ from collections import Counter, deque
 from itertools import count
 from random import Random
 
+import networkx
+
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send, Waiting
 
 RUN = 0xA1
@@ -28,21 +30,12 @@ def way_around(edges, sender, receiver):
     """The robots of a shortest way that does not use the link between the two, as a mesh finds it; None: there is none.
 
     A mesh does not know of cuts yet: `edges` are all links."""
-    neighbours = {}
-    for edge in edges:
-        if set(edge) != {sender, receiver}:
-            for a, b in (edge, edge[::-1]):
-                neighbours.setdefault(a, set()).add(b)
-    ways = deque([(sender,)])
-    seen = {sender}
-    while ways:
-        way = ways.popleft()
-        if way[-1] == receiver:
-            return way
-        for name in sorted(neighbours.get(way[-1], set()) - seen):
-            seen.add(name)
-            ways.append((*way, name))
-    return None
+    graph = networkx.Graph(edges)
+    graph.remove_edges_from([(sender, receiver)])
+    try:
+        return networkx.shortest_path(graph, sender, receiver)
+    except (networkx.NetworkXNoPath, networkx.NodeNotFound):
+        return None
 
 
 def named(edges):

@@ -32,7 +32,7 @@ class SilentLinks:
         self.due = max(now + max(SILENT_AFTER_RTTS * rtt, SILENT_AFTER), least)
 
     def progress(self) -> None:
-        """What was asked for is there."""
+        """What was asked for is there, or the question has had its time."""
         self._asked, self.due = (), _NEVER
 
     def speaks(self, peer: str) -> None:
@@ -43,7 +43,7 @@ class SilentLinks:
     def silent(self) -> tuple[str, ...]:
         """At `due`: whose link turns out to be silent."""
         new = tuple(name for name in self._asked if name not in self.around)
-        self._asked, self.due = (), _NEVER
+        self.progress()
         return new
 
     def go_around(self, peer: str) -> bool:
