@@ -11,6 +11,7 @@ from lockstep_world import EDGES, RUN, SCHEMA, STATE, World, named
 
 from swarm.core import lockstep
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send, Waiting
+from swarm.core.lockstep_actions import address_of
 from swarm.core.lockstep_frames import (
     MAX_ITERATION,
     STEP,
@@ -389,10 +390,33 @@ def test_a_question_that_came_around_is_answered_around():
     assert one.actions() == [Send(encode_step(2, b"a2", b"a1"), "r1", around=True)]
 
 
-def test_the_key_of_a_frame_says_its_way():
-    assert Send(b"", None).key("a/sync/c") == "a/sync/c"
-    assert Send(b"", "r1").key("a/sync/c") == "a/sync/c/r1"
-    assert Send(b"", "r1", around=True).key("a/sync/c") == "a/sync/c/r1/around"
+@pytest.mark.parametrize(
+    ("to", "around", "end"),
+    [(None, False, ""), ("r1", False, "/r1"), ("around", False, "/around"), ("r1", True, "/r1/around")],
+)
+def test_the_key_of_a_frame_says_its_way(to, around, end):
+    channel = f"swarm/r0/app/balance/sync/{THEIRS.text}"
+    key = Send(b"", to, around).key(channel)
+    assert key == channel + end
+    assert address_of(key) == ("r0", "balance", THEIRS.text, to, around)
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        *("", "swarm/stop", "swarm/r0/app/a/sync", "swarm/r0/app/a/latest/c", "swarm/r0/mesh/a/sync/c"),
+        *("swarm/r0/app/a/sync/c/r1/x", "swarm/r0/app/a/sync/c/r1/around/x"),
+    ],
+)
+def test_other_keys_are_no_frames(key):
+    assert address_of(key) is None
+
+
+def test_keys_that_are_made_up_cost_no_memory():
+    for number in range(1000):
+        address_of(f"swarm/r0/app/a/sync/{number}")
+        address_of(f"no frame's {number}")
+    assert address_of.cache_info().currsize <= 256
 
 
 def test_a_loop_goes_on_around_a_link_that_carries_nothing():
