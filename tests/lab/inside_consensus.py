@@ -91,3 +91,50 @@ def test_faults_in_mid_run_change_no_bit(swarm: Swarm, radio: Radio) -> None:
     finish(swarm, LONG)
     compare(swarm, LONG)
     assert radio.order("look")["counts"]["lost"] >= 4
+
+
+@pytest.mark.parametrize("swarm", ["around"], indirect=True)
+def test_a_loop_goes_on_around_a_silent_link(swarm: Swarm, radio: Radio) -> None:
+    """The other five links carry what one does not: through a cut that it outlives, and one that ends it."""
+    radio.order("medium", latency=0.03)
+    swarm.run(LONG)
+
+    def iterations(seconds: float) -> int:
+        """How many all robots have done in that time."""
+        before = min(swarm.reached.values())
+        time.sleep(seconds)
+        return min(swarm.reached.values()) - before
+
+    def sent_around() -> int:
+        """Frames of the two ends that have gone around the link between them."""
+        return sum(swarm.ask(name, "status").counters.get("around_sent", 0) for name in NAMES[:2])
+
+    def link_carries() -> bool:
+        """Ten iterations without it."""
+        sent, before = sent_around(), max(swarm.reached.values())
+        wait_until(lambda: min(swarm.reached.values()) >= before + 10, 40, f"ten iterations: {swarm.reached}")
+        return sent_around() == sent
+
+    def lost() -> int:
+        return int(radio.order("look")["counts"].get("lost", 0))
+
+    wait_until(link_carries, 40, "the start")
+    whole = iterations(1.0)
+    ends = {"one": radio.addresses[0], "other": radio.addresses[1]}
+    before = lost()
+    for seconds, ended in ((1.5, 0), (2.5, 1)):
+        sent = sent_around()
+        radio.order("cut", **ends)
+        done = iterations(seconds)
+        assert lost() == before + ended
+        if ended:
+            wait_until(lambda: iterations(1.0) >= whole / 10, 40, f"a tenth of the pace: {swarm.reached}")
+        radio.order("mend", **ends)
+        sys.stdout.write(f"\n{done} iterations in a cut of {seconds:g} s; {whole} a second before ")
+        # Those at the cut could do one or two without another way.
+        assert done >= 3
+        assert sent_around() > sent
+        wait_until(link_carries, 40, "the link carries again")
+    assert max(swarm.reached.values()) < LONG
+    finish(swarm, LONG)
+    compare(swarm, LONG)

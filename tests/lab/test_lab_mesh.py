@@ -3,13 +3,13 @@
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from lab.inside import run_tests
-from lab.shapes import ITERATIONS, LONG, config
+from lab.shapes import ITERATIONS, LONG, config, hasty
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from swarm.keyfile import new_key_file
@@ -28,16 +28,18 @@ priority = "sync"
 """
 
 
-def simulate(shape: str, share: Path) -> None:
-    """The same swarm in the simulation of this host: its configuration and its recording, for the machine."""
-    if (share / "simulated" / shape).exists():
+def simulate(shape: str, share: Path, make: Callable[[str, str], str] = config, name: str = "") -> None:
+    """The same swarm in the simulation of this host: its configuration as `make` has it, and its recording, for the
+    machine, named after its shape if not otherwise."""
+    name = name or shape
+    if (share / "simulated" / name).exists():
         return
-    (share / f"{shape}.toml").write_text(config(shape, 'key = "/share/swarm.key"'))
+    (share / f"{name}.toml").write_text(make(shape, 'key = "/share/swarm.key"'))
     own = share / "own.toml"
-    own.write_text(config(shape, "insecure = true"))
-    iterations = LONG if shape == "line" else ITERATIONS
+    own.write_text(make(shape, "insecure = true"))
+    iterations = LONG if name in ("line", "around") else ITERATIONS
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(iterations), "--json"]
-    record = ["--record", str(share / "simulated" / shape)]
+    record = ["--record", str(share / "simulated" / name)]
     subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
 
 
@@ -59,6 +61,11 @@ def test_six_robots_compute_what_the_simulation_computes(robots: Machine, shapes
 def test_nothing_is_lost_or_doubled_by_faults_in_mid_run(robots: Machine) -> None:
     simulate("line", robots.share)
     run_tests(robots, "tests/lab/inside_consensus.py -k faults", 500)
+
+
+def test_a_silent_link_is_gone_around(robots: Machine) -> None:
+    simulate("loop", robots.share, hasty, "around")
+    run_tests(robots, "tests/lab/inside_consensus.py -k around", 500)
 
 
 def test_all_that_the_mesh_does_it_does_over_rfcomm(robots: Machine) -> None:
