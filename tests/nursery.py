@@ -33,7 +33,13 @@ PACKAGES = (
     "services.mesh",
     "services.sim",
 )
-MODULES = ("bench.talking_sim", "services.balancer.bridge", "services.sim.body", "swarm.cli.z_sub")
+MODULES = (
+    "bench.talking_sim",
+    "services.balancer.bridge",
+    "services.dwm.tool",
+    "services.sim.body",
+    "swarm.cli.z_sub",
+)
 SIMULATIONS = ("services.sim", "bench.talking_sim")
 """They start services themselves."""
 COMMAND = "swarm.cli"
