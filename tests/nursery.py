@@ -113,7 +113,7 @@ def _prepare() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in before}
 
 
-def _serve(door: socket.socket, chosen: Mapping[str, str]) -> list[str]:
+def _serve(door: socket.socket, chosen: dict[str, str]) -> list[str]:
     """Fork a process for each order; returns the words of its order in each of them."""
     # Of threads only the one that forks would be copied.
     assert threading.active_count() == 1
@@ -143,11 +143,11 @@ def _serve(door: socket.socket, chosen: Mapping[str, str]) -> list[str]:
     os.chdir(folder)
     sys.path[0] = folder
     os.environ.clear()
-    os.environ.update({**chosen, **environment})
+    os.environ.update(chosen | environment)
     return words
 
 
-def _nurse(words: list[str], chosen: Mapping[str, str]) -> list[str]:
+def _nurse(words: list[str], chosen: dict[str, str]) -> list[str]:
     """Give this simulation, which has not begun, a nursery of its own, a copy of it; returns the words of the order in
     the simulation and in each process that its nursery forks."""
     global _door
