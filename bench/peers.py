@@ -29,7 +29,7 @@ from swarm import clock, log, service
 from swarm.app import SyncApp
 from swarm.config import Config, load
 from swarm.core.lockstep import Channel, Compute, Lockstep, Send
-from swarm.core.lockstep_actions import AROUND
+from swarm.core.lockstep_actions import address_of
 from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.lane import Lane
@@ -98,8 +98,9 @@ class Peer:
         """On the mesh's thread."""
         with self._lock:
             for name, frame in by_app(messages).get(APP, ()) if self._began else ():
-                _, sender, _, _, _, text, *receiver = name.split("/")
-                around = receiver[1:] == [AROUND]
+                if (address := address_of(name)) is None:
+                    continue
+                sender, _, text, _, around = address
                 try:
                     self._lockstep.receive(sender, Channel.parse(text), frame, clock.now(), around=around)
                 except FrameError:  # what robots say about the members

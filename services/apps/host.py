@@ -29,7 +29,7 @@ from swarm.codec import Value, decode
 from swarm.conduct import Conduct
 from swarm.core import together
 from swarm.core.lockstep import WANT_AFTER, Channel
-from swarm.core.lockstep_actions import AROUND
+from swarm.core.lockstep_actions import address_of
 from swarm.errors import FrameError, PayloadError
 from swarm.frozen import frozen
 from swarm.keys import key
@@ -186,11 +186,12 @@ class Host:
         _hand_over(arrived)
 
     def _on_sync(self, name: str, payload: bytes, arrived: dict[Worker, list[Arrival]]) -> None:
-        """A frame: `swarm/<sender>/app/<app>/sync/<channel>`, with `/<receiver>` behind it when it is for one robot,
-        and `/around` behind that when it has not come over the link with it. One of a neighbour's state is put to those
-        that have `arrived`, all else is done now, after those."""
-        _, sender, _, _, _, text, *receiver = name.split("/")
-        if receiver and receiver[0] != self._service.robot:
+        """A frame. A neighbour's state is put to those that have `arrived`, all else is done now, after those."""
+        if (address := address_of(name)) is None:
+            self._refuse_key(name, "not the key of a frame")
+            return
+        sender, _, text, to, around = address
+        if to is not None and to != self._service.robot:
             return
         if (told := self._notes.get(text)) is not None:
             if sender != self._service.robot:
@@ -200,12 +201,11 @@ class Host:
         try:
             channel = Channel.parse(text)
         except FrameError as error:
-            self._service.counters["refused_keys"] += 1
-            self._service.log.debug("%s: %s", name, error)
+            self._refuse_key(name, str(error))
             return
         worker = self._by_schema.get(channel.schema)
         if worker is not None and channel.run == self._run:
-            arrived.setdefault(worker, []).append((sender, channel, payload, receiver[1:] == [AROUND]))
+            arrived.setdefault(worker, []).append((sender, channel, payload, around))
             return
         self._service.counters["sync_other_run" if channel.run != self._run else "sync_other_version"] += 1
         for worker in self._workers.values():
@@ -258,6 +258,10 @@ class Host:
         change(changes.kept())
         runner.changed = changes.tell
         changes.tell()
+
+    def _refuse_key(self, name: str, reason: str) -> None:
+        self._service.counters["refused_keys"] += 1
+        self._service.log.debug("%s: %s", name, reason)
 
     def _refuse(self, error: PayloadError) -> None:
         self._service.counters["refused_payloads"] += 1

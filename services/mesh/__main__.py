@@ -12,7 +12,7 @@ from services.mesh import keep
 from services.mesh.core.dialler import can_link, dials
 from services.mesh.core.events import Received
 from services.mesh.core.frames import BULK, NONCE_SIZE
-from services.mesh.core.gather import app_of, by_app
+from services.mesh.core.gather import by_app
 from services.mesh.core.handshake import Local
 from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
@@ -28,6 +28,7 @@ from swarm import clock, service
 from swarm.codec import MAX_BINARY
 from swarm.config import Config
 from swarm.core import together
+from swarm.core.lockstep_actions import address_of
 from swarm.keyfile import read_keys
 from swarm.keys import key
 from swarm.lane import MESH, Lane, of_app
@@ -115,7 +116,7 @@ class _Mesh(Runner):
                 self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
         frames_wanted = self._bus.wanted(_FRAMES)
         for each in messages:
-            if not frames_wanted and app_of(each.key) is not None:
+            if not frames_wanted and address_of(each.key) is not None:
                 continue
             self._heard(each.key, each.payload)
             if len(each.payload) <= MAX_BINARY:

@@ -77,17 +77,16 @@ class Watched:
     def wait(self, now: float, deadline: float) -> tuple[list[int], list[int]]:
         """Wait for the first of: bytes, room in a full socket, a change of a restless pipe, the deadline. Gives what is
         readable, and writable."""
-        if self._calm is not None:
-            timeout = None if deadline == _NEVER else max(0.0, deadline - now)
-            return [fd for fd, _ in self._calm.poll(timeout, len(self._readers))], []
-        readers = list(self._readers)
+        wanted = []
         for fd, (_, pipe) in self.restless.items():
             if (change := pipe.next_change(now)) is not None:
                 deadline = min(deadline, change)
             if pipe.wants_read(now):
-                readers.append(fd)
+                wanted.append(fd)
         timeout = None if deadline == _NEVER else max(0.0, deadline - now)
-        readable, writable, _ = select.select(readers, self._blocked, [], timeout)
+        if self._calm is not None:
+            return [fd for fd, _ in self._calm.poll(timeout, len(self._readers))], []
+        readable, writable, _ = select.select([*self._readers, *wanted], self._blocked, [], timeout)
         return readable, writable
 
     def close(self) -> None:

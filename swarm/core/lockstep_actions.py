@@ -1,10 +1,16 @@
 """What a `Lockstep` asks its host to do or to tell, to be carried out in the order given."""
 
+from functools import lru_cache
+from typing import NamedTuple
+
 from swarm.core.lockstep_frames import Snapshot
 from swarm.frozen import frozen
 
-AROUND = "around"
+_AROUND = "around"
 """Last chunk of the key of a frame that takes another way than the link to its receiver."""
+
+_MAX_KEYS = 256
+"""Keys that are remembered: a robot meets a handful from each neighbour, over and over."""
 
 
 @frozen
@@ -29,7 +35,7 @@ class Save:
 
 @frozen
 class Send:
-    """Publish a frame."""
+    """Publish a frame. What the receiver makes of its key is `address_of`."""
 
     data: bytes
     to: str | None
@@ -41,7 +47,33 @@ class Send:
         """What it is published under; `channel` is the key of what all neighbours get."""
         if self.to is None:
             return channel
-        return f"{channel}/{self.to}/{AROUND}" if self.around else f"{channel}/{self.to}"
+        return f"{channel}/{self.to}/{_AROUND}" if self.around else f"{channel}/{self.to}"
+
+
+class Address(NamedTuple):
+    """What the key of a frame says: `swarm/<sender>/app/<app>/sync/<channel>`, and what `Send.key` puts behind it."""
+
+    sender: str
+    app: str
+    channel: str
+    """A `Channel`, or the chunk of what robots say about the members."""
+    to: str | None
+    """One neighbour, or None for all of them."""
+    around: bool
+    """Whether the frame has not come over the link with its sender."""
+
+
+@lru_cache(maxsize=_MAX_KEYS)
+def address_of(key: str) -> Address | None:
+    """Take a key apart; None for one of anything else."""
+    match key.split("/"):
+        case [_, sender, "app", app, "sync", channel]:
+            return Address(sender, app, channel, None, around=False)
+        case [_, sender, "app", app, "sync", channel, to]:
+            return Address(sender, app, channel, to, around=False)
+        case [_, sender, "app", app, "sync", channel, to, last] if last == _AROUND:
+            return Address(sender, app, channel, to, around=True)
+    return None
 
 
 @frozen

@@ -16,7 +16,7 @@ import pytest
 from swarm.bus import Bus, Router
 from swarm.codec import decode, encode
 from swarm.core import together
-from swarm.core.lockstep_actions import AROUND
+from swarm.core.lockstep_actions import address_of
 from swarm.messages import AppEpoch, AppProgress, AppState, Topology
 from swarm.paths import bus_endpoint
 from swarm.recording import trajectory
@@ -191,10 +191,11 @@ class Rig:
 
     def _relay(self, here: str, there: str) -> None:
         def carry(key: str, payload: bytes) -> None:
-            receiver = key.split("/")[6:]
-            ways = ([there, AROUND],) if self.silent else ([], [there])
-            if receiver in ways and int.from_bytes(payload[1:5], "little") <= self.gate:
-                frames = f"swarm/{there}/mesh/frames/{key.split('/')[3]}"
+            address = address_of(key)
+            assert address is not None
+            crosses = address.to in (None, there) and address.around == self.silent
+            if crosses and int.from_bytes(payload[1:5], "little") <= self.gate:
+                frames = f"swarm/{there}/mesh/frames/{address.app}"
                 self.buses[there].publish(frames, together.pack([(key, payload)]), urgent=True)
 
         self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)

@@ -174,6 +174,7 @@ def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
         (channel, b"what is this"),
         (f"{channel}/r7", b"not for us"),
         ("swarm/r1/app/consensus/sync/no-channel", b"x"),
+        (f"{channel}/r0/x", b"no frame's key"),
     ]
     for data in (together.pack(frames), b"no frames at all"):
         rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", data)
@@ -184,7 +185,7 @@ def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
         return {"sync_other_run", "sync_malformed", "refused_keys", "refused_payloads"} <= set(counters)
 
     wait_until(counted)
-    assert (counters["sync_other_run"], counters["sync_malformed"], counters["refused_keys"]) == (1, 1, 1)
+    assert (counters["sync_other_run"], counters["sync_malformed"], counters["refused_keys"]) == (1, 1, 2)
 
 
 def test_a_renewed_link_is_a_reason_to_ask_at_once(make_rig: MakeRig) -> None:

@@ -9,9 +9,9 @@ what waits before it: then the order of things may matter.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 from services.mesh.core.events import Received
+from swarm.core.lockstep_actions import address_of
 from swarm.core.lockstep_frames import STEP, Channel, head
 from swarm.errors import FrameError
 
@@ -105,22 +105,22 @@ class Gather:
         return deadline
 
     def _find(self, key: str) -> tuple[Round, bool] | None:
-        """The lockstep of a key `swarm/<sender>/app/<app>/sync/<channel>`, and whether all neighbours get what comes
-        under it; else it ends in `/<receiver>`. None: no key of a lockstep."""
+        """The lockstep of a key, and whether all neighbours get what comes under it; None: no key of a lockstep over
+        its own links."""
         if len(self._by_key) >= MAX_KEYS:
             self._by_key.clear()
             # What waits stays where its timer finds it; the others are of no use any more.
             self._rounds = {of: it for of, it in self._rounds.items() if it.held}
         found = None
-        chunks = key.split("/")
-        if 6 <= len(chunks) <= 7 and chunks[2] == "app" and chunks[4] == "sync":
+        address = address_of(key)
+        if address is not None and not address.around:
             try:
-                channel = Channel.parse(chunks[5])
+                channel = Channel.parse(address.channel)
             except FrameError:
                 pass  # what robots say about the members, or nothing of ours
             else:
-                of = chunks[3], channel.run, channel.epoch, channel.schema
-                found = self._rounds.setdefault(of, Round()), len(chunks) == 6
+                of = address.app, channel.run, channel.epoch, channel.schema
+                found = self._rounds.setdefault(of, Round()), address.to is None
         self._by_key[key] = found
         return found
 
@@ -129,13 +129,6 @@ def by_app(messages: Iterable[Received]) -> dict[str, list[tuple[str, bytes]]]:
     """What hosts of apps hear of some messages: key and payload of each frame of a lockstep, by app, in order."""
     found: dict[str, list[tuple[str, bytes]]] = {}
     for message in messages:
-        if (app := app_of(message.key)) is not None:
-            found.setdefault(app, []).append((message.key, message.payload))
+        if (address := address_of(message.key)) is not None:
+            found.setdefault(address.app, []).append((message.key, message.payload))
     return found
-
-
-@lru_cache(maxsize=MAX_KEYS)
-def app_of(key: str) -> str | None:
-    """The app whose lockstep uses a key, if one does."""
-    chunks = key.split("/")
-    return chunks[3] if len(chunks) >= 6 and chunks[2] == "app" and chunks[4] == "sync" else None

@@ -17,7 +17,7 @@ from swarm.core.epoch_actions import Order
 from swarm.core.epoch_notes import Epoch, Kept
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
-from swarm.core.lockstep_actions import AROUND
+from swarm.core.lockstep_actions import address_of
 from swarm.errors import FrameError
 from swarm.keys import key
 from swarm.messages import Links, SetAppEpoch, Topology
@@ -145,8 +145,10 @@ class VirtualHost:
     def _parsed(self, name: str) -> tuple[VirtualStrand, str, Channel | None, bool] | None:
         """Whom a frame's key is for, sender and channel (None for a note about the members), whether it has come around
         a silent link; None where it is for another robot, or is no such key."""
-        _, sender, _, _, _, text, *receiver = name.split("/")
-        if receiver and receiver[0] != self.robot:
+        if (address := address_of(name)) is None:
+            return None
+        sender, _, text, to, around = address
+        if to is not None and to != self.robot:
             return None
         if text in self._notes:
             return self._notes[text], sender, None, False
@@ -155,7 +157,7 @@ class VirtualHost:
         except FrameError:
             return None
         strand = self._by_schema.get(channel.schema)
-        return None if strand is None else (strand, sender, channel, receiver[1:] == [AROUND])
+        return None if strand is None else (strand, sender, channel, around)
 
     def _on_links(self, name: str, payload: bytes) -> None:
         links = decode(Links, payload, name).links
