@@ -8,6 +8,7 @@ beside them.
 
 import contextlib
 import functools
+import statistics
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -31,6 +32,9 @@ NAMES = tuple(f"r{index}" for index in range(6))
 TOPOLOGIES = ("line", "loop", "thesis-d", "full")
 GOAL = 1.15
 JITTER_GOAL = 1.1
+JITTER_RUNS = 3
+"""Of so many the median counts: what a host in a bad half minute adds is more than this goal leaves."""
+
 ITERATIONS = 300
 
 COUNTED = (50, 250)
@@ -58,8 +62,8 @@ def rows() -> Iterator[Row]:
         yield Row(f"lockstep {topology} 6, 30 ms links", number(run, "iteration_s_median"), "s", LATENCY_S, GOAL)
         yield from _messages(topology)
     for topology in TOPOLOGIES:
-        run = _consensus(topology, talking_sim.PROGRAM, jitter=True)
-        found, limit = number(run, "iteration_s_median"), jitter_limit(topology)
+        runs = [_consensus(topology, talking_sim.PROGRAM, jitter=True) for _ in range(JITTER_RUNS)]
+        found, limit = statistics.median(number(run, "iteration_s_median") for run in runs), jitter_limit(topology)
         yield Row(f"lockstep {topology} 6, 30 +- 10 ms links", found, "s", limit, JITTER_GOAL)
     options = ("--robots", "3", "--latency", "0ms", "--iterations", "2000")
     run = simulate("consensus", *options, program=talking_sim.PROGRAM)

@@ -43,9 +43,9 @@ __all__ = [
     "Waiting",
 ]
 
-WANT_AFTER_RTTS = 4.0
+WANT_AFTER_RTTS = 3.0
 """A missing value is asked for after so many round-trip times without progress ..."""
-WANT_AFTER = 0.25
+WANT_AFTER = 0.2
 """... but not before this, in seconds: a loaded robot is late by a tenth of a second without any loss, and links lose
 nothing without saying so (`Lockstep.nudge`)."""
 WANT_AFTER_MOST = 1.0

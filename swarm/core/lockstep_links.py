@@ -1,6 +1,6 @@
 """Which of a robot's neighbours a lockstep talks to around their link, since it carries nothing."""
 
-SILENT_AFTER_RTTS = 2.0
+SILENT_AFTER_RTTS = 1.5
 SILENT_AFTER = 0.1
 """A neighbour that has not answered a question after so many round-trip times, and s, is talked to around its link.
 Whoever hears us answers at once; what jitter and a loaded robot add to a round trip is within this."""
