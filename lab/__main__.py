@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from lab.vm.build import image, missing
+from lab.vm.build import UnableError, image
 from swarm.errors import LocalError
 
 TESTS = Path(__file__).parents[1] / "tests/lab"
@@ -30,15 +30,12 @@ UNAVAILABLE = 69
 def main() -> int:
     """Exit code: `UNAVAILABLE`, 1 where the machine cannot be built, else pytest's."""
     words = sys.argv[1:]
-    if lacking := missing():
-        sys.stderr.write(f"lab: this host cannot run the lab: {lacking}\n")
-        return UNAVAILABLE
     began = time.monotonic()
     try:
         image()
     except LocalError as error:
         sys.stderr.write(f"lab: {error}\n")
-        return 1
+        return UNAVAILABLE if isinstance(error, UnableError) else 1
     sys.stderr.write(f"lab: the machine is there ({time.monotonic() - began:.0f} s)\n")
     if words == ["build"]:
         return 0

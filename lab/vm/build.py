@@ -46,6 +46,10 @@ TOOLS = {
 TUN = Path("/dev/net/tun")
 
 
+class UnableError(LocalError):
+    """This host lacks something that the lab needs; says what, and how to get it."""
+
+
 @dataclass(frozen=True)
 class Image:
     """What a machine boots from; never written to."""
@@ -76,9 +80,10 @@ def cache() -> Path:
 
 
 def image() -> Image:
-    """The machine with the sources of this checkout; built where it is not there yet (some two minutes)."""
+    """The machine with the sources of this checkout; built where it is not there yet (some two minutes). Raises
+    `UnableError`, and `LocalError` where it cannot be built."""
     if lacking := missing():
-        raise LocalError(f"this host cannot run the lab: {lacking}")
+        raise UnableError(f"this host cannot run the lab: {lacking}")
     mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
     of_system = (Path(recipe.__file__), Path(debian.__file__))
     of_core = (Path(kernel.__file__), kernel.CONFIG, kernel.PATCH)

@@ -103,8 +103,7 @@ class Localizer:
                 self._lane = Lane(runtime, DWM)
 
     def report(self, location: Location, when: float) -> None:
-        """Publish what follows from an answer that the module gave at `when`."""
-        self.listen()
+        """Publish what follows from an answer that the module gave at `when`, and from the odometry heard so far."""
         self._move()
         ranges, pose = self._pipeline.report(location, when)
         service = self._service

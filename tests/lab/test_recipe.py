@@ -55,7 +55,7 @@ def test_a_host_that_cannot_is_told_what_it_lacks(monkeypatch: pytest.MonkeyPatc
 def test_where_it_cannot_run_the_exit_code_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "missing", lambda: "apt-get install flex")
+    monkeypatch.setattr(build, "missing", lambda: "apt-get install flex")
     assert command.main() == command.UNAVAILABLE == 69
     assert capsys.readouterr().err == "lab: this host cannot run the lab: apt-get install flex\n"
 

@@ -16,9 +16,8 @@ from services.mesh.core.frames import MAX_PAYLOAD, UNICAST
 from services.mesh.core.routing import Route
 from services.mesh.core.unicast import ttl_of
 from services.mesh.core.wire import Reader, packed
-from swarm.errors import FrameError, PayloadError
+from swarm.errors import FrameError
 from swarm.keys import key as key_of
-from swarm.keys import parse
 
 AROUND = 8
 """Kind of the packet on unicast channels, besides those in `packets` and `pieces`."""
@@ -55,11 +54,7 @@ def decode(data: bytes) -> Packet:
     if kind != AROUND:
         raise FrameError(f"packet kind {kind}: AROUND is {AROUND}")
     reader = Reader(data, _HEAD.size)
-    sender, to, key = reader.name(), reader.name(), reader.text(255)
-    try:
-        parse(key)
-    except PayloadError as error:
-        raise FrameError(f"AROUND: {error}") from None
+    sender, to, key = reader.name(), reader.name(), reader.key()
     return Packet(sender, to, key, data[reader.at :], ttl)
 
 

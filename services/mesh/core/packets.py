@@ -12,8 +12,7 @@ from typing import NamedTuple
 from services.mesh.core.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.frames import MAX_PAYLOAD
 from services.mesh.core.wire import Reader, packed
-from swarm.errors import FrameError, PayloadError
-from swarm.keys import parse
+from swarm.errors import FrameError
 
 SPREAD, ECHO, DIGEST, SUMMARY, HALT, TOPOLOGY = 1, 2, 3, 4, 5, 6
 """Kinds of packets on flood channels; the last one is made in `topology`."""
@@ -361,13 +360,9 @@ def decode_message(data: bytes) -> Message:
         raise FrameError(f"MESSAGE of {len(data)} bytes: it has at least {_MESSAGE.size}")
     _, ttl, incarnation, number = _MESSAGE.unpack_from(data)
     reader = Reader(data, _MESSAGE.size)
-    sender, to, key = reader.name(), reader.name(), reader.text(255)
+    sender, to, key = reader.name(), reader.name(), reader.key()
     if not number:
         raise FrameError("MESSAGE 0: they count from 1")
-    try:
-        parse(key)
-    except PayloadError as error:
-        raise FrameError(f"MESSAGE: {error}") from None
     return Message(sender, to, incarnation, number, key, data[reader.at :], ttl)
 
 

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.wire import Reader, packed
-from swarm.errors import FrameError, PayloadError
-from swarm.keys import parse
+from swarm.errors import FrameError
 
 OFFER, WANT, PIECE, STATE, GONE = 3, 4, 5, 6, 7
 """Kinds of packets on unicast channels, besides `packets.MESSAGE` and `packets.ACK`."""
@@ -108,13 +107,9 @@ def decode_offer(body: bytes) -> tuple[int, str]:
     """Bytes and key of the message that is offered."""
     reader = Reader(body, 0)
     (total,) = reader.unpack(_OFFER)
-    key = reader.text(255)
+    key = reader.key()
     reader.end()
     check_total(total)
-    try:
-        parse(key)
-    except PayloadError as error:
-        raise FrameError(f"OFFER: {error}") from None
     return total, key
 
 

@@ -3,8 +3,8 @@
 import struct
 from functools import lru_cache
 
-from swarm.errors import FrameError
-from swarm.keys import is_name
+from swarm.errors import FrameError, PayloadError
+from swarm.keys import is_name, parse
 
 
 def packed(text: str, limit: int = 16) -> bytes:
@@ -51,6 +51,15 @@ class Reader:
             return self._text(limit).decode()
         except UnicodeDecodeError:
             raise FrameError("overlay packet: a text is not UTF-8") from None
+
+    def key(self) -> str:
+        """The next key."""
+        text = self.text(255)
+        try:
+            parse(text)
+        except PayloadError as error:
+            raise FrameError(f"overlay packet: {error}") from None
+        return text
 
     def octets(self) -> bytes:
         """The next bytes behind their length, u8."""
