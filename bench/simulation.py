@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from swarm.recording.reader import SUFFIX
@@ -16,6 +16,9 @@ POLL_S = 0.02
 SWARM_SIM = ("swarm.cli", "sim")
 
 
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
 class SimulationError(Exception):
     """The simulation ended with a non-zero code; holds the end of what it said."""
 
@@ -23,8 +26,15 @@ class SimulationError(Exception):
 class Simulation:
     """One `swarm sim ARGUMENTS --json`, in directories of its own that go with it. A context."""
 
-    def __init__(self, *arguments: str, program: Sequence[str] = SWARM_SIM, run_dir: Path | None = None) -> None:
-        """`program`: module, and its first arguments, that does what `swarm sim` does; `run_dir`: another's."""
+    def __init__(
+        self,
+        *arguments: str,
+        program: Sequence[str] = SWARM_SIM,
+        run_dir: Path | None = None,
+        start: Start = subprocess.Popen,
+    ) -> None:
+        """`program`: module, and its first arguments, that does what `swarm sim` does; `run_dir`: another's; `start`
+        starts it."""
         # Short, and not below a test's own directory: sockets' paths have at most 107 bytes.
         self._home = Path(tempfile.mkdtemp(prefix="swarm-"))
         self.run_dir = run_dir or self._home / "run"
@@ -33,7 +43,7 @@ class Simulation:
         self._error = (self._home / "stderr").open("w+")
         own = ["--json", "--run-dir", str(self.run_dir), "--record", str(self.records)]
         command = [sys.executable, "-m", *program, *arguments, *own]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self._error, text=True)
+        self.process = start(command, stdout=subprocess.PIPE, stderr=self._error, text=True)
 
     def __enter__(self) -> "Simulation":
         return self
@@ -81,7 +91,7 @@ class Simulation:
         return Path(self._error.name).read_text()[-1500:]
 
 
-def simulate(*arguments: str, program: Sequence[str] = SWARM_SIM) -> dict[str, object]:
+def simulate(*arguments: str, program: Sequence[str] = SWARM_SIM, start: Start = subprocess.Popen) -> dict[str, object]:
     """Run a simulation to its end; the object of `--json`."""
-    with Simulation(*arguments, program=program) as simulation:
+    with Simulation(*arguments, program=program, start=start) as simulation:
         return simulation.finish()

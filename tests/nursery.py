@@ -2,7 +2,8 @@
 takes, and tests start hundreds.
 
 `start` is `subprocess.Popen`, and what it starts is a child of this process as any other, with its own environment,
-folder and streams. Simulations (tests/sim/test_end_to_end.py and others) start the same services by `python -m`.
+folder and streams. Simulations that it starts fork their robots' services, too; others (a few in
+tests/sim/test_end_to_end.py and elsewhere) start the same services by `python -m`.
 """
 
 import atexit
@@ -17,9 +18,10 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 PACKAGES = (
@@ -29,8 +31,17 @@ PACKAGES = (
     "services.dwm",
     "services.dwm.calibrate",
     "services.mesh",
+    "services.sim",
 )
-MODULES = ("services.balancer.bridge", "services.sim.body", "swarm.cli.z_sub")
+MODULES = (
+    "bench.talking_sim",
+    "services.balancer.bridge",
+    "services.dwm.tool",
+    "services.sim.body",
+    "swarm.cli.z_sub",
+)
+SIMULATIONS = ("services.sim", "bench.talking_sim")
+"""They start services themselves."""
 COMMAND = "swarm.cli"
 """Its `__main__` is one line, and does something when imported."""
 
@@ -38,11 +49,12 @@ _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
 _ROOM = 1 << 17
 """Bytes of one order: words and an environment."""
 
+_door: socket.socket | None = None
 _one = threading.Lock()
 """One order at a time: the answers say not to which order."""
 
 
-def start(command: Sequence[str], env: Mapping[str, str], **streams: Any) -> "subprocess.Popen[Any]":
+def start(command: Sequence[str], env: Mapping[str, str] = os.environ, **streams: Any) -> "subprocess.Popen[Any]":
     """Start `python WORDS`, the quicker way where that is the same."""
     python, *words = command
     plain = python == sys.executable and words[0] == "-m" and words[1] in (*PACKAGES, *MODULES, COMMAND)
@@ -57,46 +69,54 @@ class _Forked(subprocess.Popen[Any]):
     def _execute_child(self, args: Any, *rest: Any) -> None:
         """In place of fork and exec."""
         environment, pipes = rest[5], rest[9:15]  # both ends of each, as its caller has them
+        streams = [number if given < 0 else given for number, given in enumerate((pipes[0], pipes[3], pipes[5]))]
         order = json.dumps([args[2:], str(Path.cwd()), environment]).encode()
         with _one:
             door = _nursery()
             # Whoever is between the nursery and the program ends at once, and its orphan is to be ours.
             ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
-            socket.send_fds(door, [order], [pipes[0], pipes[3], pipes[5]])
+            socket.send_fds(door, [order], streams)
             self.pid = int(door.recv(_ROOM))
             ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 0)
+        if (group := rest[-1]) >= 0:
+            os.setpgid(self.pid, group)
         self._child_created = True
         self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
 
 
-@cache
 def _nursery() -> socket.socket:
     """The door of this process' own nursery; it ends when nobody has the door any more."""
-    door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    process = subprocess.Popen([sys.executable, __file__], stdin=inside, stdout=subprocess.DEVNULL)
-    inside.close()
-
-    def end() -> None:
-        door.close()
-        process.wait()
-
-    atexit.register(end)
-    return door
+    global _door
+    if _door is None:
+        _door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        process = subprocess.Popen([sys.executable, __file__], stdin=inside, stdout=subprocess.DEVNULL)
+        inside.close()
+        atexit.register(_end, _door, process.wait)
+    return _door
 
 
-def _serve() -> list[str]:
-    """Fork a process for each order; returns the words of its order in each of them."""
-    door = socket.socket(fileno=os.dup(0))
+def _end(door: socket.socket, wait: Callable[[], object]) -> None:
+    """End the nursery behind the door."""
+    door.close()
+    wait()
+
+
+def _prepare() -> dict[str, str]:
+    """Import all that can be asked for; what that has added to the environment."""
     before = set(os.environ)
     programs = [*(f"{each}.__main__" for each in PACKAGES), *MODULES]
     for each in (*programs, COMMAND):
         importlib.import_module(each)
     for each in programs:
         del sys.modules[each]  # it is run under another name
-    chosen = {name: value for name, value in os.environ.items() if name not in before}
+    gc.freeze()
+    return {name: value for name, value in os.environ.items() if name not in before}
+
+
+def _serve(door: socket.socket, chosen: dict[str, str]) -> list[str]:
+    """Fork a process for each order; returns the words of its order in each of them."""
     # Of threads only the one that forks would be copied.
     assert threading.active_count() == 1
-    gc.freeze()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     while True:
         order, streams, _, _ = socket.recv_fds(door, _ROOM, 3)
@@ -127,6 +147,26 @@ def _serve() -> list[str]:
     return words
 
 
+def _nurse(words: list[str], chosen: dict[str, str]) -> list[str]:
+    """Give this simulation, which has not begun, a nursery of its own, a copy of it; returns the words of the order in
+    the simulation and in each process that its nursery forks."""
+    global _door
+    from services.sim import processes
+
+    _door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    nursery = os.fork()
+    if not nursery:
+        _door.close()
+        return _serve(inside, chosen)
+    inside.close()
+    atexit.register(_end, _door, partial(os.waitpid, nursery, 0))
+    processes.subprocess = SimpleNamespace(**{**vars(subprocess), "Popen": start})  # type: ignore[assignment]
+    return words
+
+
 if __name__ == "__main__":
-    sys.argv = _serve()
+    _chosen = _prepare()
+    sys.argv = _serve(socket.socket(fileno=os.dup(0)), _chosen)
+    if sys.argv[0] in SIMULATIONS:
+        sys.argv = _nurse(sys.argv, _chosen)
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

@@ -322,32 +322,34 @@ class Runner:
             if clock.now() >= self._deadline:
                 with self._lock:
                     self._node.handle_timer(clock.now())
-                    self._deadline = self._node.next_deadline()
                     actions = self._carry_out()
                 self._report(actions)
 
     def _wait(self, watched: Watched, deadline: float) -> None:
         """Wait for the first of: bytes, callers, frames of apps, room in a full socket, the deadline; and handle it."""
         readable, writable = watched.wait(clock.now(), deadline)
-        if self._wake in readable:
-            with contextlib.suppress(BlockingIOError):
-                os.eventfd_read(self._wake)
-        if self._lane.fileno() in readable:
-            self._take_lane()
+        looked: list[tuple[Session, Pipe]] = []
+        for fd in readable:
+            if (found := watched.pipes.get(fd)) is not None:
+                looked.append(found)
+            elif (listener := self._listeners.get(fd)) is not None:
+                self._accept(listener)
+            elif fd == self._wake:
+                with contextlib.suppress(BlockingIOError):
+                    os.eventfd_read(fd)
+            else:
+                self._take_lane()
         now = clock.now()
-        looked = [found for fd in readable if (found := watched.pipes.get(fd)) is not None]
         for _, pipe in looked:
             pipe.read(now)
-        looked += [found for fd, found in watched.restless.items() if fd not in readable]
+        if watched.restless:
+            looked += [found for fd, found in watched.restless.items() if fd not in readable]
         arrivals: list[tuple[Session, Pipe, bytes]] = []
         for session, pipe in looked:
             while (data := pipe.take(now)) is not None:
                 arrivals.append((session, pipe, data))
                 if not data:
                     break
-        for fd in readable:
-            if (listener := self._listeners.get(fd)) is not None:
-                self._accept(listener)
         if arrivals or writable:
             with self._lock:
                 now = clock.now()

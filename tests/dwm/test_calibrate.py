@@ -1,6 +1,8 @@
 """`swarm calibrate` from end to end: a person of a script, real processes, a simulated module."""
 
+import itertools
 import math
+import os
 import re
 import threading
 from functools import partial
@@ -10,11 +12,14 @@ from conftest import CONFIG
 from dwm_rig import ANCHORS, working
 from thesis_data import DATA, needs_calibration, needs_localization
 
+from services.dwm.calibrate.session import Hearing, hold
 from services.dwm.core import calibration_file
+from services.dwm.core.guide import QUARTERS, Guide
 from services.dwm.core.samples import HEADER, Sample, read, write
 from services.sim.core import uwb
 from swarm import config as configuration
 from swarm.bus import Bus
+from swarm.errors import BusError
 from swarm.messages import Buttons
 
 SWARM = (
@@ -154,12 +159,19 @@ def test_buttons_of_the_robot_lead_as_well(processes, router, swarm, board, runt
     assert calibration_file.parse((runtime / "out.toml").read_text(), "f").position is None
 
 
-def test_a_silent_module_is_named(processes, router, swarm, runtime):
-    session = calibrate(processes, "distance", "--places", "1,1", "--samples", str(runtime / "s.csv"))
-    session.stdin.write("start\n")
-    session.stdin.flush()
-    assert session.wait(60) == 2
-    assert "does its dwm service run?" in session.stderr.read()
+def test_a_silent_module_is_named(router, runtime, monkeypatch):
+    """To this session a second passes whenever it looks at the clock."""
+    answers, person = os.pipe()
+    os.write(person, b"start\n")
+    os.close(person)
+    seconds = itertools.count()
+    with os.fdopen(answers) as stdin, Bus.of(runtime) as bus:
+        monkeypatch.setattr("sys.stdin", stdin)
+        guide, said = Guide([(1.0, 1.0)], QUARTERS[:1], 1), []
+        with pytest.raises(BusError, match=r"does its dwm service run\?"):
+            hold(guide, Hearing(bus, "r0"), "C933", runtime / "s.csv", said.append, lambda: float(next(seconds)))
+    assert guide.measuring
+    assert said[-1].endswith("measuring")
 
 
 def test_the_end_of_the_answers_ends_the_session(processes, router, swarm, runtime):

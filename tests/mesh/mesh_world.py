@@ -278,7 +278,8 @@ class World:
 
     def _wake(self, bot: Bot) -> float:
         deadline = bot.node.next_deadline()
-        return float("inf") if deadline is None else max(deadline, bot.stopped_until)
+        assert deadline <= bot.node._earliest(), "something would be done too late"
+        return max(deadline, bot.stopped_until)
 
     def _at(self, time: float, call: Callable[[], None]) -> None:
         heapq.heappush(self._schedule, (time, next(self._order), call))

@@ -8,6 +8,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import nursery
 import pytest
 from conftest import wait_until
 
@@ -15,6 +16,8 @@ from bench import talking_sim
 from bench.simulation import Simulation, SimulationError, simulate
 from services.sim.virtual.run import simulate as virtual
 
+FORKED = {"program": ("services.sim",), "start": nursery.start}
+"""A simulation whose processes need not start as a user's do, which takes much longer."""
 RUN = ("consensus", "--iterations", "120", "--latency", "10ms")
 
 
@@ -40,7 +43,7 @@ def undisturbed():
 
 def test_a_run_through_a_cut_link_is_the_undisturbed_one_bit_for_bit():
     """Consensus ends on the mean and reports it; the cut holds the swarm up, and loses nothing."""
-    with Simulation(*RUN, "--cut", "r0-r1@0.3s,1s") as simulation:
+    with Simulation(*RUN, "--cut", "r0-r1@0.3s,1s", **FORKED) as simulation:
         report = simulation.finish()
         assert report["app"] == "consensus"
         assert report["algorithm"] == "metropolis"
@@ -79,7 +82,7 @@ def test_killed_services_and_a_stopped_app_change_no_bit():
 
 def test_robots_that_only_talk_have_the_same_trajectory_and_three_processes_each():
     """What the benchmarks of lockstep run."""
-    with Simulation(*RUN, program=talking_sim.PROGRAM) as simulation:
+    with Simulation(*RUN, program=talking_sim.PROGRAM, start=nursery.start) as simulation:
         simulation.wait_for("r0", 5)
         started = {path.name for path in (simulation.run_dir / "r0").glob("*.log")}
         assert started == {"bus.log", "mesh.log", "app.consensus.log"}
@@ -140,7 +143,7 @@ def test_an_app_that_raises_is_named_with_robot_and_iteration(iteration, tmp_pat
         f"        self.value = 1 / ({iteration} - self.k)\n"
     )
     with pytest.raises(SimulationError, match=rf"iteration {iteration}") as failure:
-        simulate(str(app), "--robots", "2", "--iterations", "20")
+        simulate(str(app), "--robots", "2", "--iterations", "20", **FORKED)
     assert "no first iteration" not in str(failure.value)
 
 
@@ -161,7 +164,7 @@ def test_a_robot_with_another_version_of_the_app_is_named(tmp_path):
 
 def test_a_robot_that_is_cut_off_for_ever_does_not_keep_the_others_from_their_end():
     drop = ("--absent", "drop", "--drop-after", "1.5", "--cut", "r1-r2@0.2s,999s")
-    report = simulate("consensus", "--iterations", "60", "--latency", "10ms", *drop)
+    report = simulate("consensus", "--iterations", "60", "--latency", "10ms", *drop, **FORKED)
     assert report["missing"] == ["r2"]
     assert report["iterations"] == 60
     assert report["problems"] == []
@@ -178,7 +181,7 @@ def test_robots_without_an_app_just_balance():
 
 
 def test_one_robot_alone_runs():
-    report = simulate("consensus", "--robots", "1", "--iterations", "20", "--set", "value=2")
+    report = simulate("consensus", "--robots", "1", "--iterations", "20", "--set", "value=2", **FORKED)
     assert report["result"] == {"r0": {"value": 2.0}}
 
 

@@ -38,6 +38,7 @@ class Node:
         "_callers",
         "_clock",
         "_counters",
+        "_deadline",
         "_gather",
         "_half_open",
         "_holds",
@@ -90,6 +91,8 @@ class Node:
         self._ready: list[Session] = []
         self._actions: list[Action] = []
         self._problems = Problems()
+        self._deadline = 0.0
+        """When anything but `_gather` is due, as of the last time that it may have become earlier."""
         self._serve_overlays()
 
     # -- inputs ------------------------------------------------------------------------------------
@@ -134,6 +137,8 @@ class Node:
         another way."""
         for send in self._relay.publish(source, key, payload, now):
             self._send(send, now)
+        if (held := self._relay.next_deadline()) is not None and held < self._deadline:
+            self._deadline = held
 
     def ask(self, step: Callable[[Overlays, float], object], now: float) -> None:
         """Something for the overlays to do: a request of an app, a stop."""
@@ -203,21 +208,8 @@ class Node:
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
-        # After each message, so without lists, generators and calls for each link.
-        earliest = min(self.overlays.next_deadline(), self._gather.next_deadline())
-        if (deadline := self._relay.next_deadline()) is not None and deadline < earliest:
-            earliest = deadline
-        for session in self._sessions:
-            if session.deadline < earliest:
-                earliest = session.deadline
-        for link in self._links.values():
-            if (
-                link.session is None
-                and link.dialler is not None
-                and (deadline := link.dialler.next_deadline()) is not None
-            ):
-                earliest = min(earliest, deadline)
-        return earliest
+        # Asked for after each message. Those of lockstep change nothing but what is gathered.
+        return min(self._deadline, self._gather.next_deadline())
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
@@ -234,7 +226,26 @@ class Node:
         session = self._session(self._nonce(), now, dialled=peer, expected=expected)
         self._sessions.append(session)
         self._ready.append(session)
+        self._deadline = self._earliest()
         return session
+
+    def _earliest(self) -> float:
+        """When something is due, but for what is gathered."""
+        # After each packet of an overlay, so without lists, generators and calls for each link.
+        earliest = self.overlays.next_deadline()
+        if (deadline := self._relay.next_deadline()) is not None and deadline < earliest:
+            earliest = deadline
+        for session in self._sessions:
+            if session.deadline < earliest:
+                earliest = session.deadline
+        for link in self._links.values():
+            if (
+                link.session is None
+                and link.dialler is not None
+                and (deadline := link.dialler.next_deadline()) is not None
+            ):
+                earliest = min(earliest, deadline)
+        return earliest
 
     def _send(self, send: Send, now: float) -> None:
         leg, payload = send
@@ -264,7 +275,8 @@ class Node:
             self._ready.append(session)
 
     def _serve_overlays(self) -> None:
-        """Carry out what the overlays want."""
+        """Carry out what the overlays want, and look for the next deadline: whatever links, their sessions or diallers
+        do that may make it earlier, the overlays are told of."""
         for action in self.overlays.actions():
             if type(action) is Transmit:
                 link = self._links.get(action.peer)
@@ -278,6 +290,7 @@ class Node:
                 self._actions.append(action)
             else:
                 self._on_topology(action)
+        self._deadline = self._earliest()
 
     def _on_topology(self, action: Connect | Disconnect | Keep | Report | Transmit | Received) -> None:
         """What the topology wants of this robot's links."""
