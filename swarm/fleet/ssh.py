@@ -133,14 +133,16 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
 
 
 async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyncio.Event | None) -> None:
-    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the exit code will say more
+    broken = contextlib.suppress(BrokenPipeError, ConnectionResetError)  # the exit code will say more
+    with broken:
         for data in feed:
             for start in range(0, len(data), _CHUNK):
                 stream.write(data[start : start + _CHUNK])
                 await stream.drain()
         if hold is not None:
             await hold.wait()
-        stream.close()
+    stream.close()
+    with broken:  # asked for in any case, or asyncio logs it as an error that nobody has seen
         await stream.wait_closed()
 
 
