@@ -47,8 +47,9 @@ def swarm(processes, runtime):
 
 @pytest.fixture
 def board(swarm, runtime, monkeypatch):
-    """Modules without wild errors: which of the seeded measurements a session sees is a matter of time."""
-    calm = partial(uwb.ErrorModel, hidden=0.0, outlier=0.0)
+    """Modules with half the noise and without wild errors: which of the seeded measurements a session sees is a matter
+    of time."""
+    calm = partial(uwb.ErrorModel, noise=0.02, hidden=0.0, outlier=0.0)
     monkeypatch.setattr(uwb, "ErrorModel", calm)
     with working(runtime, swarm, "r0") as board:
         yield board
