@@ -23,22 +23,22 @@ TIMES = "suspect = 3.0\ndead = 9.0\n"
 
 def config(shape: str, key: str, extra: str = "") -> str:
     """The swarm.toml of that shape; `key` is a line of [mesh], `extra` whole tables."""
-    return _config(ROBOTS, SHAPES[shape], key + "\n" + TIMES) + extra
+    return _config(ROBOTS, SHAPES[shape], key) + extra
 
 
 def hasty(shape: str, key: str) -> str:
     """The same with the robots' own times: a link that is silent ends after two seconds."""
-    return _config(ROBOTS, SHAPES[shape], key)
+    return _config(ROBOTS, SHAPES[shape], key, times="")
 
 
 def line(robots: int, key: str, extra: str = "") -> str:
     """The swarm.toml of so many in line."""
-    return _config(robots, LINE[: robots - 1], key + "\n" + TIMES) + extra
+    return _config(robots, LINE[: robots - 1], key) + extra
 
 
-def _config(count: int, pairs: list[tuple[int, int]], mesh: str) -> str:
+def _config(count: int, pairs: list[tuple[int, int]], key: str, times: str = TIMES) -> str:
     robots = "".join(f'[[robots]]\nname = "r{i}"\nbluetooth = "{address(i)}"\n' for i in range(count))
     values = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {(7 * i + 3) / 9!r}\n" for i in range(count))
     edges = [[f"r{i}", f"r{j}"] for i, j in pairs]
-    text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\n{mesh}\n{values}'
+    text = f'network = "lab"\n{robots}[topology]\nedges = {edges}\n[mesh]\n{key}\n{times}{values}'
     return text.replace("'", '"')
