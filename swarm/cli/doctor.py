@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm.config import Config, load
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
 from swarm.fleet import everyone, remote
 from swarm.fleet.core import doctor, steps
 from swarm.fleet.core.checkup import Finding, Robot
@@ -23,6 +23,7 @@ from swarm.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
 from swarm.fleet.everyone import Outcome, Tell
 from swarm.fleet.provision import Rig
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts
+from swarm.json_input import read_json
 from swarm.simulations import CONFIG, default_run_dir, is_live, robots
 
 HELP = "test everything on robots (or simulated ones), name what is wrong and what to do"
@@ -165,7 +166,7 @@ async def _ask(ssh: Ssh, host: Host, robot: Robot, rig: Rig) -> Robot:
     bus = None
     if system["current"]:
         python = rig.root.rstrip("/") + ROBOT_PYTHON
-        with contextlib.suppress(HostError, ValueError):  # an old release, or none that runs: `services` says so
+        with contextlib.suppress(HostError, PayloadError):  # an old release, or none that runs: `services` says so
             said = await ssh.check(host, f"sudo -n {python} -m swarm.fleet.listen {shlex.quote(robot.name)}")
-            bus = json.loads(said)
+            bus = read_json(said)
     return replace(robot, system=system, bus=bus, now=now, key=system.get("key"))

@@ -12,8 +12,9 @@ import shlex
 import sys
 
 from swarm.config import load
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
 from swarm.fleet.ssh import Host, HostError, Ssh, explain, hosts, last_words
+from swarm.json_input import read_json
 
 PROGRAM = "/opt/swarm/current/bin/z_sub"
 _PREFIX = "z_sub: "
@@ -88,8 +89,9 @@ async def _lines(stream: asyncio.StreamReader, host: Host, *, as_json: bool, alo
     async for data in stream:
         line = data.decode(errors="replace")
         if as_json:
-            with contextlib.suppress(ValueError):
-                line = json.dumps(json.loads(line) | {"robot": host.robot}) + "\n"
+            with contextlib.suppress(PayloadError):
+                if isinstance(sample := read_json(line), dict):
+                    line = json.dumps(sample | {"robot": host.robot}) + "\n"
         elif not alone:
             line = f"[{host.robot}] {line}"
         sys.stdout.write(line)

@@ -4,11 +4,12 @@ The robot's journald gives each entry a cursor. The mark holds the cursor of the
 of the text then, so that a transfer which broke goes on behind it, with nothing twice and nothing missing.
 """
 
-import json
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
+from swarm.errors import PayloadError
 from swarm.frozen import frozen
+from swarm.json_input import read_json
 
 FIELDS = "MESSAGE,_SYSTEMD_UNIT,UNIT,PRIORITY,_PID,SYSLOG_IDENTIFIER"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -37,10 +38,10 @@ class Mark:
 def entry(line: str) -> tuple[str, str] | None:
     """An entry of `journalctl --output=json` as (cursor, line of text); None where it is none."""
     try:
-        fields = json.loads(line)
+        fields = read_json(line)
         cursor, micros = fields["__CURSOR"], int(fields["__REALTIME_TIMESTAMP"])
         moment = datetime.fromtimestamp(micros / 1e6, UTC)
-    except (ValueError, LookupError, TypeError, OverflowError, OSError):
+    except (PayloadError, ValueError, LookupError, TypeError, OverflowError, OSError):
         return None
     unit = str(fields.get("UNIT") or fields.get("_SYSTEMD_UNIT") or fields.get("SYSLOG_IDENTIFIER") or "?")
     priority = str(fields.get("PRIORITY", ""))
