@@ -7,28 +7,30 @@ Written as it is, such text can steer a terminal (ESC), forge lines (newline) or
 LONGEST = 200
 """Characters of a text within a sentence."""
 
+_SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
+_CUT = "..."
+
 
 def printable(text: str, longest: int | None = LONGEST) -> str:
-    """One line of at most `longest` visible characters (None: as many as there are).
+    """One line of at most `longest` visible characters (None: as many as there are), at least three.
 
-    Every character that is none (a control character, a line break, a direction mark, half a surrogate pair) is written
-    as JSON writes it, `\\u001b`, so that JSON stays the JSON it was.
+    Every character that is not visible (a control character, a line break, a direction mark, half a surrogate pair) is
+    written as JSON writes it, `\\u001b`, so that a line of JSON means what it meant.
     """
-    if longest is not None and len(text) > longest:
-        # Cut before anything is made longer: the text may be a megabyte.
-        return _shown(text[:longest])[: max(0, longest - 3)] + "..."[:longest]
-    shown = _shown(text)
-    return shown if longest is None or len(shown) <= longest else shown[: max(0, longest - 3)] + "..."[:longest]
+    # Cut before anything is made longer: the text may be a megabyte.
+    shown = _shown(text if longest is None else text[: longest + 1])
+    return shown if longest is None or len(shown) <= longest else shown[: longest - len(_CUT)] + _CUT
 
 
 def _shown(text: str) -> str:
-    if text.isprintable():
-        return text
-    return "".join(letter if letter.isprintable() else _escape(ord(letter)) for letter in text)
+    return text if text.isprintable() else "".join(map(_letter, text))
 
 
-def _escape(code: int) -> str:
+def _letter(letter: str) -> str:
+    if letter.isprintable():
+        return letter
+    code = ord(letter)
     if code < 0x10000:
-        return f"\\u{code:04x}"
-    high, low = divmod(code - 0x10000, 0x400)  # as JSON does: two halves
+        return _SHORT.get(letter) or f"\\u{code:04x}"
+    high, low = divmod(code - 0x10000, 0x400)  # two halves, as JSON has it
     return f"\\u{0xD800 + high:04x}\\u{0xDC00 + low:04x}"

@@ -25,6 +25,7 @@ from swarm.fleet.provision import Rig
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts
 from swarm.json_input import read_json
 from swarm.simulations import CONFIG, default_run_dir, is_live, robots
+from swarm.terminal import write_lines
 
 HELP = "test everything on robots (or simulated ones), name what is wrong and what to do"
 
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None) -> int:
         rows = {name: {check: asdict(each) for check, each in its.items()} for name, its in report.items()}
         sys.stdout.write(json.dumps({"robots": rows, "problems": problems, "swarm": together}) + "\n")
     else:
-        sys.stdout.write(text(report, problems, together, everything=args.all))
+        write_lines(text(report, problems, together, everything=args.all))
     wrong = any(each.state == "bad" for its in report.values() for each in its.values())
     return 1 if wrong or problems or together else 0
 
@@ -72,7 +73,7 @@ def text(
     together: Sequence[str],
     *,
     everything: bool,
-) -> str:
+) -> list[str]:
     """A table for each robot: what is wrong, or all of it."""
     out = []
     for name, findings in report.items():
@@ -86,7 +87,7 @@ def text(
                     out.append(f"  {'':<9}  {'':<7}  -> {each.remedy}")
     out += [f"{name}: cannot be asked: {problem}" for name, problem in problems.items()]
     out += [f"swarm: {line}" for line in together]
-    return "".join(line + "\n" for line in out)
+    return out
 
 
 # -- simulated robots ------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import sys
 
 from swarm.config import load
 from swarm.errors import LocalError, PayloadError
+from swarm.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from swarm.fleet.ssh import Host, HostError, Ssh, explain, hosts, last_words
 from swarm.json_input import read_json
 
@@ -53,6 +54,9 @@ async def _all(ssh: Ssh, robots: tuple[Host, ...], command: str, *, as_json: boo
             await _one(ssh, host, command, as_json=as_json, alone=alone)
         except HostError as error:
             _tell(f"{host.robot}: {error}")
+            return True
+        except MISUNDERSTOOD as error:
+            _tell(f"{host.robot}: {misunderstood(error)}")
             return True
         return False
 

@@ -115,11 +115,11 @@ def test_any_line_is_an_entry_or_none(value: object) -> None:
     assert found is None or "\n" not in found[1]
 
 
-@given(st.integers(0), st.from_regex(r"[a-z0-9=;]+", fullmatch=True))
+@given(st.integers(0, 10**18 - 1), st.from_regex(r"[a-z0-9=;]+", fullmatch=True))
 def test_a_mark_is_read_as_written(size: int, cursor: str) -> None:
     assert Mark.of(Mark(size, cursor).text) == Mark(size, cursor)
 
 
-@pytest.mark.parametrize("text", ["", "x", "5", "-5 s=1", "5 ", "\u0663 s=1"])
+@pytest.mark.parametrize("text", ["", "x", "5", "-5 s=1", "5 ", "\u0663 s=1", "1" * 5000 + " s=1"])
 def test_a_mark_that_is_none_is_the_beginning(text: str) -> None:
     assert Mark.of(text) == Mark()
