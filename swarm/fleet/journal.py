@@ -4,7 +4,6 @@ The robot's journald gives each entry a cursor. The mark holds the cursor of the
 of the text then, so that a transfer which broke goes on behind it, with nothing twice and nothing missing.
 """
 
-import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
@@ -14,8 +13,9 @@ from swarm.json_input import read_json
 from swarm.text import printable
 
 FIELDS = "MESSAGE,_SYSTEMD_UNIT,UNIT,PRIORITY,_PID,SYSLOG_IDENTIFIER"
-_SIZE = re.compile(r"[0-9]{1,18}")
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_MAX_DIGITS = 20
+"""Of a size in a mark; Python converts no text of more than 4300 digits."""
 
 
 @frozen
@@ -35,7 +35,8 @@ class Mark:
     def of(cls, text: str) -> "Mark":
         """From what was kept; a mark that cannot be read is the beginning."""
         size, _, cursor = text.strip().partition(" ")
-        return cls(int(size), cursor) if _SIZE.fullmatch(size) and cursor else cls()
+        known = size.isascii() and size.isdecimal() and len(size) <= _MAX_DIGITS and cursor
+        return cls(int(size), cursor) if known else cls()
 
 
 def entry(line: str) -> tuple[str, str] | None:
@@ -48,7 +49,7 @@ def entry(line: str) -> tuple[str, str] | None:
         return None
     unit = str(fields.get("UNIT") or fields.get("_SYSTEMD_UNIT") or fields.get("SYSLOG_IDENTIFIER") or "?")
     priority = str(fields.get("PRIORITY", ""))
-    level = _LEVELS[int(priority)] if priority in "01234567" and priority else "info"
+    level = _LEVELS[int(priority)] if priority in tuple("01234567") else "info"
     who = f"{unit.removesuffix('.service')}[{fields.get('_PID', '-')}]"
     said = _message(fields.get("MESSAGE"))
     return printable(str(cursor), None), printable(f"{moment:%Y-%m-%dT%H:%M:%S.%fZ} {who} {level}: {said}", None)

@@ -188,13 +188,19 @@ class Robots(RealTime):
             return
         if robot not in self.config.names:
             return
-        if (service, topic) == ("mesh", "view"):
-            if robot not in self.buses or not self.buses[robot].connected:
-                self._view(robot, name, payload, now)
-            return
         if robot == bus:
             self._heard[robot] = now
+        elif self._speaks_for_itself(robot):
+            return  # another one might say that it has stopped
+        elif (service, topic) == ("mesh", "view"):
+            self._view(robot, name, payload, now)
+            return
         self.picture.take("", name, payload, now - self.began)
+
+    def _speaks_for_itself(self, robot: str) -> bool:
+        """Whether a robot's own bus is heard."""
+        tunnel = self.buses.get(robot)
+        return tunnel is not None and tunnel.connected and self._bus.get(robot, True)
 
     def _view(self, robot: str, name: str, payload: bytes, now: float) -> None:
         """What another robot tells of itself, as if it had been heard on its own bus."""
