@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from swarm.errors import LocalError, SwarmError
+from swarm.terminal import guard
+from swarm.text import printable
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -53,11 +55,13 @@ def notify(message: str, *, timeout_s: float = 1.0) -> None:
 
 def run(main: Callable[[], int | None]) -> None:
     """Run a process' main function: our own errors become one line on stderr and exit code 2."""
+    guard()
     try:
         code = main()
     except SwarmError as error:
         path = Path(sys.argv[0])
-        sys.stderr.write(f"{path.parent.name if path.name == '__main__.py' else path.name}: {error}\n")
+        program = path.parent.name if path.name == "__main__.py" else path.name
+        sys.stderr.write(f"{program}: {printable(str(error), None)}\n")
         code = 2
     except KeyboardInterrupt:
         code = 128 + signal.SIGINT

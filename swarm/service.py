@@ -23,6 +23,7 @@ from swarm.keys import key
 from swarm.messages import Status
 from swarm.paths import runtime_dir
 from swarm.process import die_with_parent, notify, run
+from swarm.text import printable
 
 __all__ = ["Service", "die_with_parent", "notify", "run"]
 
@@ -123,7 +124,7 @@ class Service:
         if state == "degraded":
             self.log.warning("degraded: %s", reason)
         first = {"ready": "READY=1\n", "stopping": "STOPPING=1\n"}.get(state, "")
-        notify(first + "STATUS=" + f"{state} {reason}".strip().replace("\n", " "))
+        notify(first + "STATUS=" + printable(f"{state} {reason}".strip()))
         self.bus.publish(self._status_key, self.status())
 
     def _bus_changed(self, connected: bool) -> None:

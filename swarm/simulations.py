@@ -8,13 +8,13 @@ file itself stays and says nothing.
 import fcntl
 import os
 import time
-import tomllib
 from pathlib import Path
 
-from swarm.errors import BusError, LocalError
+from swarm.errors import BusError, LocalError, PayloadError
 from swarm.keys import is_name
 from swarm.locks import is_held
 from swarm.paths import BUS_SOCKET
+from swarm.toml_input import read_toml
 
 LOCK = "sim.lock"
 CONFIG = "swarm.toml"
@@ -120,9 +120,9 @@ def runtime_of(run_dir: Path | None, robot: str) -> Path:
 def _listed(path: Path) -> list[str]:
     """Names in a config that may be half written or of another version: only they are looked at."""
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = read_toml(path.read_text(encoding="utf-8"))
         return [str(robot["name"]) for robot in table.get("robots", [])]
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (OSError, PayloadError, ValueError, TypeError, KeyError, AttributeError):
         return []
 
 

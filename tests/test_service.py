@@ -244,13 +244,18 @@ def test_the_journal_gets_a_priority_on_each_line(monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(sys, "stderr", stream)
         status = os.fstat(stream.fileno())
         monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino}")
-        log.setup("mesh").warning("first peer=%s\nsecond", "r1")
+        log.setup("mesh").warning("stopped reason=%s", "x\n<3>mesh: forged")
+        try:
+            raise ValueError("first\nsecond")  # noqa: TRY301 - a traceback is wanted
+        except ValueError:
+            log.setup("mesh").exception("failed")
         monkeypatch.setenv("JOURNAL_STREAM", "1:1")
         log.setup("mesh").error("not the journal")
         stream.seek(0)
         lines = stream.read().splitlines()
-    assert lines[:2] == ["<4>mesh: first peer=r1", "<4>second"]
-    assert lines[2].endswith("ERROR   mesh: not the journal")
+    assert lines[:2] == ["<4>mesh: stopped reason=x\\n<3>mesh: forged", "<3>mesh: failed"]
+    assert lines[-3:-1] == ["<3>| ValueError: first", "<3>| second"]
+    assert lines[-1].endswith("ERROR   mesh: not the journal")
 
 
 @pytest.mark.parametrize(("wanted", "level"), [("debug", 10), ("ERROR", 40), ("nonsense", 20), ("", 20)])

@@ -33,6 +33,7 @@ from swarm.fleet.ssh import Host, HostError, last_words
 from swarm.keys import key
 from swarm.messages import BalancerState, read
 from swarm.paths import runtime_dir
+from swarm.terminal import guard
 
 UNIT = "swarm-balancer.service"
 BY_COMMAND_S = 10.0
@@ -53,6 +54,7 @@ Say = Callable[[str], None]
 def main() -> None:
     """Our own errors are one line; exit code 0 where the firmware runs everywhere it was to, 1 where a robot failed, 2
     where the command or the firmware is wrong."""
+    guard()
     try:
         code = _main(_options())
     except LocalError as error:

@@ -28,6 +28,7 @@ from swarm.config import Config, load
 from swarm.config.load import DEFAULT_PATH
 from swarm.errors import ConfigError, LocalError, SwarmError
 from swarm.simulations import CONFIG
+from swarm.terminal import guard
 
 SECONDS = 3.0
 """s that `check` and `anchors` listen to ranges."""
@@ -35,6 +36,7 @@ SECONDS = 3.0
 
 def main() -> None:
     """Our own errors are one line and exit code 2, never a traceback."""
+    guard()
     try:
         code = _run(_options())
     except NoAnswerError as error:

@@ -10,6 +10,7 @@ import sys
 from services.mesh.links import pybluez
 from swarm.config import load
 from swarm.errors import ConfigError, LocalError
+from swarm.terminal import guard, write_lines
 
 
 def main() -> None:
@@ -20,14 +21,14 @@ def main() -> None:
     parser.add_argument("--services", action="store_true", help="ask each of them for a mesh: slow")
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     arguments = parser.parse_args()
+    guard()
     try:
         lines = _lines(arguments)
     except LocalError as error:
         sys.exit(f"swarm: {error}")
     except OSError as error:
         sys.exit(f"swarm: no Bluetooth inquiry: {error}")
-    for line in lines:
-        sys.stdout.write(line + "\n")
+    write_lines(lines)  # anybody in range may name a device
 
 
 def _lines(arguments: argparse.Namespace) -> list[str]:

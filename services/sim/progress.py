@@ -6,6 +6,7 @@ from typing import TextIO
 
 from services.sim.monitor import Seen
 from services.sim.scenario import Scenario
+from swarm.terminal import steer
 
 TERMINAL_PERIOD_S = 0.25
 PLAIN_PERIOD_S = 2.0
@@ -49,7 +50,7 @@ class Progress:
 
     def _erase(self) -> None:
         if self._drawn:
-            self._stream.write(f"\x1b[{self._drawn}F\x1b[J")
+            steer(self._stream, f"\x1b[{self._drawn}F\x1b[J")
             self._drawn = 0
 
 

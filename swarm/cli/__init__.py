@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
+from swarm.terminal import guard
 
 VERBS = (
     "app", "arm", "bundle", "command", "config", "deploy", "doctor", "epoch", "estop", "export", "fetch", "film",
@@ -53,6 +54,7 @@ KINDS = {("measure", "i2c"): "i2c"}
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `swarm`: our own errors are one line on stderr and exit code 2, never a traceback."""
+    guard()
     try:
         code = _main(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()

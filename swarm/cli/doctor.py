@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm.config import Config, load
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
 from swarm.fleet import everyone, remote
 from swarm.fleet.core import doctor, steps
 from swarm.fleet.core.checkup import Finding, Robot
@@ -23,7 +23,9 @@ from swarm.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
 from swarm.fleet.everyone import Outcome, Tell
 from swarm.fleet.provision import Rig
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts
+from swarm.json_input import read_json
 from swarm.simulations import CONFIG, default_run_dir, is_live, robots
+from swarm.terminal import write_lines
 
 HELP = "test everything on robots (or simulated ones), name what is wrong and what to do"
 
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None) -> int:
         rows = {name: {check: asdict(each) for check, each in its.items()} for name, its in report.items()}
         sys.stdout.write(json.dumps({"robots": rows, "problems": problems, "swarm": together}) + "\n")
     else:
-        sys.stdout.write(text(report, problems, together, everything=args.all))
+        write_lines(text(report, problems, together, everything=args.all))
     wrong = any(each.state == "bad" for its in report.values() for each in its.values())
     return 1 if wrong or problems or together else 0
 
@@ -71,7 +73,7 @@ def text(
     together: Sequence[str],
     *,
     everything: bool,
-) -> str:
+) -> list[str]:
     """A table for each robot: what is wrong, or all of it."""
     out = []
     for name, findings in report.items():
@@ -85,7 +87,7 @@ def text(
                     out.append(f"  {'':<9}  {'':<7}  -> {each.remedy}")
     out += [f"{name}: cannot be asked: {problem}" for name, problem in problems.items()]
     out += [f"swarm: {line}" for line in together]
-    return "".join(line + "\n" for line in out)
+    return out
 
 
 # -- simulated robots ------------------------------------------------------------------------------------------------
@@ -165,7 +167,7 @@ async def _ask(ssh: Ssh, host: Host, robot: Robot, rig: Rig) -> Robot:
     bus = None
     if system["current"]:
         python = rig.root.rstrip("/") + ROBOT_PYTHON
-        with contextlib.suppress(HostError, ValueError):  # an old release, or none that runs: `services` says so
+        with contextlib.suppress(HostError, PayloadError):  # an old release, or none that runs: `services` says so
             said = await ssh.check(host, f"sudo -n {python} -m swarm.fleet.listen {shlex.quote(robot.name)}")
-            bus = json.loads(said)
+            bus = read_json(said)
     return replace(robot, system=system, bus=bus, now=now, key=system.get("key"))

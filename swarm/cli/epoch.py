@@ -18,6 +18,7 @@ from swarm.codec import decode
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import is_name, key
 from swarm.messages import AppEpoch, SetAppEpoch
+from swarm.terminal import write_lines
 
 HELP = "show or change which robots an app's lockstep runs on"
 
@@ -59,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
             view.wait(ANSWER, lambda: len(view.epochs) == len(found))
         else:
             done = _order(view, args)
-        print("\n".join(view.table()))
+        write_lines(view.table())
     return 0 if done and len({epoch.frames for epoch in view.epochs.values()}) == 1 else 1
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarm.errors import LocalError
+from swarm.terminal import steer
 
 if TYPE_CHECKING:
     from swarm.view.film import Film
@@ -106,7 +107,8 @@ def _bar(done: int, count: int) -> None:
     """On a terminal a bar that grows, elsewhere a line for each tenth."""
     if sys.stderr.isatty():
         full = BAR * done // count
-        sys.stderr.write(f"\r[{'#' * full}{'.' * (BAR - full)}] {done}/{count}" + ("\n" if done == count else ""))
+        steer(sys.stderr, "\r")
+        sys.stderr.write(f"[{'#' * full}{'.' * (BAR - full)}] {done}/{count}" + ("\n" if done == count else ""))
         sys.stderr.flush()
     elif 10 * done // count != 10 * (done - 1) // count:
         sys.stderr.write(f"{done}/{count} pictures\n")

@@ -23,6 +23,7 @@ from swarm.errors import LocalError, PayloadError
 from swarm.frozen import frozen
 from swarm.keys import STOP, key, parse
 from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
+from swarm.terminal import write_lines
 
 ROUND = 0.2
 """s between two looks; the command is repeated where it is not confirmed by then."""
@@ -96,9 +97,9 @@ def run(args: argparse.Namespace, *, stop: bool, reason: str) -> int:
         print(json.dumps(report))
     else:
         if rows:
-            print("\n".join(table(rows, stop=stop)))
+            write_lines(table(rows, stop=stop))
         if far is not None:
-            print("\n".join(ssh_table(by_robot, answers, stop=stop)))
+            write_lines(ssh_table(by_robot, answers, stop=stop))
     return 0 if done else 1
 
 

@@ -6,17 +6,17 @@ act, and the ATmega switches them off 0.2 s later in any case.
 
 import argparse
 import asyncio
-import json
 import os
 import shlex
 from dataclasses import dataclass, field
 from typing import Any
 
 from swarm.config import Config, load
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
 from swarm.fleet import everyone
 from swarm.fleet.everyone import Tell
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts, last_words
+from swarm.json_input import read_json
 from swarm.paths import DEFAULT_RUNTIME
 
 PROGRAM = "/opt/swarm/current/bin/swarm"
@@ -83,6 +83,6 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> A
 def _rows(text: str) -> dict[str, dict[str, Any]]:
     """The far command's rows by robot; none where it printed something else."""
     try:
-        return {str(row["robot"]): dict(row) for row in json.loads(text)["robots"]}
-    except (ValueError, LookupError, TypeError):
+        return {str(row["robot"]): dict(row) for row in read_json(text)["robots"]}
+    except (PayloadError, ValueError, LookupError, TypeError):
         return {}

@@ -21,6 +21,7 @@ from swarm.errors import LocalError, PayloadError
 from swarm.keys import key
 from swarm.messages import I2CRates, MeasureI2C, read
 from swarm.paths import DEFAULT_RUNTIME
+from swarm.terminal import write_lines
 
 HELP = "read and write rates of a robot's I2C bus"
 
@@ -79,7 +80,7 @@ def measured(args: argparse.Namespace, robot: str, measure: Measure) -> int:
     if args.json:
         print(json.dumps({"robot": robot, "sizes": [asdict(result) for result in results]}))
     else:
-        print("\n".join(table(robot, results)))
+        write_lines(table(robot, results))
     return 0
 
 

@@ -22,6 +22,7 @@ from swarm.cli.survey import PATIENCE, Views, opened
 from swarm.errors import LocalError
 from swarm.keys import is_name
 from swarm.messages import GraphRobot
+from swarm.terminal import write_lines
 
 HELP = "round trips, throughput, signal of links and paths; i2c: rates of a robot's bus"
 
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"robot": robot, "what": args.what, "series": [asdict(each) for each in series]}))
     else:
-        print("\n".join(show.table(robot, args.what, series)))
+        write_lines(show.table(robot, args.what, series))
     if args.plot is not None:
         show.draw(args.plot, robot, args.what, series)
     return 1 if any(not row.samples for each in series for row in each.figures) else 0

@@ -16,6 +16,7 @@ from swarm.cli.survey import PATIENCE, Views, opened
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import key, parse
 from swarm.messages import Clock, Links, Status, read
+from swarm.terminal import write_lines
 
 HELP = "the robots of the swarm, their links, and the graph they make"
 
@@ -33,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(as_json(mesh)))
     else:
-        print("\n".join(mesh_text.text(mesh)))
+        write_lines(mesh_text.text(mesh))
     if args.plot is not None:
         from swarm.cli.mesh_plot import draw
 

@@ -14,6 +14,7 @@ from swarm.fleet.core.pairing import check, edges, with_addresses
 from swarm.fleet.everyone import Outcome, Tell
 from swarm.fleet.pair import Pairing, look
 from swarm.fleet.ssh import Host, Ssh, hosts
+from swarm.terminal import write_lines
 
 HELP = "pair all neighbours over Bluetooth; write missing addresses into swarm.toml"
 
@@ -50,17 +51,15 @@ def run(args: argparse.Namespace) -> int:
         answer = {"robots": rows, "links": {f"{a} {b}": text or "paired" for (a, b), text in links.items()}}
         sys.stdout.write(json.dumps(answer | {"seconds": round(time.monotonic() - began, 3)}) + "\n")
     else:
-        sys.stdout.write("".join(f"{each.robot}: {each.text}\n" for each in outcomes if not each.ok))
-        sys.stdout.write(
-            "".join(f"{a} {b}  {'FAILED  ' + text if text else 'paired'}\n" for (a, b), text in links.items())
-        )
+        write_lines(f"{each.robot}: {each.text}" for each in outcomes if not each.ok)
+        write_lines(f"{a} {b}  {'FAILED  ' + text if text else 'paired'}" for (a, b), text in links.items())
     return 0 if all(each.ok for each in outcomes) and not any(links.values()) else 1
 
 
 def _tell(quiet: bool) -> Tell:
     def tell(text: str) -> None:
         if not quiet:
-            sys.stdout.write(text + "\n")
+            write_lines([text])
             sys.stdout.flush()
 
     return tell

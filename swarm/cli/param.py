@@ -25,6 +25,7 @@ from swarm.fleet.ssh import Host, HostError, last_words
 from swarm.keys import is_name, key
 from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
 from swarm.parameters import value_of
+from swarm.terminal import write_lines
 
 HELP = "show or change parameters of an app that runs"
 
@@ -68,11 +69,11 @@ def run(args: argparse.Namespace) -> int:
         lists = {"later": later, "silent": silent, "problems": problems}
         print(json.dumps({"app": args.app, "parameters": values, **lists}))
     else:
-        print("\n".join(table(hosts.known)))
+        write_lines(table(hosts.known))
         for robot in silent:
             print(f"{robot}: no answer")
         for problem in problems.values():
-            print(problem)
+            write_lines([problem])
         for robot in later:
             print(f"{robot}: taken, and holds from the app's next step on")
     return 1 if silent or problems else 0
@@ -99,7 +100,7 @@ class Hosts:
             return [
                 robot
                 for robot, values in sorted(expected.items())
-                if robot in self.known and any(self.known[robot][name].value != values[name] for name in values)
+                if robot in self.known and any(self._differs(robot, name, values[name]) for name in values)
             ]
 
         def ask() -> None:
@@ -140,6 +141,10 @@ class Hosts:
         self._until(lambda: len(answers) == len(requests), ask)
         self.changed = {robot: requests[robot].parameters for robot, problem in answers.items() if not problem}
         return {robot: answers[robot] for robot in sorted(answers) if answers[robot]}
+
+    def _differs(self, robot: str, name: str, value: Value) -> bool:
+        parameter = self.known[robot].get(name)
+        return parameter is None or parameter.value != value
 
     def _take(self, robot: str, found: AppParameters) -> None:
         with self._changed:

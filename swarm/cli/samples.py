@@ -12,6 +12,7 @@ from swarm.errors import PayloadError
 from swarm.keys import parse
 from swarm.messages import read, type_of
 from swarm.plain import cut, plain
+from swarm.text import printable
 
 _SHOWN_BYTES = 48
 """Bytes of a raw payload on a terminal; JSON has all."""
@@ -75,9 +76,9 @@ def _payload_text(sample: Sample) -> str:
     try:
         value = unpack(sample.payload)
     except PayloadError as error:
-        return f"{_raw(sample.payload)} ({error})"
+        return f"{_raw(sample.payload)} ({printable(str(error))})"
     fault = _fault(sample)
-    return value_text(value) + (f" (! {fault})" if fault is not None else "")
+    return value_text(value) + (f" (! {printable(fault)})" if fault is not None else "")
 
 
 def _frame(sample: Sample) -> tuple[str, str, int] | None:

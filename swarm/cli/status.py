@@ -3,17 +3,23 @@
 import argparse
 import asyncio
 import json
+import re
 import sys
 from dataclasses import asdict
 from typing import Any
 
+from swarm.errors import PayloadError
+from swarm.fields import check_fields
 from swarm.fleet import everyone
 from swarm.fleet.collect import RUNS
 from swarm.fleet.everyone import Outcome, Tell
 from swarm.fleet.ssh import Host, Ssh
 from swarm.fleet.units import SERVICES
 from swarm.frozen import frozen
+from swarm.json_input import read_json
+from swarm.messages import type_of
 from swarm.recording.budget import shown
+from swarm.terminal import steer, write_lines
 
 HELP = "services, battery, links, pose, app, recordings and versions of all robots, over ssh"
 
@@ -22,6 +28,7 @@ LISTEN_S = 1.3
 """Long enough for what is sent once a second."""
 
 _MARK = "== "
+_BYTES = re.compile(r"[0-9]{1,18}")
 
 
 @frozen
@@ -45,6 +52,8 @@ class Row:
     """Phase and iteration by app."""
     recorded: int | None
     """Bytes of its disk that recordings take."""
+    misunderstood: list[str]
+    """Topics whose messages have other types than they should; they are left out."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
             answer = {o.robot: asdict(rows[o.robot]) if o.robot in rows else {"problem": o.text} for o in outcomes}
             sys.stdout.write(json.dumps({"robots": answer}) + "\n")
         else:
-            sys.stdout.write(("\x1b[2J\x1b[H" if args.watch else "") + table(outcomes, rows, config.recordings.budget))
+            if args.watch:
+                steer(sys.stdout, "\x1b[2J\x1b[H")
+            write_lines(table(outcomes, rows, config.recordings.budget))
         sys.stdout.flush()
         if not args.watch:
             return 0 if all(o.ok and not rows[o.robot].failed for o in outcomes) else 1
@@ -94,12 +105,23 @@ def parse(robot: str, text: str) -> Row:
     """The answer of a robot; what it does not say stays empty."""
     parts = {part.partition("\n")[0]: part.partition("\n")[2] for part in text.split(_MARK)[1:]}
     newest: dict[str, Any] = {}
+    wrong: set[str] = set()
     for line in parts.get("bus", "").splitlines():
         try:
-            sample = json.loads(line)
-            newest[sample["key"].removeprefix(f"swarm/{robot}/")] = sample["value"]
-        except (ValueError, LookupError, TypeError, AttributeError):
+            sample = read_json(line)
+            name, value = str(sample["key"]), sample["value"]
+            kind = type_of(name)
+        except (PayloadError, LookupError, TypeError):
             continue  # raw bytes of an app, or a line cut by the end of the watch
+        if kind is None:
+            continue
+        topic = name.removeprefix(f"swarm/{robot}/")
+        try:
+            check_fields(kind, value)
+        except PayloadError:
+            wrong.add(topic)
+        else:
+            newest[topic] = value
     running, failed = set(), []
     for line in parts.get("units", "").splitlines():
         name, _, state, *_ = [*line.split(), "", "", ""]
@@ -125,7 +147,8 @@ def parse(robot: str, text: str) -> Row:
         links={link["peer"]: link["state"] for link in newest.get("mesh/links", {}).get("links", ())},
         pose=[pose["x"], pose["y"]] if pose.get("quality") else None,
         apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
-        recorded=int(runs) if runs.isdecimal() else None,
+        recorded=int(runs) if _BYTES.fullmatch(runs) else None,
+        misunderstood=sorted(wrong),
     )
 
 
@@ -134,7 +157,7 @@ def _time(seconds: float) -> str:
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
 
 
-def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> str:
+def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> list[str]:
     """For a terminal; `budget`: bytes that recordings may take."""
     cells: list[tuple[str, ...]] = [
         ("robot", "services", "battery", "body", "links", "pose", "apps", "recordings", "release", "firmware")
@@ -149,7 +172,8 @@ def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> str:
         cells.append(
             (
                 outcome.robot,
-                f"not running: {' '.join(row.failed)}" if row.failed else "all run",
+                (f"not running: {' '.join(row.failed)}" if row.failed else "all run")
+                + (f"; not understood: {' '.join(row.misunderstood)}" if row.misunderstood else ""),
                 "-" if row.battery_v is None else f"{row.battery_v:.1f} V{left}",
                 row.fault or row.mode or "-",
                 f"{up} of {len(row.links)}",
@@ -161,6 +185,4 @@ def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> str:
             )
         )
     width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(len(cells[0]))]
-    return "".join(
-        "  ".join(cell.ljust(n) for cell, n in zip(row, width, strict=True)).rstrip() + "\n" for row in cells
-    )
+    return ["  ".join(cell.ljust(n) for cell, n in zip(row, width, strict=True)).rstrip() for row in cells]

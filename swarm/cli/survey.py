@@ -8,7 +8,7 @@ from pathlib import Path
 from swarm.bus import Bus
 from swarm.codec import decode
 from swarm.errors import LocalError, PayloadError
-from swarm.keys import key
+from swarm.keys import is_name, key
 from swarm.messages import GraphRobot, MeshGraph
 
 PATIENCE = 3.0
@@ -33,8 +33,8 @@ class Views:
         def take(text: str, payload: bytes) -> None:
             with contextlib.suppress(PayloadError):
                 graph = decode(MeshGraph, payload, text)
-                found.update((each.robot, each) for each in graph.robots)
-                if graph.more and graph.robots:
+                found.update((each.robot, each) for each in graph.robots if is_name(each.robot))
+                if graph.more and graph.robots and graph.robots[-1].robot > after:  # or it would never end
                     self._page(name, bus, timeout_s, graph.robots[-1].robot, found)
                     return
                 with self.changed:

@@ -21,6 +21,7 @@ from swarm.core.graph import SHAPES
 from swarm.errors import LocalError, PayloadError
 from swarm.keys import is_name, key
 from swarm.messages import Topology, TopologyRequest, TopologySet
+from swarm.terminal import write_lines
 
 HELP = "show or change who is linked with whom, while the swarm runs"
 
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         robots = {name: None if answer is None else asdict(answer) for name, answer in views.robots().items()}
         print(json.dumps({"done": done, "robots": robots}))
     else:
-        print("\n".join(views.table()))
+        write_lines(views.table())
     return 0 if done else 1
 
 

@@ -23,6 +23,7 @@ from swarm.errors import LocalError, SwarmError
 from swarm.keys import EVERYTHING
 from swarm.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.simulations import default_run_dir, is_live, robots
+from swarm.terminal import guard
 
 Source = Callable[[], Mapping[str, str] | None]
 """Name and endpoint of each bus to watch at this moment; None when there will be no more."""
@@ -40,6 +41,7 @@ _PATIENCE = 1.0
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `z_sub`: our own errors are one line on stderr and exit code 2, never a traceback."""
     code = 0
+    guard()
     try:
         options = _parse(argv)
         if _is_far(options):

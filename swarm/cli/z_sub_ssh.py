@@ -12,8 +12,10 @@ import shlex
 import sys
 
 from swarm.config import load
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
+from swarm.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from swarm.fleet.ssh import Host, HostError, Ssh, explain, hosts, last_words
+from swarm.json_input import read_json
 
 PROGRAM = "/opt/swarm/current/bin/z_sub"
 _PREFIX = "z_sub: "
@@ -53,6 +55,9 @@ async def _all(ssh: Ssh, robots: tuple[Host, ...], command: str, *, as_json: boo
         except HostError as error:
             _tell(f"{host.robot}: {error}")
             return True
+        except MISUNDERSTOOD as error:
+            _tell(f"{host.robot}: {misunderstood(error)}")
+            return True
         return False
 
     return any(await asyncio.gather(*map(one, robots)))
@@ -88,8 +93,9 @@ async def _lines(stream: asyncio.StreamReader, host: Host, *, as_json: bool, alo
     async for data in stream:
         line = data.decode(errors="replace")
         if as_json:
-            with contextlib.suppress(ValueError):
-                line = json.dumps(json.loads(line) | {"robot": host.robot}) + "\n"
+            with contextlib.suppress(PayloadError):
+                if isinstance(sample := read_json(line), dict):
+                    line = json.dumps(sample | {"robot": host.robot}) + "\n"
         elif not alone:
             line = f"[{host.robot}] {line}"
         sys.stdout.write(line)

@@ -7,7 +7,6 @@ or a topology that cannot work is a `ConfigError` naming file, table, entry and 
 import os
 import re
 import socket
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,9 +14,10 @@ from swarm.config import sections
 from swarm.config.reader import Table, listed, shown
 from swarm.config.types import DEFAULT_RELAY, MAX_RFCOMM_LINKS, Config, RelayRule, Robot
 from swarm.core.graph import SHAPES, Graph
-from swarm.errors import ConfigError, LocalError
+from swarm.errors import ConfigError, LocalError, PayloadError
 from swarm.keys import MAX_KEY_LENGTH, ROOT, is_name
 from swarm.paths import MAX_SOCKET_PATH
+from swarm.toml_input import read_toml
 
 DEFAULT_PATH = Path("/etc/swarm/swarm.toml")
 
@@ -61,11 +61,9 @@ def load(path: Path | None = None, *, addressed: bool = True) -> Config:
 def parse(text: str, path: Path, *, addressed: bool = True) -> Config:
     """Check the text of a file; `path` is for the messages. Raises `ConfigError`."""
     try:
-        data = tomllib.loads(text)
-    except ValueError as error:  # TOMLDecodeError, or int() refusing thousands of digits
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
-    except RecursionError:
-        raise ConfigError(f"{path}: not valid TOML: nested too deeply") from None
+        data = read_toml(text)
+    except PayloadError as error:
+        raise ConfigError(f"{path}: {error}") from None
     top = Table(str(path), "", data, _TABLES)
     network = top.text("network", expected="1 to 32 letters, digits or . _ -", pattern=_NETWORK)
     robots = _robots(top)

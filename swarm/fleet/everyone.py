@@ -11,8 +11,10 @@ from pathlib import Path
 
 from swarm.config import Config, load
 from swarm.errors import LocalError
+from swarm.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts
 from swarm.frozen import frozen
+from swarm.terminal import write_lines
 
 
 @frozen
@@ -67,6 +69,8 @@ async def each(robots: Sequence[Host], job: Job, timeout_s: float, tell: Callabl
             text, ok = str(error), False
         except TimeoutError:
             text, ok = f"not done within {timeout_s:g} s (--timeout)", False
+        except MISUNDERSTOOD as error:
+            text, ok = misunderstood(error), False
         return Outcome(host.robot, ok, text, round(time.monotonic() - began, 3), tuple(lines))
 
     return list(await asyncio.gather(*(one(host) for host in robots)))
@@ -77,7 +81,7 @@ def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
 
     def tell(host: Host, text: str) -> None:
         if not args.json:
-            sys.stdout.write(f"{host.robot}: {text}\n")
+            write_lines([f"{host.robot}: {text}"])
             sys.stdout.flush()
 
     began = time.monotonic()
@@ -86,14 +90,14 @@ def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
         rows = {outcome.robot: {k: v for k, v in asdict(outcome).items() if k != "robot"} for outcome in outcomes}
         sys.stdout.write(json.dumps({"robots": rows, "seconds": round(time.monotonic() - began, 3)}) + "\n")
     else:
-        sys.stdout.write(table(outcomes))
+        write_lines(table(outcomes))
     return 0 if all(outcome.ok for outcome in outcomes) else 1
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(outcomes: Sequence[Outcome]) -> list[str]:
     """One row a robot."""
     width = max(len(outcome.robot) for outcome in outcomes)
-    return "".join(
-        f"{outcome.robot:<{width}}  {'ok    ' if outcome.ok else 'FAILED'}  {outcome.seconds:6.1f} s  {outcome.text}\n"
+    return [
+        f"{outcome.robot:<{width}}  {'ok    ' if outcome.ok else 'FAILED'}  {outcome.seconds:6.1f} s  {outcome.text}"
         for outcome in outcomes
-    )
+    ]

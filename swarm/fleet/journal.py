@@ -4,14 +4,18 @@ The robot's journald gives each entry a cursor. The mark holds the cursor of the
 of the text then, so that a transfer which broke goes on behind it, with nothing twice and nothing missing.
 """
 
-import json
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
+from swarm.errors import PayloadError
 from swarm.frozen import frozen
+from swarm.json_input import read_json
+from swarm.text import printable
 
 FIELDS = "MESSAGE,_SYSTEMD_UNIT,UNIT,PRIORITY,_PID,SYSLOG_IDENTIFIER"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_MAX_DIGITS = 20
+"""Of a size in a mark; Python converts no text of more than 4300 digits."""
 
 
 @frozen
@@ -31,29 +35,31 @@ class Mark:
     def of(cls, text: str) -> "Mark":
         """From what was kept; a mark that cannot be read is the beginning."""
         size, _, cursor = text.strip().partition(" ")
-        return cls(int(size), cursor) if size.isascii() and size.isdecimal() and cursor else cls()
+        known = size.isascii() and size.isdecimal() and len(size) <= _MAX_DIGITS and cursor
+        return cls(int(size), cursor) if known else cls()
 
 
 def entry(line: str) -> tuple[str, str] | None:
     """An entry of `journalctl --output=json` as (cursor, line of text); None where it is none."""
     try:
-        fields = json.loads(line)
+        fields = read_json(line)
         cursor, micros = fields["__CURSOR"], int(fields["__REALTIME_TIMESTAMP"])
         moment = datetime.fromtimestamp(micros / 1e6, UTC)
-    except (ValueError, LookupError, TypeError, OverflowError, OSError):
+    except (PayloadError, ValueError, LookupError, TypeError, OverflowError, OSError):
         return None
     unit = str(fields.get("UNIT") or fields.get("_SYSTEMD_UNIT") or fields.get("SYSLOG_IDENTIFIER") or "?")
     priority = str(fields.get("PRIORITY", ""))
-    level = _LEVELS[int(priority)] if priority in "01234567" and priority else "info"
+    level = _LEVELS[int(priority)] if priority in tuple("01234567") else "info"
     who = f"{unit.removesuffix('.service')}[{fields.get('_PID', '-')}]"
-    return str(cursor), f"{moment:%Y-%m-%dT%H:%M:%S.%fZ} {who} {level}: {_message(fields.get('MESSAGE'))}"
+    said = _message(fields.get("MESSAGE"))
+    return printable(str(cursor), None), printable(f"{moment:%Y-%m-%dT%H:%M:%S.%fZ} {who} {level}: {said}", None)
 
 
 def _message(value: object) -> str:
     """journald gives what is no text as a list of bytes, and what is too long not at all."""
     if isinstance(value, list):
         value = bytes(_byte_values(value)).decode(errors="replace")
-    return "(left out)" if value is None else str(value).replace("\n", "\\n").replace("\r", "\\r")
+    return "(left out)" if value is None else str(value)
 
 
 def _byte_values(values: Iterable[object]) -> Iterable[int]:

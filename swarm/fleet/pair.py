@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from swarm.fleet import remote
+from swarm.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from swarm.fleet.core.pairing import Bond, Edge, Schedule, ordered, plan
 from swarm.fleet.everyone import Tell
 from swarm.fleet.ssh import Host, HostError, Ssh
@@ -69,6 +70,8 @@ class Pairing:
             return str(error)
         except TimeoutError:
             return f"not done within {self._timeout_s:g} s (--timeout)"
+        except MISUNDERSTOOD as error:
+            return misunderstood(error)
         return ""
 
     async def _bring(self, edge: Edge, *, check: bool, again: bool) -> None:

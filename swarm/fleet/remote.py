@@ -12,7 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from swarm.errors import PayloadError
 from swarm.fleet.ssh import Host, HostError, Ssh, last_words
+from swarm.json_input import read_json
 
 PACKAGE = "swarm.fleet.robot"
 _FOLDER = Path(__file__).parent / "robot"
@@ -86,8 +88,8 @@ async def call(
 
     def line(text: str) -> None:
         try:
-            message = json.loads(text)
-        except ValueError:
+            message = read_json(text)
+        except PayloadError:
             other.append(text)
             return
         if isinstance(message, dict) and "result" in message:

@@ -6,13 +6,13 @@ told never to ask (BatchMode): a question to eight robots at once has nobody to 
 
 import asyncio
 import contextlib
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from swarm.config import Config
 from swarm.errors import LocalError, RemoteError
 from swarm.frozen import frozen
+from swarm.text import printable
 
 CONNECT_TIMEOUT_S = 10
 """Until a robot that does not answer is given up."""
@@ -23,7 +23,12 @@ _ALIVE = ("-o", "ServerAliveInterval=5", "-o", "ServerAliveCountMax=3")
 _CLIENT_FAILED = 255
 """Exit code of `ssh` itself, where no command has run or its end was not seen."""
 
+_END_S = 2.0
+"""s that the end of a command that was broken off may take."""
+
 _CHUNK = 1 << 16
+_LONGEST = 16 << 20
+"""Bytes of an output, or of a line where it is taken line by line: a robot must not fill this computer's memory."""
 
 
 class HostError(RemoteError):
@@ -93,18 +98,25 @@ class Ssh:
         assert process.stdin is not None
         assert process.stdout is not None
         assert process.stderr is not None
+        reading = asyncio.ensure_future(_read(process.stdout, on_line, on_data))
+        complaining = asyncio.ensure_future(_read(process.stderr))
+        writing = asyncio.ensure_future(_write(process.stdin, feed, hold))
         try:
-            writing = asyncio.ensure_future(_write(process.stdin, feed, hold))
             try:
-                out, err = await asyncio.gather(_read(process.stdout, on_line, on_data), _read(process.stderr))
+                out, err = await asyncio.gather(reading, complaining)
                 code = await process.wait()
             finally:
-                writing.cancel()
-                await asyncio.gather(writing, return_exceptions=True)
+                for task in (reading, complaining, writing):
+                    task.cancel()
+                await asyncio.gather(reading, complaining, writing, return_exceptions=True)
         finally:
             if process.returncode is None:
                 process.kill()
-                await process.wait()
+                # asyncio sees the end when what is still in the pipes was read; a connection that ssh shares may hold
+                # them open.
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_END_S):
+                        await process.communicate()
         if code == _CLIENT_FAILED:
             raise HostError(explain(host, err))
         return Done(code, out, err)
@@ -156,10 +168,18 @@ async def _read(
             on_data(data)
         return ""
     if on_line is None:
-        return (await stream.read()).decode(errors="replace")
+        parts, size = [], 0
+        while data := await stream.read(_CHUNK):
+            parts.append(data)
+            size += len(data)
+            if size > _LONGEST:
+                raise HostError(f"it says more than {_LONGEST >> 20} MiB")
+        return b"".join(parts).decode(errors="replace")
     rest = b""
     while data := await stream.read(_CHUNK):
         *lines, rest = (rest + data).split(b"\n")
+        if len(rest) > _LONGEST:
+            raise HostError(f"it says a line of more than {_LONGEST >> 20} MiB")
         for line in lines:
             on_line(line.decode(errors="replace"))
     if rest:
@@ -193,5 +213,4 @@ def explain(host: Host, err: str) -> str:
 
 def last_words(text: str) -> str:
     """The last line that says something, printable and not too long."""
-    lines = [re.sub(r"[^\x20-\x7e]", "?", line).strip() for line in text.splitlines()]
-    return next((line[:200] for line in reversed(lines) if line), "")
+    return next((printable(line.strip()) for line in reversed(text.splitlines()) if line.strip()), "")

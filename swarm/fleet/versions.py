@@ -1,11 +1,11 @@
 """What a robot runs, and where the robots of a run differ: release, configuration and the ATmega's firmware."""
 
-import json
 import re
 from collections.abc import Mapping
 
-from swarm.errors import RemoteError
+from swarm.errors import PayloadError, RemoteError
 from swarm.frozen import frozen
+from swarm.json_input import read_json
 
 ROBOT_ENV = "/etc/swarm/robot.env"
 OWN_NAME = f"sed -n s/^SWARM_ROBOT=//p {ROBOT_ENV} 2>/dev/null; true"
@@ -54,9 +54,9 @@ def parse(text: str) -> Versions:
 def firmware(line: str) -> str | None:
     """From a line of z_sub."""
     try:
-        value = json.loads(line)["value"]
-        return f"revision {value['revision']} (layout {value['layout']})"
-    except (ValueError, LookupError, TypeError):
+        value = read_json(line)["value"]
+        return f"revision {int(value['revision'])} (layout {int(value['layout'])})"
+    except (PayloadError, ValueError, LookupError, TypeError):
         return None
 
 

@@ -10,13 +10,13 @@ The names do not clash when the folders of several robots are copied into one.
 
 import json
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
 from swarm import __version__
-from swarm.errors import RecordingError
+from swarm.errors import PayloadError, RecordingError
 from swarm.paths import state_dir
+from swarm.toml_input import read_toml
 
 RUN_FILE = "run.toml"
 CONFIG_FILE = "swarm.toml"
@@ -54,9 +54,9 @@ def begin(folder: Path, run: Mapping[str, str], files: Mapping[str, bytes]) -> N
 def read_run(folder: Path) -> dict[str, str]:
     """What `begin` wrote; nothing where there is no such file. Raises `RecordingError`."""
     try:
-        with (folder / RUN_FILE).open("rb") as file:
-            return {name: str(value) for name, value in tomllib.load(file).items()}
+        text = (folder / RUN_FILE).read_text(encoding="utf-8")
+        return {name: str(value) for name, value in read_toml(text).items()}
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, PayloadError) as error:
         raise RecordingError(f"{folder / RUN_FILE}: {error}") from None

@@ -1,12 +1,14 @@
 """What a page may do to the swarm where it was started with `--control`. Without that every command is refused."""
 
 import os
+import threading
 from collections.abc import Mapping
 from typing import Any
 
 from swarm import clock
 from swarm.codec import Value
 from swarm.errors import LocalError
+from swarm.frozen import frozen
 from swarm.keys import STOP, is_name, key
 from swarm.messages import Arm, SetAppParameters, Stop
 from swarm.view.feed import Live, Publisher
@@ -17,14 +19,23 @@ ANSWER_S = 5.0
 """s for which an app is asked to set a parameter: it may be about to start, and a bus may lose a request."""
 
 
+@frozen
+class _Halt:
+    """A stop for all robots, or its end, that not all have confirmed. Each one is an object of its own."""
+
+    stop: bool
+
+
 class Control:
-    """Carries out what pages ask."""
+    """Carries out what pages ask, in any threads."""
 
     def __init__(self, feed: Live, hands: Hands | None) -> None:
         """`hands`: what can be done besides what goes over a bus; None where the page only watches."""
         self._feed = feed
         self._hands = hands
-        self._wanted: bool | None = None
+        self._halting = threading.Lock()
+        """Held while a stop or its end goes out, so that the later of two holds on every robot."""
+        self._wanted: _Halt | None = None
         self._asked: dict[tuple[str, str], tuple[SetAppParameters, float]] = {}
         """What apps have not answered yet: by robot and app, and until when they are asked."""
         self.acts: dict[str, Act] = {}
@@ -50,33 +61,42 @@ class Control:
             raise LocalError(f"expected an act of {', '.join(self.acts)}")
         try:
             return act(asked)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise LocalError(f"{asked.get('act')}: {error!r} is missing or wrong") from None
         except OSError as error:
             raise LocalError(f"{asked.get('act')}: {error.strerror or error}") from None
 
     def repeat(self) -> None:
         """Say again what robots have not confirmed, a stop or its end or parameters: a bus may lose it."""
+        self._halt_again()
         self._ask_again()
-        if self._wanted is None:
+
+    def _halt_again(self) -> None:
+        wanted = self._wanted
+        if wanted is None:
             return
+        # Before the other lock: a stop does not wait for a picture that is being drawn.
         with self._feed.lock:
             said = {name: self._feed.picture.newest(name, "mesh/stopped") for name in self._feed.buses}
-        late = [name for name, value in said.items() if not _agrees(value, self._wanted)]
-        if not late:
-            self._wanted = None
-        for name in late:
-            self._give(name, self._feed.buses[name])
+        late = [name for name, value in said.items() if not _agrees(value, wanted.stop)]
+        with self._halting:
+            if self._wanted is not wanted:
+                return  # a later one has gone out meanwhile
+            if not late:
+                self._wanted = None
+            for name in late:
+                self._give(name, self._feed.buses[name], stop=wanted.stop)
 
     def _halt(self, *, stop: bool) -> str:
         self._feed.check_control()
-        self._wanted = stop
-        for name, bus in self._feed.buses.items():
-            self._give(name, bus)
+        with self._halting:
+            self._wanted = _Halt(stop)
+            for name, bus in self._feed.buses.items():
+                self._give(name, bus, stop=stop)
         return "stop given to all robots" if stop else "stops taken back"
 
-    def _give(self, name: str, bus: Publisher) -> None:
-        if self._wanted:
+    def _give(self, name: str, bus: Publisher, *, stop: bool) -> None:
+        if stop:
             bus.publish(STOP, Stop(clock.now(), name, REASON), urgent=True)
         else:
             bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), name), urgent=True)
@@ -96,8 +116,8 @@ class Control:
             raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
         for robot in near:
             request = SetAppParameters(f"{os.getpid()}-{os.urandom(4).hex()}", values)
+            self._ask(robot, app, request)  # first: what the way there does not take is not asked again
             self._asked[robot, app] = request, clock.now() + ANSWER_S
-            self._ask(robot, app, request)
         alone = f", not of {' '.join(silent)}: they are not reached" if silent else ""
         return f"{app}: {name}={value} asked of {' '.join(robot for robot in robots if robot not in silent)}{alone}"
 

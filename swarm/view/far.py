@@ -19,6 +19,7 @@ from swarm.cli import param
 from swarm.codec import Value, encode
 from swarm.errors import LocalError, SwarmError
 from swarm.fleet import apps
+from swarm.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from swarm.fleet.ssh import Host, HostError, Ssh, hosts
 from swarm.fleet.units import SERVICES, kill, unit
 from swarm.keys import key
@@ -172,6 +173,8 @@ class FarHands:
                 self._note(host.robot, "warning", f"{failed}: {error}")
             except TimeoutError:
                 self._note(host.robot, "warning", f"{failed} within {TIMEOUT_S:g} s")
+            except MISUNDERSTOOD as error:
+                self._note(host.robot, "warning", f"{failed}: {misunderstood(error)}")
 
         await _all(map(one, robots))
 
@@ -223,7 +226,7 @@ class FarHands:
             try:
                 async with asyncio.timeout(TIMEOUT_S):
                     self._tell_apps(host.robot, await apps.ask_known(self._ssh, host))
-            except (SwarmError, TimeoutError):
+            except (SwarmError, TimeoutError, *MISUNDERSTOOD):
                 return  # whoever is not there is told of by the feed
 
         await _all(map(one, self._hosts.values()))

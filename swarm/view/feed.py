@@ -9,7 +9,7 @@ from swarm import clock
 from swarm.bus import Bus
 from swarm.config import parse
 from swarm.config.types import Config
-from swarm.errors import LocalError, SwarmError
+from swarm.errors import LocalError, PayloadError, SwarmError
 from swarm.fleet.lookout import watch
 from swarm.fleet.traffic import Traffic
 from swarm.keys import whose_token
@@ -165,7 +165,10 @@ class Simulation(RealTime):
         return passed
 
     def _alive(self, key: str, there: bool) -> None:
-        robot, service = whose_token(key)
+        try:
+            robot, service = whose_token(key)
+        except PayloadError:
+            return
         with self.lock:
             self.picture.alive(robot, service, there, self.now())
 

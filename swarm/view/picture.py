@@ -2,16 +2,23 @@
 
 A page asks for everything once and then for what has changed since its last version, so a slow one gets fewer steps and
 never a queue. No IO and no clock: samples come in from whatever watches the robots, a bus or a recording.
+
+Robots may say anything: a message whose fields have not the types of its key is dropped, counted, and named once among
+the events. So pages find numbers, texts and lists where they look for them, or nothing.
 """
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 from swarm.codec import unpack
 from swarm.errors import PayloadError
+from swarm.fields import check_fields
 from swarm.keys import parse
+from swarm.messages import type_of
 from swarm.plain import plain
+from swarm.text import printable
 
 MAX_EVENTS = 500
 HISTORY_S = 120.0
@@ -22,6 +29,15 @@ HISTORY_STEP_S = 0.2
 
 MAX_TOPICS = 256
 """Keys of one robot that are shown; an app that publishes under ever new ones must not fill the memory."""
+
+MAX_SERVICES = 64
+"""Services of one robot that are shown, for the same reason."""
+
+MAX_SUBJECTS = 256
+"""Subjects of one robot (a link, a service) whose last event is remembered, for the same reason."""
+
+MAX_HOPS = 4096
+"""Pairs of robots whose messages are counted, for the same reason."""
 
 MAX_BYTES = 256
 """Of a raw payload within a message that a page is told."""
@@ -77,13 +93,18 @@ class Picture:
         self.version = 0
         self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self.refused = 0
-        """Samples that are no message."""
+        """Samples that were dropped."""
+        self._named: set[tuple[str, str]] = set()
+        """Robots and topics whose wrong messages have been named."""
+        self._now = 0.0
+        """Time of the newest sample."""
         self._topics: dict[str, dict[str, tuple[int, object]]] = {}
         self._alive: dict[str, dict[str, bool]] = {}
         self._history: dict[tuple[str, str], deque[tuple[float, object]]] = {}
         self._hops: dict[str, int] = {}
         self._numbered = 0
-        self._told: dict[tuple[str, str], object] = {}
+        self._told: dict[str, dict[str, str]] = {}
+        """The last event by robot and subject."""
 
     def take(self, bus: str, key: str, payload: bytes, now: float) -> None:
         """A sample seen on a robot's bus (`bus` = "": on any one). There no other robot speaks for itself."""
@@ -94,22 +115,33 @@ class Picture:
             return
         if bus not in ("", robot):
             return
+        self._now = now
         name, packed = f"{service}/{topic}", _Packed(payload)
         if name in _TOLD or name.endswith(_TOLD_OF_ALL):
-            value = self._open(packed)
-            if value is not _NOTHING:
-                self.put(robot, name, value, now)
+            value = self._open(robot, name, packed)
+            if value is not _NOTHING and self._keep(robot, name, value, now):
+                self._read(robot, name, value, now)
         else:
             self._keep(robot, name, packed, now)
 
     def passed(self, sender: str, receiver: str, count: int) -> None:
         """How many messages have passed between the two so far, from whoever counts them."""
-        self._hops[f"{sender}>{receiver}"] = count
+        hop = f"{sender}>{receiver}"
+        if hop in self._hops or len(self._hops) < MAX_HOPS:
+            self._hops[hop] = count
 
     def put(self, robot: str, topic: str, value: object, now: float) -> None:
         """A decoded sample."""
-        if self._keep(robot, topic, value, now):
+        self._now = now
+        if self._fits(robot, topic, value) and self._keep(robot, topic, value, now):
             self._read(robot, topic, value, now)
+
+    def refuse(self, robot: str, what: str, why: object) -> None:
+        """Something that a robot has said is dropped; the first time that is told, with its reason."""
+        self.refused += 1
+        if (robot, what) not in self._named and len(self._named) < MAX_TOPICS:
+            self._named.add((robot, what))
+            self.note(self._now, robot, "warning", f"{what} is left out, and whatever is like it: {why}")
 
     def _keep(self, robot: str, topic: str, value: object, now: float) -> bool:
         """Whether it is kept."""
@@ -126,25 +158,42 @@ class Picture:
                 history.popleft()
         return True
 
-    def _open(self, value: object) -> object:
+    def _open(self, robot: str, topic: str, value: object) -> object:
         """What a sample says, `_NOTHING` where it is no message: most are followed by the next one before somebody
         looks."""
         if not isinstance(value, _Packed):
             return value
         if value.value is None:
+            value.value = _NOTHING
             try:
-                value.value = plain(unpack(value.payload), MAX_BYTES)
-            except PayloadError:
-                self.refused += 1
-                value.value = _NOTHING
+                message = plain(unpack(value.payload), MAX_BYTES)
+            except PayloadError as error:
+                if _kind(topic) is None:
+                    self.refused += 1  # an app's own bytes
+                else:
+                    self.refuse(robot, topic, error)
+            else:
+                if self._fits(robot, topic, message):
+                    value.value = message
         return value.value
+
+    def _fits(self, robot: str, topic: str, message: object) -> bool:
+        """Whether a decoded message has the types of its key, as far as it goes."""
+        try:
+            if (kind := _kind(topic)) is not None:
+                check_fields(kind, message)
+        except PayloadError as error:
+            self.refuse(robot, topic, error)
+            return False
+        return True
 
     def _read(self, robot: str, topic: str, value: object, now: float) -> None:
         """Note what a person should read."""
+        told = self._told.setdefault(robot, {})
         for level, text, subject in _news(topic, value):
-            if self._told.get((robot, subject)) != text:
-                before = self._told.get((robot, subject))
-                self._told[robot, subject] = text
+            before = told.get(subject)
+            if before != text and (before is not None or len(told) < MAX_SUBJECTS):
+                told[subject] = text
                 if before is not None or level != "info":
                     self.note(now, robot, level, text)
 
@@ -152,7 +201,7 @@ class Picture:
         """A service's process has come or gone."""
         services = self._alive.setdefault(robot, {})
         before = services.get(service)
-        if before == there:
+        if before == there or (before is None and len(services) >= MAX_SERVICES):
             return
         services[service] = there
         self.version += 1
@@ -165,7 +214,7 @@ class Picture:
 
     def newest(self, robot: str, topic: str) -> object:
         """The newest value of a key; None where there is none."""
-        value = self._open(self._topics.get(robot, {}).get(topic, (0, None))[1])
+        value = self._open(robot, topic, self._topics.get(robot, {}).get(topic, (0, None))[1])
         return None if value is _NOTHING else value
 
     def since(self, moved: int, rest: int | None) -> dict[str, dict[str, object]]:
@@ -178,7 +227,8 @@ class Picture:
             new = {
                 topic: value
                 for topic, (number, packed) in entries.items()
-                if number > (moved if topic in at_once else rest or 0) and (value := self._open(packed)) is not _NOTHING
+                if number > (moved if topic in at_once else rest or 0)
+                and (value := self._open(robot, topic, packed)) is not _NOTHING
             }
             if new:
                 found[robot] = new
@@ -194,7 +244,7 @@ class Picture:
 
     def history(self, robot: str, topic: str) -> list[tuple[float, object]]:
         """What a key held in the last two minutes, oldest first."""
-        rows = ((t, self._open(packed)) for t, packed in self._history.get((robot, topic), ()))
+        rows = ((t, self._open(robot, topic, packed)) for t, packed in self._history.get((robot, topic), ()))
         return [(t, value) for t, value in rows if value is not _NOTHING]
 
     def trail(self, robot: str, topic: str, seconds: float, now: float) -> list[tuple[float, float]]:
@@ -205,7 +255,16 @@ class Picture:
         """Add a line to what has happened."""
         self._numbered += 1
         self.version += 1
-        self.events.append(Event(self._numbered, now, robot, level, text))
+        self.events.append(Event(self._numbered, now, robot, level, printable(text)))
+
+
+@lru_cache(4096)
+def _kind(topic: str) -> type | None:
+    """The message type of a topic, None where it is none of ours."""
+    try:
+        return type_of(f"swarm/r/{topic}")
+    except PayloadError:
+        return None
 
 
 def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:

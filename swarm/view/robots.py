@@ -1,5 +1,6 @@
 """Real robots: some through ssh at their full rate, all others over the mesh, as those are told (`mesh/view`)."""
 
+import logging
 import threading
 from collections.abc import Sequence
 from functools import partial
@@ -32,6 +33,8 @@ GRACE_S = 5.0
 """s at the start before a robot that the mesh has not brought anything of is called out of reach."""
 
 BY_SSH, BY_MESH = "ssh", "mesh"
+
+_log = logging.getLogger("view")
 
 _LOST = {"gone": "the mesh has lost it", "left": "its mesh was stopped"}
 _LOOK_EVERY_S = 0.25
@@ -99,23 +102,29 @@ class Robots(RealTime):
 
     def _look(self) -> None:
         while not self._closing:
-            now = clock.now()
-            seen = self._bus.keys() | self._viewed.keys()
-            every = WATCH_EVERY_S if seen >= set(self.config.names) else SEEK_EVERY_S
-            if now >= self._watched_at + every and (eye := self._eye()) is not None:
-                self._watched_at = now
-                self.buses[eye].publish(key(eye, "mesh", "set", "watch"), Watch(now, WATCH_S))
-            with self.lock:
-                for name in self.config.names:
-                    by, why = self._reach(name, now)
-                    if by is None and now < self.began + GRACE_S and name not in self.buses:
-                        continue
-                    before = self.picture.newest(name, REACH)
-                    value: dict[str, object] = {"by": by, "why": why}
-                    if before != value:
-                        self.picture.put(name, REACH, value, now - self.began)
+            try:
+                self._look_once(clock.now())
+            except Exception:  # noqa: BLE001 - a defect here; the next look may do better
+                _log.exception("a look at the robots has failed")
             self._turn.wait(_LOOK_EVERY_S)
             self._turn.clear()
+
+    def _look_once(self, now: float) -> None:
+        """Ask for views where it is time, and find out how each robot is seen."""
+        seen = self._bus.keys() | self._viewed.keys()
+        every = WATCH_EVERY_S if seen >= set(self.config.names) else SEEK_EVERY_S
+        if now >= self._watched_at + every and (eye := self._eye()) is not None:
+            self._watched_at = now
+            self.buses[eye].publish(key(eye, "mesh", "set", "watch"), Watch(now, WATCH_S))
+        with self.lock:
+            for name in self.config.names:
+                by, why = self._reach(name, now)
+                if by is None and now < self.began + GRACE_S and name not in self.buses:
+                    continue
+                before = self.picture.newest(name, REACH)
+                value: dict[str, object] = {"by": by, "why": why}
+                if before != value:
+                    self.picture.put(name, REACH, value, now - self.began)
 
     def _eye(self) -> str | None:
         """The robot through which the others are seen."""
@@ -166,7 +175,10 @@ class Robots(RealTime):
                 case ["alive", str(name), bool(there)]:
                     self._alive(robot, name, there, now)
                 case ["passed", str(sender), int(count)]:
-                    self.picture.passed(sender, robot, count)
+                    if sender in self.config.names:
+                        self.picture.passed(sender, robot, count)
+                case _:
+                    self.picture.refuse(robot, "a message of its lookout", "is its release another one?")
 
     def _sample(self, bus: str, name: str, payload: bytes, now: float) -> None:
         try:
@@ -176,26 +188,33 @@ class Robots(RealTime):
             return
         if robot not in self.config.names:
             return
-        if (service, topic) == ("mesh", "view"):
-            if robot not in self.buses or not self.buses[robot].connected:
-                self._view(robot, name, payload, now)
-            return
         if robot == bus:
             self._heard[robot] = now
+        elif self._speaks_for_itself(robot):
+            return  # another one might say that it has stopped
+        elif (service, topic) == ("mesh", "view"):
+            self._view(robot, name, payload, now)
+            return
         self.picture.take("", name, payload, now - self.began)
+
+    def _speaks_for_itself(self, robot: str) -> bool:
+        """Whether a robot's own bus is heard."""
+        tunnel = self.buses.get(robot)
+        return tunnel is not None and tunnel.connected and self._bus.get(robot, True)
 
     def _view(self, robot: str, name: str, payload: bytes, now: float) -> None:
         """What another robot tells of itself, as if it had been heard on its own bus."""
         try:
             view = decode(View, payload, name)
-        except PayloadError:
-            self.picture.refused += 1
+            services = {name: whose_token(f"swarm/{robot}/{name}/alive")[1] for name in view.services}
+        except PayloadError as error:
+            self.picture.refuse(robot, "mesh/view", error)
             return
         self._viewed[robot] = now
         for topic, data in view.values.items():
             self.picture.take("", f"swarm/{robot}/{topic}", data, now - self.began)
-        for service, text in view.services.items():
-            state, _, reason = text.partition(": ")
+        for name, text in view.services.items():
+            service, (state, _, reason) = services[name], text.partition(": ")
             self.picture.alive(robot, service, state != "gone", now - self.began)
             if state not in ("gone", "here"):
                 self.picture.put(robot, f"{service}/status", {"state": state, "reason": reason}, now - self.began)

@@ -2,14 +2,15 @@
 
 Who has the address has the page: it carries a token, made anew for each start. Pages of other origins are refused: a
 browser would send the token along. Each page is told of what moves at most `RATE` times a second and of all else some
-times, and only when it has taken the last ones.
+times, and only when it has taken the last ones. What a page asks never waits for what it is told (`questions`).
 """
 
 import asyncio
-import contextlib
+import concurrent.futures
 import hmac
 import itertools
 import json
+import logging
 import secrets
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -18,10 +19,12 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from swarm.config.types import Config
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
+from swarm.json_input import read_json
 from swarm.view.control import Control
 from swarm.view.feed import Live
 from swarm.view.picture import TRAIL_S, Picture
+from swarm.view.questions import Answer, Questions
 from swarm.view.recording import Recording
 
 HOST = "127.0.0.1"
@@ -53,12 +56,18 @@ Feed = Live | Recording
 _FEED: web.AppKey[Feed] = web.AppKey("feed")
 _TOKEN: web.AppKey[str] = web.AppKey("token")
 _CONTROL: web.AppKey[Control | None] = web.AppKey("control")
+_HALTS: web.AppKey[concurrent.futures.Executor] = web.AppKey("halts")
+"""A thread that carries out stops, and nothing else."""
+
+_log = logging.getLogger("view")
 
 
 def application(feed: Feed, control: Control | None, token: str) -> web.Application:
     """The server; run it with `serve`. There is nothing to control in a recording."""
     app = web.Application(middlewares=[_guard])
     app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
+    app[_HALTS] = halts = concurrent.futures.ThreadPoolExecutor(1, "stops")
+    app.on_cleanup.append(lambda _: asyncio.to_thread(halts.shutdown, cancel_futures=True))
     app.router.add_get("/", _index)
     app.router.add_get("/live", _live)
     app.router.add_static("/page", PAGE)
@@ -96,18 +105,39 @@ async def _live(request: web.Request) -> web.StreamResponse:
     if isinstance(feed, Recording):
         await _play(feed, socket)
         return socket
-    steps = asyncio.create_task(_steps(feed, control, socket))
+    loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
+    questions = Questions(
+        # In threads: a simulation takes its time to obey, and the page's pictures go on.
+        lambda asked: loop.run_in_executor(halts, _answer, feed, control, asked),
+        lambda asked: asyncio.to_thread(_answer, feed, control, asked),
+        socket.send_str,
+    )
+    tasks = [asyncio.create_task(_steps(feed, control, socket)), asyncio.create_task(questions.run())]
     try:
         async for message in socket:
-            if message.type == WSMsgType.TEXT:
-                # In a thread: a simulation takes its time to obey, and the page's pictures go on.
-                answer = await asyncio.to_thread(_answer, feed, control, message.data)
-                await socket.send_str(json.dumps(answer, allow_nan=False))
+            if message.type != WSMsgType.TEXT:
+                continue
+            try:
+                asked = read_json(message.data)
+            except PayloadError as error:
+                questions.tell({"refused": str(error)})
+            else:
+                await questions.take(asked)
     finally:
-        steps.cancel()
-        with contextlib.suppress(asyncio.CancelledError, ConnectionError):
-            await steps
+        for task in tasks:
+            task.cancel()
+        for ended in await asyncio.gather(*tasks, return_exceptions=True):
+            _tell_defect(ended)
     return socket
+
+
+def _tell_defect(ended: object) -> None:
+    """Log why a page's task has ended, unless the page is gone."""
+    if isinstance(ended, BaseExceptionGroup):
+        for each in ended.exceptions:
+            _tell_defect(each)
+    elif isinstance(ended, Exception) and not isinstance(ended, ConnectionError):
+        _log.error("a page is told no more", exc_info=ended)
 
 
 async def _steps(feed: Live, control: Control | None, socket: web.WebSocketResponse) -> None:
@@ -160,15 +190,17 @@ async def _play(recording: Recording, socket: web.WebSocketResponse) -> None:
         if message.type != WSMsgType.TEXT:
             continue
         try:
-            asked = json.loads(message.data)
+            asked = read_json(message.data)
             if "seek" in asked:
                 since = asked["seek"].get("since")
-                answer = recording.step(None if since is None else float(since), float(asked["seek"]["t"]))
+                answer = recording.step(None if since is None else _number(since), _number(asked["seek"]["t"]))
             else:
                 robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
-                rows = recording.history(robot, topic, float(asked["history"]["t"]))
+                rows = recording.history(robot, topic, _number(asked["history"]["t"]))
                 answer = {"history": {"robot": robot, "topic": topic, "rows": rows}}
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except LocalError as error:
+            answer = {"refused": str(error)}
+        except (PayloadError, ValueError, KeyError, TypeError, AttributeError):
             answer = {"refused": "expected {seek: {since, t}} or {history: {robot, topic, t}}"}
         await socket.send_str(json.dumps(answer, allow_nan=False, separators=(",", ":")))
 
@@ -197,32 +229,44 @@ def _target(config: Config) -> dict[str, Any] | None:
     return {"name": "target's start" if config.simulation.moving else "target", "x": x, "y": y}
 
 
-def _answer(feed: Live, control: Control | None, text: str) -> dict[str, Any]:
-    """What a page asks: the history of a key, or an act."""
+def _answer(feed: Live, control: Control | None, asked: Any) -> Answer:
+    """The answer to what a page asks: the history of a key, or an act."""
     try:
-        asked = json.loads(text)
         if "do" in asked:
             if control is None:
                 return {"refused": "a virtual run is only watched"}
             return {"done": control.do(asked["do"])}
         if "pace" in asked:
             speed = asked["pace"]["speed"]
-            feed.set_pace(None if speed is None else float(speed), bool(asked["pace"]["paused"]))
+            feed.set_pace(None if speed is None else _number(speed), bool(asked["pace"]["paused"]))
             return {"done": "paused" if asked["pace"]["paused"] else f"speed: {speed or 'max'}"}
         robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
     except LocalError as error:
         return {"refused": str(error)}
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError):
         return {"refused": "expected {history: {robot, topic}}, {do: {act, ...}} or {pace: {speed, paused}}"}
+    except Exception:  # noqa: BLE001 - a defect of ours, and the page's way to a stop lives on
+        _log.exception("an act has failed")
+        return {"refused": "this program has a defect there: its log says more"}
     with feed.lock:
         rows = feed.picture.history(robot, topic)
     return {"history": {"robot": robot, "topic": topic, "rows": rows}}
 
 
+def _number(value: object) -> float:
+    """A number that a page has sent; `TypeError` where it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("no number")
+    return float(value)
+
+
 async def _repeat(control: Control) -> None:
     while True:
         await asyncio.sleep(REPEAT_S)
-        control.repeat()
+        try:
+            await asyncio.to_thread(control.repeat)
+        except Exception:  # noqa: BLE001 - whatever it is, the next stop has to be repeated, too
+            _log.exception("what robots have not confirmed could not be repeated")
 
 
 async def serve(

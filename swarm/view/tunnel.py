@@ -4,6 +4,7 @@ The connection is made again whenever it breaks, until closed.
 """
 
 import contextlib
+import logging
 import os
 import subprocess
 import tempfile
@@ -26,6 +27,9 @@ _CLIENT_FAILED = 255
 _OLD_RELEASE = "No module named swarm.fleet.lookout"
 _LONGEST_ERROR = 4000
 _END_S = 2.0
+_GARBAGE = "it says what this program does not understand: is its release another one?"
+
+_log = logging.getLogger("view")
 _LARGEST = 4 << 20
 """bytes that a robot may say at once; the largest message that a bus takes is a quarter of that."""
 
@@ -72,7 +76,12 @@ class Tunnel:
     def _run(self) -> None:
         tries = 0
         while not self._closing.is_set():
-            heard = self._once()
+            try:
+                heard = self._once()
+            except Exception as error:  # noqa: BLE001 - whatever it is, the next try may do better
+                _log.exception("the way to %s has failed", self.host.robot)
+                heard = False
+                self._tell(False, f"the way there has failed: {error}")
             tries = 0 if heard else tries + 1
             self._closing.wait(RETRY_S[min(tries, len(RETRY_S) - 1)])
 
@@ -80,25 +89,26 @@ class Tunnel:
         """One connection, from its beginning to its end; whether the robot has said anything."""
         # To a file: nobody has to read it meanwhile, and a connection that ssh shares may keep it open.
         with tempfile.TemporaryFile() as errors:
+            try:
+                # Of its own session: Ctrl-C ends us, and we end it.
+                process = subprocess.Popen(
+                    self._arguments,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=errors,
+                    bufsize=0,
+                    start_new_session=True,
+                )
+            except FileNotFoundError:
+                self._tell(False, "there is no ssh here: sudo apt-get install openssh-client")
+                return False
+            assert process.stdin is not None
+            assert process.stdout is not None
+            os.set_blocking(process.stdin.fileno(), False)
             with self._lock:
+                self._process = process
                 if self._closing.is_set():
-                    return False
-                try:
-                    # Of its own session: Ctrl-C ends us, and we end it.
-                    self._process = process = subprocess.Popen(
-                        self._arguments,
-                        stdin=subprocess.PIPE,
-                        stdout=subprocess.PIPE,
-                        stderr=errors,
-                        bufsize=0,
-                        start_new_session=True,
-                    )
-                except FileNotFoundError:
-                    self._tell(False, "there is no ssh here: sudo apt-get install openssh-client")
-                    return False
-                assert process.stdin is not None
-                assert process.stdout is not None
-                os.set_blocking(process.stdin.fileno(), False)
+                    process.terminate()
             heard, problem = False, ""
             try:
                 heard, problem = self._read(process.stdout)
@@ -123,15 +133,19 @@ class Tunnel:
         while data := stream.read(1 << 16):
             try:
                 unpacker.feed(data)
-                for said in unpacker:
-                    if not isinstance(said, list) or not said:
-                        return heard, "it says what this program does not understand: is its release another one?"
-                    if not heard:
-                        heard = True
-                        self._tell(True, "")
-                    self._take(said)
+                messages = list(unpacker)
             except (ValueError, TypeError, msgpack.UnpackException):
-                return heard, "it says what this program does not understand: is its release another one?"
+                return heard, _GARBAGE
+            for said in messages:
+                if not isinstance(said, list) or not said:
+                    return heard, _GARBAGE
+                if not heard:
+                    heard = True
+                    self._tell(True, "")
+                try:
+                    self._take(said)
+                except Exception:  # noqa: BLE001 - a defect here; the way to this robot may be needed for a stop
+                    _log.exception("a message that came through %s could not be taken", self.host.robot)
         return heard, ""
 
     def _tell(self, connected: bool, problem: str) -> None:

@@ -428,12 +428,13 @@ def test_the_status_of_a_robot_is_read() -> None:
         pose=[1.5, 2.0],
         apps={"consensus": {"phase": "running", "k": 12}},
         recorded=312_000_000,
+        misunderstood=[],
     )
 
 
 def test_a_row_for_people() -> None:
     rows = {"r0": status.parse("r0", ANSWER)}
-    head, row = status.table([Outcome("r0", True, "", 1.0)], rows, 2e9).splitlines()
+    head, row = status.table([Outcome("r0", True, "", 1.0)], rows, 2e9)
     assert head.split() == [
         "robot",
         "services",

@@ -3,12 +3,25 @@
 import json
 import math
 
+import msgpack
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.codec import encode
-from swarm.messages import AppProgress, Links, LinkState, Pose, Status
-from swarm.view.picture import HISTORY_S, HISTORY_STEP_S, MAX_EVENTS, MAX_TOPICS, Picture
+from swarm.errors import PayloadError
+from swarm.fields import check_fields
+from swarm.messages import AppProgress, Links, LinkState, Pose, Status, topics
+from swarm.view.picture import (
+    HISTORY_S,
+    HISTORY_STEP_S,
+    MAX_EVENTS,
+    MAX_HOPS,
+    MAX_SERVICES,
+    MAX_SUBJECTS,
+    MAX_TOPICS,
+    Picture,
+)
 
 VALUES = st.recursive(
     st.none()
@@ -113,7 +126,7 @@ def test_a_service_that_goes_is_told_once() -> None:
 def test_memory_is_bounded() -> None:
     picture = Picture()
     for number in range(2 * MAX_TOPICS):
-        picture.put("r0", f"app/x/out/{number}", number, 0.0)
+        picture.put("r0", f"app/x/mine/{number}", number, 0.0)
     assert len(picture.since(0, 0)["r0"]) == MAX_TOPICS
     assert picture.refused == MAX_TOPICS
     for number in range(2 * MAX_EVENTS):
@@ -130,3 +143,74 @@ def test_a_trail_is_where_it_was_and_nothing_that_is_no_number() -> None:
         picture.take("r0", "swarm/r0/dwm/pose", encode({"x": x, "y": 0.0}), float(t))
     picture.take("r0", "swarm/r0/dwm/pose", encode(Pose(1.0, 1, 3.0, 0.0, None, 9, "ekf")), 4.0)
     assert picture.trail("r0", "dwm/pose", 3.5, 4.0) == [(1.0, 0.0), (2.0, 0.0), (3.0, 0.0)]
+
+
+TOPICS = {f"{service}/{topic}".replace("*", "x"): kind for (service, topic), kind in topics().items()}
+FIELDS = sorted({field for kind in TOPICS.values() for field in kind.__dataclass_fields__})
+
+
+@given(
+    st.sampled_from(sorted(TOPICS)),
+    st.dictionaries(st.sampled_from(FIELDS), VALUES, max_size=4) | VALUES,
+)
+def test_a_page_finds_in_each_field_what_the_type_of_its_key_says_or_is_told_nothing(
+    topic: str, message: object
+) -> None:
+    try:
+        payload = msgpack.packb(message)
+    except (ValueError, OverflowError):
+        return
+    picture = Picture()
+    picture.take("r0", f"swarm/r0/{topic}", payload, 1.0)
+    shown = picture.since(0, 0).get("r0", {})
+    if topic in shown:
+        check_fields(TOPICS[topic], shown[topic])
+        assert picture.refused == 0
+    else:
+        assert picture.refused == 1
+        assert picture.history("r0", topic) == []
+        assert [event.level for event in picture.events] == ["warning"]
+
+
+def test_a_wrong_message_is_counted_each_time_and_named_once_with_its_field() -> None:
+    picture = Picture()
+    for _ in range(3):
+        picture.take("", "swarm/r1/mesh/links", encode({"links": 5}), 2.0)
+    assert picture.refused == 3
+    assert [event[1:] for event in picture.events] == [
+        (2.0, "r1", "warning", "mesh/links is left out, and whatever is like it: links: expected a list, got 5")
+    ]
+
+
+def test_messages_with_fields_missing_or_unknown_are_shown() -> None:
+    """As they come over the mesh, or from another release."""
+    picture = Picture()
+    picture.take("", "swarm/r1/mesh/links", encode({"links": [{"peer": "r0", "state": "up", "colour": 7}]}), 0.0)
+    assert picture.newest("r1", "mesh/links") == {"links": [{"peer": "r0", "state": "up", "colour": 7}]}
+    assert picture.refused == 0
+
+
+def test_a_robot_that_names_ever_new_things_fills_no_memory() -> None:
+    picture = Picture()
+    for number in range(2 * MAX_HOPS):
+        picture.passed(f"x{number}", "r0", 1)
+        picture.alive("r0", f"x{number}", True, 0.0)
+    for number in range(2 * MAX_SUBJECTS):
+        link = LinkState(f"x{number}", "down", 1, None, 0, 0, "x" * 9000)
+        picture.take("r0", "swarm/r0/mesh/links", encode(Links(1.0, (link,))), 0.0)
+    assert len(picture.hops()) == MAX_HOPS
+    assert len(picture.services()["r0"]) == MAX_SERVICES
+    assert len(picture.events) == MAX_SUBJECTS
+    assert max(len(event.text) for event in picture.events) <= 200
+
+
+@given(st.text())
+def test_no_text_of_a_robot_steers_who_reads_its_events(text: str) -> None:
+    picture = Picture()
+    picture.put("r0", "balancer/fault", {"name": text, "reason": text}, 0.0)
+    assert all(event.text.isprintable() for event in picture.events)
+
+
+def test_a_wrong_field_is_named_with_its_place() -> None:
+    with pytest.raises(PayloadError, match=r"links\[1\].state: expected a text, got 4"):
+        check_fields(Links, {"links": [{"peer": "r0"}, {"state": 4}]})

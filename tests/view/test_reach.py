@@ -14,7 +14,7 @@ from swarm.codec import Value, encode
 from swarm.config import parse
 from swarm.errors import LocalError
 from swarm.fleet.ssh import Host, Ssh
-from swarm.messages import Leds, Member, Members, Pose, View, Watch
+from swarm.messages import Leds, Member, Members, Pose, Stopped, View, Watch
 from swarm.view import robots as module
 from swarm.view.control import Control
 from swarm.view.hands import Act
@@ -124,6 +124,25 @@ def test_another_robot_at_a_host_is_named(view: Robots) -> None:
 def test_messages_between_robots_are_counted(view: Robots) -> None:
     view.buses["r0"].take(["passed", "r1", 7])
     assert view.picture.hops() == {"r1>r0": 7}
+
+
+def test_a_stop_is_confirmed_by_a_robots_own_bus_where_that_is_heard(view: Robots) -> None:
+    """Whatever a captured robot says of the other one."""
+    r0, r1 = view.buses["r0"], view.buses["r1"]
+    control = Control(view, Nothing())
+    control.do({"act": "stop"})
+    told = Stopped(1.0, True, {"r0": "x"})
+    for name in ("r0", "r1", "r2"):
+        r0.take(["key", f"swarm/{name}/mesh/stopped", encode(told)])
+    r0.take(["key", "swarm/r1/mesh/view", encode(View(1.0, {}, {"mesh/stopped": encode(told)}))])
+    control.repeat()
+    assert [key for key, _ in r1.published].count("swarm/stop") == 2
+    assert [key for key, _ in r0.published].count("swarm/stop") == 1
+    with view.lock:
+        assert view.picture.newest("r2", "mesh/stopped") is not None
+    r1.take(["key", "swarm/r1/mesh/stopped", encode(told)])
+    control.repeat()
+    assert [key for key, _ in r1.published].count("swarm/stop") == 2
 
 
 SAID = st.lists(

@@ -14,7 +14,8 @@ from typing import Any
 
 from services.apps.loader import BUILT_IN
 from swarm import service
-from swarm.errors import LocalError
+from swarm.errors import LocalError, PayloadError
+from swarm.json_input import read_json
 
 PI_FACTOR = 10.0
 """A Pi Zero 2 W (Cortex-A53, 1 GHz) runs plain Python about this much slower than a laptop [estimated: 8 to 15]."""
@@ -138,8 +139,8 @@ def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
             errors += f"\nit hangs: nothing within {PATIENCE:g} s, and Python could not be interrupted"
     found = []
     for line in output.splitlines():
-        with contextlib.suppress(ValueError):  # what the app itself prints
-            entry = json.loads(line)
+        with contextlib.suppress(PayloadError):  # what the app itself prints
+            entry = read_json(line)
             if isinstance(entry, dict) and ("graph" in entry or "app" in entry or "fault" in entry):
                 found.append(entry)
     if child.returncode != 0:

@@ -6,7 +6,6 @@ model holds for the anchors it was measured with, and so do most errors of a ran
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -15,8 +14,9 @@ from typing import Any
 from services.dwm.core.calibration import Calibration, RangeModel
 from swarm.config.reader import Table, finite, vector
 from swarm.config.types import Affine, Anchor
-from swarm.errors import ConfigError
+from swarm.errors import ConfigError, PayloadError
 from swarm.frozen import frozen
+from swarm.toml_input import read_toml
 
 _SHOWN = 16
 """Hex digits of a layout's hash: 64 bits are enough to tell two layouts apart."""
@@ -92,9 +92,9 @@ def check(file: CalibrationFile, path: str, robot: str, anchors: Sequence[Anchor
 def parse(text: str, path: str) -> CalibrationFile:
     """The file with that text; raises `ConfigError` naming path, table and entry."""
     try:
-        data = tomllib.loads(text)
-    except ValueError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+        data = read_toml(text)
+    except PayloadError as error:
+        raise ConfigError(f"{path}: {error}") from None
     top = Table(path, "", data, ("robot", "layout", "anchors", "distance", "position"))
     anchors = data.get("anchors", [])
     if not isinstance(anchors, list) or not all(isinstance(item, str) for item in anchors):

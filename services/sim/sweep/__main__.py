@@ -17,6 +17,7 @@ from services.sim.sweep.limit import search
 from services.sim.sweep.plan import Point, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm import log, service
 from swarm.errors import ConfigError
+from swarm.terminal import steer
 
 WITHIN = 0.01
 
@@ -116,16 +117,16 @@ class Progress:
         if not self._stream.isatty():
             return
         if self._total is None:
-            self._stream.write(f"\r{self._count} runs")
+            steer(self._stream, f"\r{self._count} runs")
         else:
             full = self.WIDTH * self._count // self._total
-            self._stream.write(f"\r[{'#' * full}{'.' * (self.WIDTH - full)}] {self._count}/{self._total} runs")
+            steer(self._stream, f"\r[{'#' * full}{'.' * (self.WIDTH - full)}] {self._count}/{self._total} runs")
         self._stream.flush()
 
     def close(self) -> None:
         """Take the line away."""
         if self._stream.isatty():
-            self._stream.write("\r\x1b[K")
+            steer(self._stream, "\r\x1b[K")
             self._stream.flush()
 
 

@@ -3,14 +3,22 @@
 from collections.abc import Callable, Sequence
 
 from swarm.fleet.core import checks_robot, checks_system
-from swarm.fleet.core.checkup import Check, Finding, Robot
+from swarm.fleet.core.answers import MISUNDERSTOOD, misunderstood
+from swarm.fleet.core.checkup import Check, Finding, Robot, bad
 
 CHECKS: tuple[Check, ...] = (*checks_system.CHECKS, *checks_robot.CHECKS)
 
 
 def examine(robot: Robot) -> dict[str, Finding]:
     """What each check says of a robot, by name."""
-    return {check.name: check.judge(robot) for check in CHECKS}
+    return {check.name: _judged(check, robot) for check in CHECKS}
+
+
+def _judged(check: Check, robot: Robot) -> Finding:
+    try:
+        return check.judge(robot)
+    except MISUNDERSTOOD as error:
+        return bad(misunderstood(error), "the same release on all robots? swarm deploy")
 
 
 def compare(robots: Sequence[Robot]) -> list[str]:
@@ -22,12 +30,19 @@ def compare(robots: Sequence[Robot]) -> list[str]:
     }
     lines = []
     for what, value in asked.items():
-        found = {robot.name: value(robot) for robot in robots}
+        found = {robot.name: _compared(value, robot) for robot in robots}
         values = sorted({each for each in found.values() if each is not None})
         if len(values) > 1:
             rows = (f"{each}: {' '.join(name for name, its in found.items() if its == each)}" for each in values)
             lines.append(f"different {what}: {'; '.join(rows)}")
     return lines
+
+
+def _compared(value: Callable[[Robot], str | None], robot: Robot) -> str | None:
+    try:
+        return value(robot)
+    except MISUNDERSTOOD:
+        return None  # a check of the robot alone says so
 
 
 def _release(robot: Robot) -> str | None:

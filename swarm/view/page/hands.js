@@ -19,7 +19,8 @@ export class Hands {
     this.panel = panel;
     this.store = store;
     this.shown = "";
-    this.act = (act) => ask({ do: act });
+    this.ask = ask;
+    this.owed = null; // a stop that could not be sent yet
     this.stop.addEventListener("click", () => this.act({ act: "stop" }));
     this.arm.addEventListener("click", () => this.act({ act: "arm" }));
     this.apps = document.querySelector("#apps");
@@ -29,6 +30,18 @@ export class Hands {
       const { value } = this.apps.elements.app;
       if (value) this.act({ act: "start", app: value });
     });
+  }
+
+  // Without a server nothing can be sent. A stop is kept until there is one again: a late stop harms nobody, all else might.
+  act(act) {
+    if (act.act === "stop" || act.act === "arm") this.owed = null;
+    if (this.ask({ do: act })) return;
+    if (act.act === "stop") this.owed = act;
+    this.tell(this.owed ? "NOT SENT: the server is lost. The stop is sent as soon as it is back; swarm estop does not need it" : "not sent: the server is lost", true);
+  }
+
+  connected() {
+    if (this.owed) this.act(this.owed);
   }
 
   tell(text, refused) {

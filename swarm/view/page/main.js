@@ -48,6 +48,7 @@ function select(name) {
 function connect() {
   socket = new WebSocket(`ws://${location.host}/live${location.search}`);
   let first = true;
+  socket.onopen = () => hands.connected();
   socket.onmessage = ({ data }) => {
     heard = performance.now();
     const step = JSON.parse(data);

@@ -1,0 +1,65 @@
+"""The questions of one page: stops are carried out at once, all else in turn, and an answer that the page does not read
+holds up nothing."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+MAX_WAITING = 32
+"""Questions of one page that wait for those before them, and answers that wait for a page to read them."""
+
+Answer = dict[str, Any]
+"""`{"done": TEXT}`, `{"refused": TEXT}` or `{"history": ROWS}`."""
+
+
+class Questions:
+    """Takes the questions of one page as they arrive. `run` until the page is gone."""
+
+    def __init__(
+        self,
+        at_once: Callable[[Any], Awaitable[Answer]],
+        in_turn: Callable[[Any], Awaitable[Answer]],
+        send: Callable[[str], Awaitable[None]],
+    ) -> None:
+        """`at_once` answers a stop or its end, `in_turn` everything else; `send` sends a text to the page."""
+        self._at_once = at_once
+        self._in_turn = in_turn
+        self._send = send
+        self._waiting = asyncio.Queue[Any](MAX_WAITING)
+        self._answers = asyncio.Queue[Answer](MAX_WAITING)
+
+    async def take(self, asked: object) -> None:
+        """A question. A stop, or its end, is given when this returns; everything else waits for its turn."""
+        if is_halt(asked):
+            self.tell(await self._at_once(asked))
+            return
+        try:
+            self._waiting.put_nowait(asked)
+        except asyncio.QueueFull:
+            self.tell({"refused": f"{MAX_WAITING} others wait: try again when they are done"})
+
+    def tell(self, answer: Answer) -> None:
+        """An answer for the page, lost where it does not read its answers."""
+        with contextlib.suppress(asyncio.QueueFull):
+            self._answers.put_nowait(answer)
+
+    async def run(self) -> None:
+        """Answer questions in turn and send the answers."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._work())
+            group.create_task(self._speak())
+
+    async def _work(self) -> None:
+        while True:
+            await self._answers.put(await self._in_turn(await self._waiting.get()))
+
+    async def _speak(self) -> None:
+        while True:
+            await self._send(json.dumps(await self._answers.get(), allow_nan=False))
+
+
+def is_halt(asked: object) -> bool:
+    """Whether a page asks for a stop or for its end. Both go the same way, so that the later one holds."""
+    return isinstance(asked, dict) and isinstance(act := asked.get("do"), dict) and act.get("act") in ("stop", "arm")

@@ -1,0 +1,146 @@
+"""A robot's lookout: commands never wait for telemetry, and whatever comes in or waits to go out is bounded."""
+
+import fcntl
+import os
+import struct
+import subprocess
+import termios
+from pathlib import Path
+
+import msgpack
+import pytest
+from conftest import Processes, wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm.bus import Bus
+from swarm.codec import MAX_PAYLOAD
+from swarm.errors import LocalError
+from swarm.fleet.lookout import MAX_KEYS, MAX_WAITING, Lookout, publish
+from swarm.messages import Stop, read
+
+FLOOD = bytes(60_000)
+
+
+def waiting_bytes(process: subprocess.Popen[str]) -> int:
+    """Bytes in the pipe behind a process' output, which nobody has read."""
+    assert process.stdout is not None
+    answer = fcntl.ioctl(process.stdout.fileno(), termios.FIONREAD, bytes(4))
+    return int(struct.unpack("i", answer)[0])
+
+
+def room(process: subprocess.Popen[str]) -> int:
+    """Bytes that the pipe behind a process' output holds."""
+    assert process.stdout is not None
+    return int(fcntl.fcntl(process.stdout.fileno(), fcntl.F_GETPIPE_SZ))
+
+
+@pytest.mark.usefixtures("router")
+def test_lookout_publishes_a_stop_at_once_while_nobody_reads_its_telemetry(processes: Processes, runtime: Path) -> None:
+    heard: list[object] = []
+    with Bus.of(runtime) as bus:
+        bus.subscribe("swarm/stop", lambda key, payload: heard.append(read(key, payload)))
+        lookout = processes.start("-m", "swarm.fleet.lookout", "r0")
+        assert lookout.stdin is not None
+
+        def full() -> bool:
+            for number in range(8):
+                bus.publish(f"swarm/r0/app/out{number}", FLOOD)
+            return waiting_bytes(lookout) == room(lookout)
+
+        wait_until(full, what="the pipe behind the telemetry is full")
+        payload = msgpack.packb({"t": 1.0, "origin": "r0", "reason": "x"})
+        os.write(lookout.stdin.fileno(), msgpack.packb(["swarm/stop", payload]))
+        wait_until(lambda: heard, what="the stop is on the bus")
+        assert isinstance(heard[0], Stop)
+        assert waiting_bytes(lookout) == room(lookout)  # and still nobody has read anything
+
+        lookout.stdin.close()
+        assert lookout.wait(60.0) == 0
+
+
+@pytest.mark.usefixtures("router")
+def test_lookout_ends_when_nobody_can_read_its_telemetry_any_more(processes: Processes) -> None:
+    lookout = processes.start("-m", "swarm.fleet.lookout", "r0")
+    assert lookout.stdout is not None
+    os.read(lookout.stdout.fileno(), 1)
+    lookout.stdout.close()
+    with Bus.of(processes.runtime) as bus:
+        wait_until(lambda: bus.publish("swarm/r0/mesh/x", b"\0") or lookout.poll() is not None)
+    assert lookout.returncode == 0
+
+
+@pytest.mark.usefixtures("router")
+@pytest.mark.parametrize(
+    "garbage", [b"\xc1", b"\x91" * 4000, b"\xa4\xff\xff\xff\xff", b"\x81\x90\x90", b"\xc9" + b"\xff" * 4]
+)
+def test_lookout_ends_with_a_reason_where_its_input_is_no_msgpack(processes: Processes, garbage: bytes) -> None:
+    lookout = processes.start("-m", "swarm.fleet.lookout", "r0")
+    assert lookout.stdin is not None
+    os.write(lookout.stdin.fileno(), garbage)
+    assert lookout.stderr is not None
+    said = lookout.stderr.read()
+    assert lookout.wait(60.0) == 1
+    assert said.startswith("lookout: the input is no sequence of commands")
+    assert "Traceback" not in said
+
+
+class Taker:
+    """A bus that takes what a real one takes."""
+
+    def __init__(self) -> None:
+        self.taken: list[str] = []
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        if len(key) > 255:
+            raise LocalError("too long")
+        self.taken.append(key)
+
+
+ANYTHING = st.recursive(
+    st.none() | st.integers() | st.floats() | st.text() | st.binary() | st.just("swarm/stop"),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(ANYTHING | st.tuples(st.text().map("swarm/".__add__), st.binary()).map(list))
+def test_lookout_publishes_commands_with_plain_keys_and_nothing_else(command: object) -> None:
+    bus = Taker()
+    publish(bus, command)  # type: ignore[arg-type]
+    for key in bus.taken:
+        assert key == "swarm/stop" or (key.isascii() and key.isprintable() and "*" not in key)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2 * MAX_KEYS), st.integers(0, 2 * MAX_PAYLOAD)), max_size=30), st.data())
+def test_waiting_telemetry_is_bounded_in_keys_and_bytes_and_the_newest_counts(
+    samples: list[tuple[int, int]], data: st.DataObject
+) -> None:
+    lookout, newest = Lookout(), dict[str, bytes]()
+    for number, size in samples * 4:
+        name = f"swarm/r0/app/k{number}"
+        lookout.take(name, bytes(size))
+        if size <= MAX_PAYLOAD:
+            newest[name] = bytes(size)
+        if data.draw(st.booleans()):
+            news = lookout.news()
+            assert len(news) <= MAX_WAITING + 64 * MAX_KEYS
+            unpacker = msgpack.Unpacker(max_buffer_size=2 * MAX_WAITING)
+            unpacker.feed(news)
+            for kind, key, payload in unpacker:
+                assert kind == "key"
+                assert len(payload) <= MAX_PAYLOAD
+                assert payload == newest[key] or sum(map(len, newest.values())) > MAX_WAITING
+            newest.clear()
+
+
+def test_a_flood_of_new_keys_tokens_and_senders_does_not_fill_the_memory() -> None:
+    lookout = Lookout()
+    for number in range(2 * MAX_KEYS):
+        lookout.take(f"swarm/r0/app/k{number}", b"")
+        lookout.alive(f"swarm/r0/x{number}/alive", True)
+        lookout.passed(f"r{number}", 1)
+    unpacker = msgpack.Unpacker()
+    unpacker.feed(lookout.news())
+    assert len(list(unpacker)) == 3 * MAX_KEYS
+    assert lookout.news() == b""

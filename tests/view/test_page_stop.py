@@ -1,0 +1,239 @@
+"""The page's stop: nothing that the page asks, or does not read, holds it up, and nothing that it asks ends its way."""
+
+import asyncio
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+pytest.importorskip("aiohttp", reason="the lab extra is not installed")
+from aiohttp.test_utils import TestClient
+from hypothesis import given
+from hypothesis import strategies as st
+from test_server import Bus, said, talk
+
+from swarm.errors import LocalError
+from swarm.messages import Stop
+from swarm.simulations import claim
+from swarm.view import server
+from swarm.view.control import Control
+from swarm.view.feed import Simulation
+from swarm.view.questions import MAX_WAITING, Questions
+from swarm.view.simulated import SimulatedHands
+
+LIVE = "/live?token=a-token"
+
+
+@pytest.fixture
+def feed(tmp_path: Path) -> Iterator[Simulation]:
+    directory = tmp_path / "run"
+    with claim(directory):
+        feed = Simulation(directory)
+        feed.buses = {"r0": Bus(), "r1": Bus()}  # type: ignore[dict-item]
+        yield feed
+        feed.close()
+
+
+def stops(feed: Simulation) -> list[int]:
+    """How many stops each robot's bus was given."""
+    return [sum(isinstance(message, Stop) for _, message in bus.published) for bus in feed.buses.values()]  # type: ignore[attr-defined]
+
+
+async def until(condition: Any) -> None:
+    async with asyncio.timeout(60.0):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
+    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+    monkeypatch.setattr("swarm.view.simulated.orders.give", lambda *_: go_on.wait(60.0) and "done")
+
+    async def act(client: TestClient) -> None:
+        sockets = [await client.ws_connect(LIVE) for _ in range(40)]  # more than there are threads for acts
+        try:
+            for socket in sockets:
+                for _ in range(3):
+                    await socket.send_json({"do": {"act": "start", "app": "consensus"}})
+            await sockets[0].send_json({"do": {"act": "stop"}})
+            await until(lambda: stops(feed) == [1, 1])
+            assert await said(sockets[0], "done") == "stop given to all robots"
+        finally:
+            go_on.set()
+
+    talk(feed, act, allowed=True)
+
+
+def test_stop_of_a_page_that_reads_nothing_is_given_behind_a_flood_of_questions(
+    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "RATE", 500.0)
+    for t in range(100):
+        feed.picture.put("r0", "app/x/state", {"k": t, "text": "x" * 100_000}, float(t))
+
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect(LIVE, max_msg_size=0)
+        for _ in range(3 * MAX_WAITING):  # 10 MB each, which nobody takes
+            await socket.send_json({"history": {"robot": "r0", "topic": "app/x/state"}})
+        await socket.send_json({"do": {"act": "stop"}})
+        await until(lambda: stops(feed) == [1, 1])
+
+    talk(feed, act, allowed=True)
+
+
+def test_a_later_stop_holds_though_the_end_of_the_one_before_is_confirmed_meanwhile(
+    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    control = Control(feed, SimulatedHands(feed))
+    control.do({"act": "arm"})
+    for name in feed.buses:
+        feed.picture.put(name, "mesh/stopped", {"stopped": False}, 0.0)
+    newest = feed.picture.newest
+
+    def interrupted(robot: str, topic: str) -> object:
+        monkeypatch.setattr(feed.picture, "newest", newest)
+        control.do({"act": "stop"})
+        return newest(robot, topic)
+
+    monkeypatch.setattr(feed.picture, "newest", interrupted)
+    control.repeat()
+    control.repeat()
+    assert stops(feed) == [2, 2]
+    assert all(isinstance(bus.published[-1][1], Stop) for bus in feed.buses.values())  # type: ignore[attr-defined]
+
+
+class Narrow(Bus):
+    """A way that takes no large messages."""
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        if len(str(message)) > 1000:
+            raise LocalError("too large")
+        super().publish(key, message)
+
+
+def test_a_parameter_that_the_way_does_not_take_ends_no_stop(feed: Simulation) -> None:
+    feed.buses = {"r0": Narrow(), "r1": Narrow()}  # type: ignore[dict-item]
+    control = Control(feed, SimulatedHands(feed))
+    with pytest.raises(LocalError, match="too large"):
+        control.do({"act": "set", "app": "x", "name": "gain", "value": "x" * 2000})
+    control.do({"act": "stop"})
+    control.repeat()
+    control.repeat()
+    assert stops(feed) == [3, 3]
+
+
+def test_stop_is_repeated_by_the_server_though_something_else_fails_there(
+    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = []
+
+    def fail(_: Control) -> None:
+        failed.append(True)
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr(Control, "_ask_again", fail)
+
+    async def main() -> None:
+        ended = asyncio.Event()
+
+        async def ready(_: str) -> None:
+            control.do({"act": "stop"})
+
+        control = Control(feed, SimulatedHands(feed))
+        serving = asyncio.create_task(server.serve(feed, control, 0, ready, ended))
+        await until(lambda: min(stops(feed)) >= 3 and len(failed) >= 2)
+        ended.set()
+        await serving
+
+    asyncio.run(main())
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["do", "pace", "history", "seek", "act", "robot", "topic", "speed", "paused", "t", "since"])
+            | st.text(max_size=3),
+            inner,
+            max_size=3,
+        )
+    ),
+    max_leaves=8,
+)
+
+
+@given(ANYTHING)
+def test_whatever_a_page_asks_is_answered(asked: object) -> None:
+    class Feed:
+        picture = server.Picture()
+        lock = threading.Lock()
+        buses: ClassVar[dict[str, Bus]] = {}
+        config = None
+
+        def set_pace(self, speed: float | None, paused: bool) -> None:
+            pass
+
+    feed: Any = Feed()
+    answer = server._answer(feed, Control(feed, None), asked)
+    assert len(answer) == 1
+    assert "defect" not in str(answer)
+    json.dumps(answer, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"pace":{"speed":1' + "0" * 400 + ',"paused":false}}',
+        '{"pace":{"speed":1e999,"paused":false}}',
+        '{"pace":{"speed":NaN,"paused":false}}',
+        '{"pace":{"speed":-Infinity,"paused":false}}',
+        '{"pace":{"speed":"nan","paused":false}}',
+        "[" * 4000,
+        '{"do":' * 600,
+        '{"do":{"act":"push","robot":"r0","impulse":1' + "0" * 400 + "}}",
+        '{"do":{"act":"set","app":"x","name":"gain","value":"\\ud800"}}',
+        '{"do":{"act":["stop"]}}',
+        '{"history":{"robot":"\\ud800","topic":"x"}}',
+        "1" * 4000,
+    ],
+)
+def test_no_json_ends_the_socket_of_a_page(feed: Simulation, text: str) -> None:
+    async def act(client: TestClient) -> None:
+        socket = await client.ws_connect(LIVE)
+        await socket.send_str(text)
+        assert await said(socket, "refused")
+        await socket.send_json({"do": {"act": "stop"}})
+        assert await said(socket, "done") == "stop given to all robots"
+        assert stops(feed) == [1, 1]
+
+    talk(feed, act, allowed=True)
+
+
+def test_questions_beyond_the_bound_are_refused_and_answers_that_nobody_reads_are_dropped() -> None:
+    async def main() -> None:
+        async def answer(asked: object) -> dict[str, Any]:
+            return {"done": str(asked)}
+
+        sent: list[str] = []
+
+        async def send(text: str) -> None:
+            sent.append(text)
+
+        questions = Questions(answer, answer, send)
+        for number in range(2 * MAX_WAITING):
+            await questions.take(number)
+        for _ in range(2 * MAX_WAITING):
+            await questions.take({"do": {"act": "stop"}})
+        running = asyncio.create_task(questions.run())
+        await until(lambda: f'{{"done": "{MAX_WAITING - 1}"}}' in sent)
+        assert sum("refused" in text for text in sent) == MAX_WAITING
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    asyncio.run(main())

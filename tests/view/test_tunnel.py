@@ -1,0 +1,136 @@
+"""The connection to a robot: whatever messages come through it, it stays, and a stop goes through it."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+from conftest import wait_until
+from test_reach import CONFIG, LEDS, Nothing
+
+from swarm.codec import encode
+from swarm.config import parse
+from swarm.fleet.ssh import Host
+from swarm.messages import View
+from swarm.view.control import Control
+from swarm.view.picture import REACH
+from swarm.view.robots import Robots
+from swarm.view.tunnel import Tunnel
+
+LOOKOUT = """
+import os, sys
+data = open(sys.argv[1], "rb").read()
+while data:
+    data = data[os.write(1, data):]
+while data := os.read(0, 4096):
+    with open(sys.argv[2], "ab") as file:
+        file.write(data)
+"""
+
+
+class Ssh:
+    """In place of ssh, a program that says what the test has written down, and notes what it is told."""
+
+    def __init__(self, folder: Path, said: bytes) -> None:
+        self.said, self.told = folder / "said", folder / "told"
+        self.said.write_bytes(said)
+
+    def arguments(self, host: Host, command: str) -> list[str]:
+        return [sys.executable, "-c", LOOKOUT, str(self.said), str(self.told)]
+
+
+def messages(*said: object) -> bytes:
+    return b"".join(msgpack.packb(each) for each in said)
+
+
+@pytest.fixture
+def watch(tmp_path: Path) -> Iterator[Callable[[bytes], tuple[Robots, Ssh]]]:
+    """A view of robots through r0, which says this."""
+    views: list[Robots] = []
+
+    def begin(said: bytes) -> tuple[Robots, Ssh]:
+        ssh: Any = Ssh(tmp_path, said)
+        views.append(Robots(parse(CONFIG, tmp_path / "swarm.toml"), [Host("r0", "r0")], ssh))
+        return views[-1], ssh
+
+    yield begin
+    for view in views:
+        view.close()
+
+
+ODD = [
+    5,
+    None,
+    [],
+    {"links": 5},
+    {"links": [5]},
+    {"links": [{"peer": {}}]},
+    {"members": 5},
+    {"members": [[1]]},
+    {"stopped": {}},
+]
+
+
+def test_odd_messages_of_other_robots_leave_the_connection_and_are_named(
+    watch: Callable[[bytes], tuple[Robots, Ssh]],
+) -> None:
+    """Each of them is a member that was captured."""
+    odd = [
+        ["key", f"swarm/r1/{topic}", msgpack.packb(value)]
+        for topic in ("mesh/links", "mesh/members", "mesh/stopped", "mesh/status", "app/x/progress", "balancer/fault")
+        for value in ODD
+    ]
+    for value in ODD:
+        values = {topic: msgpack.packb(value) for topic in ("mesh/links", "app/x/progress", "balancer/fault", "../..")}
+        odd.append(["key", "swarm/r2/mesh/view", encode(View(1.0, {}, values))])
+        odd.append(["key", "swarm/r2/mesh/view", msgpack.packb(value)])
+        odd.append(["key", "swarm/r0/mesh/members", msgpack.packb(value)])
+    odd.append(["key", "swarm/r2/mesh/view", encode(View(1.0, {"../x": "here", "": "gone"}, {}))])
+    odd += [
+        ["passed", "r1", "many"],
+        ["alive", "x", True],
+        ["alive", 5, 5],
+        ["key", "x"],
+        ["key", 1, 2],
+        [{}],
+        ["bus", 1],
+    ]
+    odd += [["passed", f"x{number}", 1] for number in range(100)]
+    view, ssh = watch(messages(*odd, ["bus", True], ["key", "swarm/r0/balancer/leds", LEDS]))
+
+    def newest(robot: str, topic: str) -> Any:
+        with view.lock:
+            return view.picture.newest(robot, topic)
+
+    wait_until(lambda: newest("r0", "balancer/leds"), what="what came behind the odd messages")
+    wait_until(lambda: (newest("r0", REACH) or {}).get("by") == "ssh")
+    tunnel = view.buses["r0"]
+    assert tunnel.connected
+    assert tunnel.problem == ""
+    assert view._thread.is_alive()
+    with view.lock:
+        named = {(event.robot, event.text.partition(" ")[0]) for event in view.picture.events}
+        assert {("r1", "mesh/links"), ("r1", "balancer/fault"), ("r2", "mesh/links"), ("r2", "mesh/view")} <= named
+        assert view.picture.refused >= len(ODD)
+        assert view.picture.hops() == {}
+
+    control = Control(view, Nothing())
+    control.do({"act": "stop"})
+    wait_until(lambda: ssh.told.exists() and b"swarm/stop" in ssh.told.read_bytes())
+
+
+def test_a_defect_in_taking_a_message_leaves_the_connection(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    taken: list[object] = []
+
+    def take(said: list[object]) -> None:
+        taken.append(said)
+        raise TypeError("a defect")
+
+    ssh: Any = Ssh(tmp_path, messages(["bus", True], ["bus", False]))
+    tunnel = Tunnel(ssh, Host("r0", "r0"), take, lambda: None)
+    wait_until(lambda: len(taken) == 2)
+    assert tunnel.connected
+    tunnel.close()
+    assert caplog.text.count("a message that came through r0 could not be taken") == 2
