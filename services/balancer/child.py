@@ -34,6 +34,8 @@ class Bridge:
         self._pid = 0
         self._socket: socket.socket | None = None
         self._stops: socket.socket | None = None
+        self._stop_is_there = select.poll()
+        """Asked in each tick: that costs a third of a look into an empty socket."""
         self._started = now
         self.dropped = 0
         """Messages that did not fit or found no bridge."""
@@ -51,8 +53,10 @@ class Bridge:
 
     def stop(self) -> Stop | None:
         """The first stop that the bridge sent since the last call; None where it sent none."""
+        if self._stops is None or not self._stop_is_there.poll(0):
+            return None
         first = self._receive(self._stops)
-        if first is None:
+        if first is None:  # the bridge is gone
             return None
         for _ in range(_STOPS_AT_ONCE - 1):
             if self._receive(self._stops) is None:
@@ -137,3 +141,5 @@ class Bridge:
         theirs.close()
         their_stops.close()
         self._pid, self._socket, self._stops = pid, ours, our_stops
+        self._stop_is_there = select.poll()
+        self._stop_is_there.register(our_stops, select.POLLIN)
