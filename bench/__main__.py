@@ -13,6 +13,7 @@ AREAS = {
     "mesh": "flood and unicast between real processes, beside the links' latency; a lost link",
     "transfer": "a megabyte over three hops of 78 kB/s, by unicast and by flood, beside lockstep",
     "balancer": "lateness of the 100 Hz loop under load, beside cyclictest (needs the package rt-tests)",
+    "stop": "time from a stop to motors off, by each way it can take, quiet and under load",
     "session": "what authentication costs a link: bytes and CPU time of a frame",
     "localization": "the pose of a moving robot beside moving averages and multilateration, and what it costs",
     "apps": "consensus and localization beside the thesis: table 4.1, rounds, errors, lines an author writes",

@@ -21,7 +21,8 @@ from swarm import clock
 from swarm.bus_config import client_config, router_config
 from swarm.codec import MAX_BINARY, encode
 from swarm.errors import BusError, LocalError
-from swarm.keys import MAX_KEY_LENGTH
+from swarm.keys import MAX_KEY_LENGTH, STOP
+from swarm.messages.service import stop_payload
 from swarm.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 # One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round
@@ -143,7 +144,7 @@ class Outlet:
         self._publisher = session.declare_publisher(
             key,
             congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
+            priority=_priority(key, urgent),
             # Subscribers hear other sessions only; else those of this one would be its audience.
             allowed_destination=zenoh.Locality.REMOTE,
         )
@@ -162,6 +163,13 @@ class Outlet:
     def put(self, payload: bytes, encoding: str) -> None:
         """Send. Raises `zenoh.ZError`."""
         self._publisher.put(payload, encoding=encoding)
+
+
+def _priority(key: str, urgent: bool) -> zenoh.Priority:
+    """Stops have a queue of their own, here as in the router: they wait for nothing else, however urgent it is."""
+    if key == STOP:
+        return zenoh.Priority.REAL_TIME
+    return zenoh.Priority.INTERACTIVE_HIGH if urgent else zenoh.Priority.DATA
 
 
 class Bus:
@@ -213,8 +221,9 @@ class Bus:
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """Send a message dataclass (as msgpack) or raw bytes; silently lost while the router is away.
 
-        `urgent` puts it ahead of the queue that a flood of other messages fills. Raises `LocalError` only for
-        a key or message that the bus does not take at all, router or not. A message that nobody hears is not looked at.
+        `urgent` puts it ahead of the queue that a flood of other messages fills; a stop is ahead of both. Raises
+        `LocalError` only for a key or message that the bus does not take at all, router or not, and never for a stop. A
+        message that nobody hears is not looked at.
         """
         if len(key) > MAX_KEY_LENGTH:
             raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
@@ -223,7 +232,9 @@ class Bus:
             outlet = None if session is None else self._outlet(session, key, urgent)
             if outlet is not None and not outlet.heard():
                 return
-            if isinstance(message, bytes | bytearray):
+            if key == STOP:
+                payload, encoding = stop_payload(message), MSGPACK
+            elif isinstance(message, bytes | bytearray):
                 payload, encoding = bytes(message), BINARY
                 if len(payload) > MAX_BINARY:
                     raise LocalError(f"{key}: {len(payload)} bytes, the bus takes at most {MAX_BINARY}")

@@ -44,3 +44,14 @@ def test_an_area_is_needed(arguments):
     assert done.returncode == 2
     for area in AREAS:
         assert area in done.stderr or not arguments
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_smoke_run_of_the_stop_bench_has_all_rows_and_loses_no_stop():
+    stop = importlib.import_module("bench.stop")
+    rows = list(stop.rows(smoke=True))
+    assert [row.name for row in rows if row.goal is not None] == ["stops that were lost"]
+    assert len([row for row in rows if "beyond quiet" in row.name]) == len(stop.WAYS) * len(stop.CONDITIONS)
+    assert rows[-1].value == 0
+    assert all(math.isfinite(row.value) for row in rows)

@@ -14,7 +14,8 @@ from conftest import Processes, wait_until
 from swarm.bus import Bus, Outlet, Router
 from swarm.codec import MAX_BINARY
 from swarm.errors import BusError, LocalError
-from swarm.messages import Leds, read
+from swarm.messages import Leds, Stop, read
+from swarm.messages.service import MAX_STOP_TEXT
 from swarm.paths import bus_endpoint
 
 Open = Callable[[], Bus]
@@ -63,6 +64,21 @@ def test_a_message_travels_typed(open_bus: Open) -> None:
     alice.publish("swarm/r0/balancer/leds", Leds(1.0, red=True, yellow=False, green=True), urgent=True)
     wait_until(lambda: "swarm/r0/balancer/leds" in dict(samples))
     assert read("swarm/r0/balancer/leds", dict(samples)["swarm/r0/balancer/leds"]) == Leds(1.0, True, False, True)
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_a_stop_that_is_too_large_or_cannot_be_packed_arrives_empty(open_bus: Open) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe(("swarm/stop", "swarm/r0/test/x"), samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    for stop in (bytes(900_000), bytes(2_000_000), Stop(0.0, "\ud800", ""), object()):
+        count = len(samples)
+        alice.publish("swarm/stop", stop)
+        wait_until(lambda: ("swarm/stop", b"") in samples[count:], what="the stop")  # noqa: B023
+    alice.publish("swarm/stop", Stop(1.0, "r0", "x" * 100_000))
+    wait_until(lambda: samples[-1][1] not in (b"", b"hello"))
+    assert read(*samples[-1]) == Stop(1.0, "r0", "x" * MAX_STOP_TEXT)
 
 
 @pytest.mark.usefixtures("bus_service")

@@ -1,6 +1,7 @@
 """Every message type survives the bus, and docs/keys.md tells the truth about all of them."""
 
 import dataclasses
+import math
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import typing
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,6 +20,13 @@ from swarm.codec import decode, encode
 from swarm.errors import PayloadError
 from swarm.keys import STOP, key
 from swarm.messages import AppState, SetLeds, SetMode, Status, Stop, read, topics, type_of
+from swarm.messages.service import MAX_STOP_TEXT, stop_payload
+
+MAPS = st.dictionaries(
+    st.sampled_from(["t", "origin", "reason", "severity"]),
+    st.none() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(max_size=200) | st.binary(max_size=9),
+)
+"""Maps like a stop of this or another release."""
 
 TYPES = sorted({*topics().values(), Stop}, key=lambda kind: kind.__name__)
 
@@ -62,6 +71,41 @@ def test_any_bytes_are_read_or_refused(kind: type, payload: bytes) -> None:
 def test_any_key_is_read_or_refused(text: str, payload: bytes) -> None:
     with pytest.raises(PayloadError):
         read(text, payload)
+
+
+@given(st.binary(max_size=200) | MAPS.map(msgpack.packb))
+def test_any_payload_under_the_stop_key_is_a_stop_with_bounded_texts(payload: bytes) -> None:
+    stop = read(STOP, payload)
+    assert isinstance(stop, Stop)
+    assert math.isfinite(stop.t)
+    assert max(len(stop.origin), len(stop.reason)) <= MAX_STOP_TEXT
+    assert read(STOP, stop_payload(stop)) == stop
+
+
+def test_a_stop_says_who_and_why_as_far_as_it_can_be_read() -> None:
+    proper = {"t": 2.0, "origin": "r1", "reason": "enough"}
+    assert read(STOP, msgpack.packb(proper)) == Stop(2.0, "r1", "enough")
+    assert read(STOP, msgpack.packb({**proper, "severity": 3})) == Stop(2.0, "r1", "enough")
+    assert read(STOP, msgpack.packb({"reason": "enough", "t": math.nan})) == Stop(0.0, "unknown", "enough")
+    assert read(STOP, msgpack.packb({**proper, "origin": 7, "reason": ["x"]})) == Stop(2.0, "unknown", "")
+    assert read(STOP, msgpack.packb({**proper, "reason": "x" * 60_000})).reason == "x" * MAX_STOP_TEXT
+    for payload in (b"", b"stop!", msgpack.packb([1]), b"\x91" * 4000, bytes(900_000)):
+        assert read(STOP, payload) == Stop(0.0, "unknown", "unreadable stop message")
+
+
+@given(st.text(max_size=300), st.text(max_size=300), st.floats())
+def test_any_stop_can_be_published(origin: str, reason: str, t: float) -> None:
+    stop = read(STOP, stop_payload(Stop(t, origin, reason)))
+    assert (stop.origin, stop.reason) in {
+        (origin[:MAX_STOP_TEXT], reason[:MAX_STOP_TEXT]),
+        ("unknown", "unreadable stop message"),
+    }
+
+
+def test_what_cannot_be_published_as_a_stop_is_published_empty() -> None:
+    for message in (bytes(5000), Stop(0.0, "\ud800", ""), object()):
+        assert stop_payload(message) == b""
+    assert stop_payload(b"odd") == b"odd"
 
 
 @pytest.mark.parametrize(

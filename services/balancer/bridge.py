@@ -1,17 +1,26 @@
 """The balancer's half that speaks to the bus: publishes what the loop tells, hands it the commands that pass.
 
-`python -m services.balancer.bridge FD`, started by the loop with its end of their socket pair. Ends with the loop.
+`python -m services.balancer.bridge FD STOPS`, started by the loop with its ends of their two socket pairs. Ends with
+the loop.
+
+A stop is handed to the loop by Zenoh's thread at once. Commands are only put aside by that thread, since whatever it
+does with a command, the stop behind it on the bus waits for; the main thread checks them and hands them on, so many a
+tick as the loop takes, between the telemetry that it publishes.
 """
 
 import contextlib
 import math
+import os
+import select
 import socket
 import sys
+import threading
 
 from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
+from services.balancer.core.inbox import Inbox, Waiting
 from services.balancer.core.requests import check
 from services.balancer.core.screen import Composer
-from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, unpack
+from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
 from swarm import clock
 from swarm.codec import encode
 from swarm.errors import LocalError, PayloadError
@@ -34,6 +43,7 @@ from swarm.messages import (
     Parameters,
     SetDisplay,
     SetMode,
+    Stop,
     Uwb,
     read,
 )
@@ -44,6 +54,10 @@ SILENCE_S = 1.0
 """A loop that said nothing for so long is stuck."""
 _POLL_S = 0.25
 """How soon a SIGTERM is seen."""
+_TURN_S = 0.01
+"""Least time between two times that commands are handed to the loop: its period."""
+_COMMANDS_A_TURN = 8
+"""As many as the loop takes in a tick (`services.balancer.child`)."""
 _LOG_PERIOD_S = 5.0
 """Of refused commands: a flood of them is counted, not logged one by one."""
 
@@ -75,10 +89,17 @@ _COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes",
 class Relay:
     """Both directions between the loop's socket and the bus."""
 
-    def __init__(self, service: Service, loop: socket.socket) -> None:
+    def __init__(self, service: Service, loop: socket.socket, stops: socket.socket) -> None:
         self._service = service
         self._loop = loop
-        self._loop.settimeout(_POLL_S)
+        self._stops = stops
+        self._lock = threading.Lock()
+        """Around the inbox, which Zenoh's thread fills."""
+        self._inbox = Inbox(newest_only=key(service.robot, "balancer", "set", "velocity"))
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        """Written when the inbox is empty no longer; open until the process ends."""
+        self._turn_at = 0.0
+        """When commands may be handed to the loop again."""
         self._logged = -_LOG_PERIOD_S
         self._heard = clock.now()
         self._notices = 0
@@ -89,32 +110,49 @@ class Relay:
         self._mode = ""
         self._lane = Sender(service.runtime)
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
-        service.bus.subscribe([STOP, *commands], self._command)
+        service.bus.subscribe(STOP, self._stop)
+        service.bus.subscribe(commands, self._put)
         self._composer = Composer(service.robot)
         service.bus.subscribe([key(service.robot, "app", "*", "state", SLOW)], self._app_state)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
+        poll = select.poll()
+        poll.register(self._loop, select.POLLIN)
+        poll.register(self._wake, select.POLLIN)
         while not self._service.stopping.is_set():
-            try:
-                datagram = self._loop.recv(MAX_DATAGRAM)
-            except TimeoutError:
-                if clock.now() - self._heard > SILENCE_S:
-                    self._service.degraded("the control loop is silent")
-                continue
-            except ConnectionError:
-                datagram = b""
-            if not datagram:
+            wait_s = _POLL_S if not self._inbox else min(_POLL_S, max(0.0, self._turn_at - clock.now()))
+            ready = [descriptor for descriptor, _ in poll.poll(math.ceil(wait_s * 1e3))]
+            if self._loop.fileno() in ready and not self._take():
                 self._service.log.info("the control loop ended")
                 return
+            if self._wake in ready:
+                os.eventfd_read(self._wake)
+            now = clock.now()
+            if now - self._heard > SILENCE_S:
+                self._service.degraded("the control loop is silent")
+            if self._inbox and now >= self._turn_at:
+                self._turn_at = now + _TURN_S
+                self._hand_over_some()
+
+    def _take(self) -> bool:
+        """Publish a message of the loop; False where the loop has ended."""
+        try:
+            datagram = self._loop.recv(MAX_DATAGRAM, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return True
+        except ConnectionError:
+            return False
+        if datagram:
             self._heard = clock.now()
             self._publish(unpack(datagram))
+        return bool(datagram)
 
     def _publish(self, message: Message) -> None:
         if isinstance(message, BalancerState):
             self._composer.take_state(message)
             if (text := self._composer.lines(self._heard)) is not None:
-                self._hand_over(text, "display")
+                self._hand_over(text, "display", self._heard)
             if message.mode == FAULT:
                 self._service.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
@@ -129,8 +167,35 @@ class Relay:
         # The body's state goes ahead of whatever floods the bus.
         self._service.bus.publish(name, message, urgent=True)
 
-    def _command(self, name: str, payload: bytes) -> None:
-        """Runs on Zenoh's thread: check, and pass on without waiting."""
+    def _stop(self, name: str, payload: bytes) -> None:
+        """A sample of `swarm/stop`, on Zenoh's thread: to the loop at once, whatever the payload is."""
+        stop = read(name, payload)
+        assert isinstance(stop, Stop)
+        # Where the socket is full, there are stops in it that the loop has not taken yet; or the loop is gone.
+        with contextlib.suppress(OSError):
+            self._stops.send(pack(stop), socket.MSG_DONTWAIT)
+
+    def _put(self, name: str, payload: bytes) -> None:
+        """A command, on Zenoh's thread: aside with it."""
+        with self._lock:
+            first = not self._inbox
+            self._inbox.put(Waiting(name, payload, clock.now()))
+        if first:
+            os.eventfd_write(self._wake, 1)
+
+    def _hand_over_some(self) -> None:
+        """Check the commands that have waited longest and hand them to the loop, and tell which found no room."""
+        if not select.select([], [self._loop], [], 0.0)[1]:
+            return  # the loop is stuck: commands wait for it, as long as there is room
+        with self._lock:
+            commands, dropped = self._inbox.take(_COMMANDS_A_TURN), self._inbox.dropped()
+        for name, count in dropped.items():
+            self._refuse(name, "dropped", f"{name}: {count} commands, more than the control loop takes", count)
+        for name, payload, heard in commands:
+            self._command(name, payload, heard)
+
+    def _command(self, name: str, payload: bytes, heard: float) -> None:
+        """Check a command, and pass it on without waiting."""
         try:
             message = read(name, payload)
         except PayloadError as error:
@@ -149,7 +214,7 @@ class Relay:
             until = math.inf if message.seconds is None else clock.now() + message.seconds
             self._composer.take_text(message.text, until)
         elif isinstance(message, Command):
-            self._hand_over(message, name)
+            self._hand_over(message, name, heard)
 
     def _app_state(self, name: str, payload: bytes) -> None:
         """For the display; runs on Zenoh's thread. What is none is its sender's business."""
@@ -157,17 +222,17 @@ class Relay:
             if isinstance(message := read(name, payload), AppState):
                 self._composer.take_app(parse(name).topic.partition("/")[0], message)
 
-    def _hand_over(self, message: Command, name: str) -> None:
+    def _hand_over(self, message: Command, name: str, heard: float) -> None:
         """To the loop, or away with it where that does not take it."""
         try:
-            self._loop.send(pack(message), socket.MSG_DONTWAIT)
+            self._loop.send(pack_command(heard, message), socket.MSG_DONTWAIT)
         except BlockingIOError:
             self._refuse(name, "dropped", f"{name}: the control loop does not take commands")
         except OSError:
             return  # the loop is gone, and so are we in a moment
 
-    def _refuse(self, name: str, counter: str, reason: str) -> None:
-        self._service.counters[counter] += 1
+    def _refuse(self, name: str, counter: str, reason: str, count: int = 1) -> None:
+        self._service.counters[counter] += count
         now = clock.now()
         if now - self._notices_since >= 1.0:
             self._notices, self._notices_since = 0, now
@@ -183,12 +248,11 @@ class Relay:
 def main() -> None:
     """Bridge until the loop ends."""
     try:
-        descriptor = int(sys.argv[1])
-        loop = socket.socket(fileno=descriptor)
-    except (IndexError, ValueError, OSError):
+        loop, stops = (socket.socket(fileno=int(text)) for text in sys.argv[1:])
+    except (ValueError, OSError):
         raise LocalError("the bridge is started by `python -m services.balancer`, not by hand") from None
-    with contextlib.closing(loop), Service("balancer") as service:
-        Relay(service, loop).run()
+    with contextlib.closing(loop), contextlib.closing(stops), Service("balancer") as service:
+        Relay(service, loop, stops).run()
 
 
 if __name__ == "__main__":

@@ -8,8 +8,9 @@ import signal
 import socket
 import sys
 
-from services.balancer.link import MAX_DATAGRAM, Message, pack, unpack
+from services.balancer.link import MAX_DATAGRAM, Message, pack, unpack, unpack_command
 from swarm.errors import PayloadError
+from swarm.messages import Stop
 
 MODULE = "services.balancer.bridge"
 RESTART_S = 1.0
@@ -17,6 +18,8 @@ RESTART_S = 1.0
 _GRACE_S = 2.0
 _COMMANDS_AT_ONCE = 8
 """A flood of commands may not eat up the slack of a tick."""
+_STOPS_AT_ONCE = 64
+"""Stops that are taken from the socket in a tick; all but the first are not looked at."""
 _NOT_FOR_THE_BRIDGE = ("NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC")
 """systemd hears of the loop, not of the bridge."""
 
@@ -30,6 +33,9 @@ class Bridge:
         """Starts the process."""
         self._pid = 0
         self._socket: socket.socket | None = None
+        self._stops: socket.socket | None = None
+        self._stop_is_there = select.poll()
+        """Asked in each tick: that costs a third of a look into an empty socket."""
         self._started = now
         self.dropped = 0
         """Messages that did not fit or found no bridge."""
@@ -45,18 +51,27 @@ class Bridge:
         self.dropped += 1
         return False
 
-    def commands(self) -> list[Message]:
-        """What the bridge sent since the last call, a few at most."""
-        received: list[Message] = []
-        while self._socket is not None and len(received) < _COMMANDS_AT_ONCE:
-            try:
-                datagram = self._socket.recv(MAX_DATAGRAM)
-            except OSError:  # nothing there
+    def stop(self) -> Stop | None:
+        """The first stop that the bridge sent since the last call; None where it sent none."""
+        if self._stops is None or not self._stop_is_there.poll(0):
+            return None
+        first = self._receive(self._stops)
+        if first is None:  # the bridge is gone
+            return None
+        for _ in range(_STOPS_AT_ONCE - 1):
+            if self._receive(self._stops) is None:
                 break
-            if not datagram:  # the bridge is gone
-                break
+        with contextlib.suppress(PayloadError):
+            if isinstance(message := unpack(first), Stop):
+                return message
+        return Stop(0.0, "", "")
+
+    def commands(self) -> list[tuple[float, Message]]:
+        """The commands that the bridge sent since the last call, a few at most, and when it had heard each, s."""
+        received: list[tuple[float, Message]] = []
+        while len(received) < _COMMANDS_AT_ONCE and (datagram := self._receive(self._socket)) is not None:
             try:
-                received.append(unpack(datagram))
+                received.append(unpack_command(datagram))
             except PayloadError as error:
                 _log.warning("the bridge sent what is no message: %s", error)
         return received
@@ -87,27 +102,44 @@ class Bridge:
             os.close(descriptor)
             self._forget()
 
+    @staticmethod
+    def _receive(end: socket.socket | None) -> bytes | None:
+        """The next datagram; None where there is none, or no bridge."""
+        if end is None:
+            return None
+        try:
+            return end.recv(MAX_DATAGRAM) or None
+        except OSError:
+            return None
+
     def _forget(self) -> None:
         self._pid = 0
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        for end in (self._socket, self._stops):
+            if end is not None:
+                end.close()
+        self._socket = self._stops = None
 
     def _start(self, now: float) -> None:
         """Fork and exec: a fork of this one-threaded process returns at once, while posix_spawn and subprocess hold the
         parent until the child, which has no real-time priority, was given a CPU and reached its exec."""
         self._started = now
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
+        our_stops.setblocking(False)
         environment = {name: value for name, value in os.environ.items() if name not in _NOT_FOR_THE_BRIDGE}
         environment["SWARM_PARENT"] = str(os.getpid())
-        command = [sys.executable, "-m", MODULE, str(theirs.fileno())]
+        command = [sys.executable, "-m", MODULE, str(theirs.fileno()), str(their_stops.fileno())]
         pid = os.fork()
         if pid == 0:
             try:
                 theirs.set_inheritable(True)
+                their_stops.set_inheritable(True)
                 os.execve(sys.executable, command, environment)  # noqa: S606
             finally:
                 os._exit(127)
         theirs.close()
-        self._pid, self._socket = pid, ours
+        their_stops.close()
+        self._pid, self._socket, self._stops = pid, ours, our_stops
+        self._stop_is_there = select.poll()
+        self._stop_is_there.register(our_stops, select.POLLIN)

@@ -1,10 +1,12 @@
 """What the loop and the bridge tell each other: one datagram a message, a kind byte and the message as msgpack.
 
-They share a pair of connected Unix sockets (SOCK_SEQPACKET: whole messages in order, and the end of one side shows at
-the other). The loop's end never blocks: what does not fit is dropped, so a bridge that hangs costs telemetry and
-nothing else.
+They share two pairs of connected Unix sockets (SOCK_SEQPACKET: whole messages in order, and the end of one side shows
+at the other). One pair carries telemetry to the bridge and commands to the loop; in front of each command is the time
+at which the bridge heard it. The other pair carries stops and nothing else, so that no other message delays a stop.
+The loop's ends never block: what does not fit is dropped, so a bridge that hangs costs telemetry and nothing else.
 """
 
+import struct
 from typing import get_args
 
 from services.balancer.core.display import ScreenText
@@ -72,7 +74,9 @@ _KINDS: dict[bytes, type[Message]] = {bytes((n,)): kind for n, kind in enumerate
 """Numbered as they stand above: loop and bridge are always of one version, since one starts the other."""
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}
 
-MAX_DATAGRAM = MAX_PAYLOAD + 1
+_HEARD = struct.Struct("<d")
+
+MAX_DATAGRAM = MAX_PAYLOAD + 1 + _HEARD.size
 
 
 def pack(message: Message) -> bytes:
@@ -87,3 +91,15 @@ def unpack(datagram: bytes) -> Message:
     except KeyError:
         raise PayloadError(f"datagram of kind {datagram[:1]!r}: there is none") from None
     return decode(kind, datagram[1:], "link")
+
+
+def pack_command(heard: float, command: Command) -> bytes:
+    """The datagram that carries a command which the bridge heard at the time `heard`, s."""
+    return _HEARD.pack(heard) + pack(command)
+
+
+def unpack_command(datagram: bytes) -> tuple[float, Message]:
+    """When a command was heard, and the command; raises `PayloadError` where the datagram carries none."""
+    if len(datagram) < _HEARD.size:
+        raise PayloadError(f"command of {len(datagram)} bytes")
+    return _HEARD.unpack_from(datagram)[0], unpack(datagram[_HEARD.size :])

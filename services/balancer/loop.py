@@ -1,12 +1,14 @@
 """The 100 Hz loop: one thread on absolute deadlines, the control step first, all else in what is left of the tick.
 
-    wake -> read, estimate, decide, command the motors -> commands in, telemetry out, LEDs, battery, bridge -> sleep
+    wake -> stops in -> read, estimate, decide, command the motors -> commands in, telemetry out, LEDs, battery, bridge
+    -> sleep
 
 It never touches the bus (Zenoh): a second process does (`services.balancer.bridge`), joined by a socket that never
 blocks. A tick that comes late works with the time that really passed; ticks that were missed are not made up for.
 """
 
 import logging
+import math
 import signal
 import time
 from collections.abc import Callable
@@ -21,7 +23,7 @@ from services.balancer.core.gyro import Zero
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import I2CBus, open_patiently
-from services.balancer.orders import obey
+from services.balancer.orders import halt, moves, obey
 from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
 from swarm import clock, log
@@ -60,6 +62,7 @@ class Loop:
         self._stopping = False
         self._announced = False
         self._leds_at = 0.0
+        self._stopped_at = -math.inf
         self.ticks = 0
         self.missed = 0
 
@@ -80,9 +83,12 @@ class Loop:
                 sleep(wait)
             started = now()
             self._lateness.add(started - deadline)
+            stopped = self._look_for_stop(started)
             step(started)
             self.ticks += 1
             deadline += PERIOD_S
+            if stopped and self._balancer.fault is not None:
+                _log.warning("%s", self._balancer.fault.reason)
             self._use_slack(deadline)
             behind = now() - deadline
             if behind > 0.0:
@@ -90,11 +96,21 @@ class Loop:
                 self.missed += skipped
                 deadline += skipped * PERIOD_S
 
+    def _look_for_stop(self, now: float) -> bool:
+        """Obey a stop before the control step, whose motor command is then zero; True where it is a new one."""
+        stop = self._bridge.stop()
+        if stop is None:
+            return False
+        self._stopped_at = now
+        return halt(self._balancer, stop)
+
     def _use_slack(self, until: float) -> None:
         """A little at each tick: no tick shall have to do all of it. The next one is at `until`."""
-        for message in self._bridge.commands():
+        for heard, message in self._bridge.commands():
             now = clock.now()
-            if not (obey(self._balancer, message, now) or self._chores.obey(message, now)):
+            if heard <= self._stopped_at and moves(message):
+                self._balancer.notices.append(("stop", "refused: a command that was given before the stop is void"))
+            elif not (obey(self._balancer, message, now) or self._chores.obey(message, now)):
                 _log.warning("the bridge sent a %s", type(message).__name__)
         self._show_leds(clock.now())
         part = self.ticks % TELEMETRY_TICKS

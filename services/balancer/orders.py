@@ -8,9 +8,6 @@ from services.balancer.link import Message
 from swarm.errors import LocalError
 from swarm.messages import SetLeds, SetMode, SetParameters, SetVelocity, Stop
 
-MAX_REASON = 100
-"""Characters of a stop's reason and origin that are kept."""
-
 _log = logging.getLogger("balancer")
 
 
@@ -27,14 +24,19 @@ def obey(balancer: Balancer, message: Message, now: float) -> bool:
                 _log.info("changed %s", " ".join(f"{name}={value:g}" for name, value in parameters.items()))
         case SetLeds(red, yellow, green, seconds, at):
             _or_refuse(balancer, "leds", lambda: balancer.claim_leds((red, yellow, green), seconds, now, at))
-        case Stop(_, origin, reason):
-            # It comes back in every state message: others' prose must not make those too large to send.
-            why = f"{reason[:MAX_REASON] or 'no reason given'} (by {origin[:MAX_REASON]})"
-            if balancer.stop(why):
-                _log.warning("stopped: %s", why)
         case _:
             return False
     return True
+
+
+def halt(balancer: Balancer, stop: Stop) -> bool:
+    """Motors off, whatever the robot does; True where that is new."""
+    return balancer.stop(f"{stop.reason or 'no reason given'} (by {stop.origin or 'unknown'})")
+
+
+def moves(message: Message) -> bool:
+    """Whether a command may set a robot in motion, or keep it moving."""
+    return isinstance(message, SetVelocity) or (isinstance(message, SetMode) and message.mode != "rest")
 
 
 def _or_refuse(balancer: Balancer, about: str, action: Callable[[], None]) -> bool:

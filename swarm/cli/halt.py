@@ -224,7 +224,7 @@ def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:
 
 def _give(name: str, bus: Bus, *, stop: bool, reason: str) -> None:
     if stop:
-        bus.publish(STOP, Stop(clock.now(), name, reason), urgent=True)
+        bus.publish(STOP, Stop(clock.now(), name, reason))
     else:
         bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), "swarm arm"), urgent=True)
 

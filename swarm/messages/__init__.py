@@ -244,7 +244,14 @@ def type_of(key: str) -> type | None:
 
 
 def read(key: str, payload: bytes) -> object:
-    """Decode a payload by its key; `PayloadError` where the key is unknown or the payload not of its type."""
+    """Decode a payload by its key; `PayloadError` where the key is unknown or the payload not of its type.
+
+    Any payload under `swarm/stop` is a `Stop`: every reader of that key has to take this function.
+    """
+    if key == STOP:
+        from swarm.messages.service import stop_of
+
+        return stop_of(payload)
     kind = type_of(key)
     if kind is None:
         raise PayloadError(f"{key}: no message travels under this key (docs/keys.md lists them)")

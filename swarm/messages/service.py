@@ -1,6 +1,16 @@
 """Messages of every service, and the one for all of them."""
 
+import math
+
+from swarm.codec import encode, unpack
+from swarm.errors import LocalError, PayloadError
 from swarm.frozen import frozen
+
+MAX_STOP_TEXT = 100
+"""Characters of a stop's origin and reason that are kept. They come back in every state message of a balancer: others'
+prose must not make those too large to send."""
+MAX_STOP = 4096
+"""Bytes of a stop's payload that are sent: more is only in the way of the stop."""
 
 
 @frozen
@@ -27,6 +37,38 @@ class Stop:
     t: float
     origin: str
     reason: str
+
+
+def stop_of(payload: bytes) -> Stop:
+    """The stop of a sample of `swarm/stop`, whatever its payload: that says who stops and why, never whether.
+
+    A field that is missing or of a wrong type has a neutral value, and unknown fields (of another release) are left
+    out. Never raises.
+    """
+    try:
+        fields = unpack(payload)
+    except PayloadError:
+        fields = None
+    if not isinstance(fields, dict):
+        return Stop(0.0, "unknown", "unreadable stop message")
+    t, origin, reason = (fields.get(name) for name in ("t", "origin", "reason"))
+    return Stop(
+        t if isinstance(t, float) and math.isfinite(t) else 0.0,
+        origin[:MAX_STOP_TEXT] if isinstance(origin, str) else "unknown",
+        reason[:MAX_STOP_TEXT] if isinstance(reason, str) else "",
+    )
+
+
+def stop_payload(message: object) -> bytes:
+    """The payload under which a stop is published; empty where `message` is too long or cannot be packed, since an
+    empty payload stops, too, and an exception would not. Never raises."""
+    if isinstance(message, Stop):
+        message = Stop(message.t, message.origin[:MAX_STOP_TEXT], message.reason[:MAX_STOP_TEXT])
+    try:
+        payload = bytes(message) if isinstance(message, bytes | bytearray) else encode(message)
+    except LocalError:
+        return b""
+    return payload if len(payload) <= MAX_STOP else b""
 
 
 @frozen

@@ -230,11 +230,13 @@ def test_the_bridge_dies_with_the_loop(processes: Processes, watcher: Watcher) -
 
 def test_the_bridge_ends_when_the_loop_lets_go(processes: Processes, router: object) -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours, theirs:
+    our_stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs, our_stops, their_stops:
+        descriptors = [theirs.fileno(), their_stops.fileno()]
         bridge = subprocess.Popen(
-            [sys.executable, "-m", "services.balancer.bridge", str(theirs.fileno())],
+            [sys.executable, "-m", "services.balancer.bridge", *map(str, descriptors)],
             env=processes.environment(),
-            pass_fds=[theirs.fileno()],
+            pass_fds=descriptors,
             stderr=subprocess.DEVNULL,
         )
         theirs.close()

@@ -1,5 +1,6 @@
 """The loop on a virtual clock with a bridge made of lists: what it does when, and what it leaves out when late."""
 
+import math
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -11,9 +12,8 @@ from hypothesis import strategies as st
 from services.balancer import loop as loop_module
 from services.balancer.chores import Chores
 from services.balancer.core.gyro import Zero
-from services.balancer.link import pack, unpack
+from services.balancer.link import pack, pack_command, unpack, unpack_command
 from services.balancer.loop import Loop
-from services.balancer.orders import MAX_REASON
 from services.balancer.telemetry import Telemetry
 from swarm.errors import PayloadError
 from swarm.messages import (
@@ -37,15 +37,22 @@ class Lists:
     def __init__(self) -> None:
         self.sent: list = []
         self.incoming: list = []
+        self.heard = math.inf
+        """When the commands were heard by the bridge."""
         self.looks = 0
 
     def send(self, message) -> bool:
         self.sent.append(unpack(pack(message)))
         return True
 
+    def stop(self) -> Stop | None:
+        stops = [message for message in self.incoming if isinstance(message, Stop)]
+        self.incoming = [message for message in self.incoming if not isinstance(message, Stop)]
+        return stops[0] if stops else None
+
     def commands(self) -> list:
         taken, self.incoming = self.incoming, []
-        return taken
+        return [(self.heard, message) for message in taken]
 
     def keep_up(self, now: float) -> None:
         self.looks += 1
@@ -177,7 +184,7 @@ def test_faults_and_notices_are_told_once_and_faults_again_each_second(monkeypat
 
 def test_a_flood_of_wrong_commands_costs_at_most_a_notice_a_slot(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = VirtualLoop(monkeypatch, upright().run(1))
-    loop.bridge.commands = lambda: [SetVelocity(9.0, 0.0, 1.0)] * 8
+    loop.bridge.commands = lambda: [(math.inf, SetVelocity(9.0, 0.0, 1.0))] * 8
     loop.run(100)
     assert 20 < len(loop.bridge.of(Notice)) <= 25
 
@@ -239,10 +246,51 @@ def test_commands_are_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
     loop.bridge.incoming = [SetLeds(True, False, True)]
     loop.run(2)
     assert loop.rig.robot.atmega.leds == (True, False, True)
-    loop.bridge.incoming = [Stop(1.0, "o" * 60_000, "r" * 5000)]
+    loop.bridge.incoming = [Stop(1.0, "", "")]
     loop.run(10)
     state = loop.bridge.of(BalancerState)[-1]
-    assert (state.mode, len(state.fault)) == ("fault", 2 * MAX_REASON + len("stopped:  (by )"))
+    assert (state.mode, state.fault) == ("fault", "stopped: no reason given (by unknown)")
+
+
+def test_a_stop_is_obeyed_by_the_motor_command_of_the_same_tick(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    loop.rig.body.push(0.05)
+    loop.run(5)
+    commanded: list[tuple[int, tuple[float, float]]] = []
+    drive = loop.rig.body.drive
+    loop.rig.body.drive = lambda left, right: (
+        commanded.append((len(loop.started), (left, right))),
+        drive(left, right),
+    )
+    loop.run(2)
+    last = len(loop.started)
+    assert commanded[-1][1] != (0.0, 0.0)
+    loop.bridge.incoming = [*[SetVelocity(0.5, 0.0, 1.0)] * 100, Stop(1.0, "r1", "enough")]
+    loop.run(2)
+    assert [duties for tick, duties in commanded if tick == last + 1] == [(0.0, 0.0)]
+    assert {duties for tick, duties in commanded if tick > last} == {(0.0, 0.0)}
+
+
+def test_a_command_that_the_bridge_heard_before_a_stop_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = VirtualLoop(monkeypatch, upright().run(1))
+    loop.run(1)
+    loop.bridge.heard = loop.rig.now
+    loop.bridge.incoming = [
+        SetMode("stand"),
+        SetVelocity(0.1, 0.0, 1.0),
+        SetLeds(True, True, True, 9.0),
+        Stop(1.0, "r1", ""),
+    ]
+    loop.run(10)
+    assert loop.rig.balancer.mode == "fault"
+    assert ["void" in notice.text for notice in loop.bridge.of(Notice)] == [True, True]
+    loop.bridge.incoming = [SetMode("rest")]
+    loop.run(2)
+    assert loop.rig.balancer.mode == "idle", "a command that only stops is never void"
+    loop.bridge.heard = loop.rig.now
+    loop.bridge.incoming = [SetMode("stand")]
+    loop.run(2)
+    assert loop.rig.balancer.mode == "standing_up"
 
 
 def test_what_only_the_loop_says_is_no_command(
@@ -261,3 +309,14 @@ def test_any_datagram_is_a_message_or_refused(data: bytes) -> None:
     except PayloadError:
         return
     assert unpack(pack(message)) == message
+
+
+@given(st.binary(max_size=80))
+def test_any_datagram_of_the_bridge_is_a_command_or_refused(data: bytes) -> None:
+    try:
+        heard, message = unpack_command(data)
+    except PayloadError:
+        return
+    again = unpack_command(pack_command(heard, message))
+    assert again[1] == message
+    assert again[0] == heard or math.isnan(heard)

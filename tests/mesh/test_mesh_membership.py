@@ -408,6 +408,24 @@ def test_what_is_told_of_a_stop_is_bounded() -> None:
     assert len(encode(shown)) < packets.MAX_SPREAD
 
 
+def test_a_stop_counts_beside_robots_that_are_not_in_the_configuration() -> None:
+    world = World(line(2))
+    world.settle()
+    mark = packets.Mark(2**60, 1)
+
+    def hear(halt: packets.Halt) -> None:
+        (data,) = packets.encode_halts(halt)
+        world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/halt", data, CONTROL, world.now))
+
+    hear(packets.Halt({"r1": (mark, "smoke"), "r9": (mark, "elsewhere")}, {}))
+    assert stopped(world, "r0").by == {"r1": "smoke"}
+    hear(packets.Halt({}, {"r1": mark, "r9": mark}))
+    assert stopped(world, "r0").by == {"r1": "smoke"}, "a re-arm is taken as a whole or not at all"
+    assert world.bots["r0"].counters["bad_packets"] == 1
+    hear(packets.Halt({}, {"r1": mark}))
+    assert not stopped(world, "r0").stopped
+
+
 def test_a_word_that_is_none_is_a_bad_packet() -> None:
     world = World(line(2))
     world.settle()

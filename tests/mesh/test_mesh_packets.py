@@ -1,6 +1,7 @@
 """Packets of the overlays: golden bytes of docs/overlays.md, round trips, and whatever bytes a member may send."""
 
 import re
+import struct
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -131,6 +132,37 @@ def test_halt_round_trip(halt: Halt) -> None:
         merged.stops.update(part.stops)
         merged.arms.update(part.arms)
     assert merged == halt
+
+
+@given(halts, st.binary(min_size=1, max_size=40))
+def test_a_stop_counts_whatever_follows_it_and_a_re_arm_only_in_a_packet_that_is_understood(
+    halt: Halt, more: bytes
+) -> None:
+    stops: dict[str, tuple[Mark, str]] = {}
+    for data in packets.encode_halts(halt):
+        try:
+            part = packets.decode_halt(data + more)
+        except FrameError:
+            assert not packets.decode_halt(data).stops
+        else:
+            assert part.arms == {}
+            stops |= part.stops
+    assert stops == halt.stops
+
+
+def test_a_stop_counts_in_a_packet_that_is_cut_off_and_with_a_text_of_another_release() -> None:
+    mark = Mark(1, 1)
+    two = packets.encode_halts(Halt({"r1": (mark, "a"), "r2": (mark, "b")}, {}))[0]
+    for end in range(3, len(two)):
+        try:
+            found = packets.decode_halt(two[:end]).stops
+        except FrameError:
+            found = {}
+        assert found in ({}, {"r1": (mark, "a")})
+    whole = bytes((packets.HALT, 1, 0)) + b"\x02r1" + struct.pack("<QI", 1, 1)
+    for text in (b"\xff\xfe", b"x" * 200, "\u00e4".encode() * 100):
+        ((_, reason),) = packets.decode_halt(whole + bytes((len(text),)) + text).stops.values()
+        assert len(reason.encode()) <= packets.MAX_REASON
 
 
 @given(st.dictionaries(names, st.integers(0, 65535), max_size=20), st.booleans())

@@ -142,3 +142,14 @@ def test_nothing_is_measured_for_nobody():
     rig.bus.close()
     rig.time.run(3.0)
     assert rig.world.robots["r1"].dwm.counters["reports"] == 0
+
+
+@pytest.mark.parametrize("payload", [b"", b"stop!", b"\x80", Stop(math.nan, "somebody", "x" * 100_000)])
+def test_any_sample_of_the_stop_key_on_one_robot_stops_all(rig, payload):
+    rig.run(2.0)
+    bodies = [robot.balancer.body for robot in rig.world.robots.values()]
+    assert [body.fault for body in bodies] == [""] * 3
+    rig.bus.publish("swarm/stop", payload)
+    rig.run(1.0)
+    assert [body.fault.startswith("stopped: ") for body in bodies] == [True] * 3
+    assert max(len(body.fault) for body in bodies) < 300

@@ -86,11 +86,14 @@ class Register:
         self._merge(Halt({}, {name: mark for name, (mark, _) in self._stops.items()}), None, now)
 
     def receive(self, peer: str, data: bytes, now: float) -> None:
-        """News of a neighbour; raises `FrameError`."""
+        """News of a neighbour; raises `FrameError`. What it says of robots that are not in our configuration takes no
+        stop of the others away with it, but re-arms count only where all robots are known."""
         halt = decode_halt(data)
-        if not (halt.stops.keys() | halt.arms.keys()) <= self._robots:
+        stops = {name: stop for name, stop in halt.stops.items() if name in self._robots}
+        strange = len(stops) < len(halt.stops) or not halt.arms.keys() <= self._robots
+        if strange and not stops:
             raise FrameError("HALT with robots that are not in our configuration")
-        self._merge(halt, peer, now)
+        self._merge(Halt(stops, {} if strange else halt.arms), peer, now)
 
     def link_up(self, peer: str) -> None:
         """A neighbour is there."""

@@ -301,19 +301,25 @@ def _parts(entries: list[bytes]) -> list[list[bytes]]:
 
 
 def decode_halt(data: bytes) -> Halt:
-    """A HALT packet."""
+    """A HALT packet. Each stop that can be read counts, whatever follows it: another release may have more to say. A
+    re-arm counts only in a packet that is understood to its end."""
     if len(data) < _HALT.size:
         raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
     _, stops, arms = _HALT.unpack_from(data)
     reader = Reader(data, _HALT.size)
     halt = Halt({}, {})
-    for _ in range(stops):
-        name, mark = reader.name(), Mark(*reader.unpack(_MARK))
-        halt.stops[name] = (mark, reader.text(MAX_REASON))
-    for _ in range(arms):
-        name = reader.name()
-        halt.arms[name] = Mark(*reader.unpack(_MARK))
-    reader.end()
+    try:
+        for _ in range(stops):
+            name, mark = reader.name(), Mark(*reader.unpack(_MARK))
+            halt.stops[name] = (mark, reader.octets()[:MAX_REASON].decode(errors="ignore"))
+        for _ in range(arms):
+            name = reader.name()
+            halt.arms[name] = Mark(*reader.unpack(_MARK))
+        reader.end()
+    except FrameError:
+        if not halt.stops:
+            raise
+        halt.arms.clear()
     return halt
 
 

@@ -12,7 +12,8 @@ from services.mesh.core.relay import matches
 from services.sim.virtual.events import EventQueue
 from swarm.codec import MAX_BINARY, encode
 from swarm.errors import LocalError
-from swarm.keys import MAX_KEY_LENGTH
+from swarm.keys import MAX_KEY_LENGTH, STOP
+from swarm.messages.service import stop_payload
 
 OnSample = Callable[[str, bytes], None]
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
@@ -111,7 +112,9 @@ class VirtualBus:
             targets = self._targets(key)
         if not targets:
             return
-        if isinstance(message, bytes | bytearray):
+        if key == STOP:
+            payload = stop_payload(message)
+        elif isinstance(message, bytes | bytearray):
             payload = bytes(message)
             if len(payload) > MAX_BINARY:
                 raise LocalError(f"{key}: {len(payload)} bytes, the bus takes at most {MAX_BINARY}")

@@ -1,0 +1,78 @@
+"""The stop of a real balancer service: what it overtakes, what it voids, and that no payload keeps it from stopping."""
+
+import os
+import signal
+
+import msgpack
+from conftest import Processes, wait_until
+from test_balancer_processes import Watcher, watcher
+
+from swarm.messages import SetLeds, SetMode, SetVelocity, Stop, read
+
+__all__ = ["watcher"]
+
+STATUS = "swarm/r0/balancer/status"
+PROPER = {"t": 1.0, "origin": "r1", "reason": "enough"}
+PAYLOADS = {
+    "nothing": (b"", "unreadable stop message (by unknown)"),
+    "text": (b"stop!", "unreadable stop message (by unknown)"),
+    "a field more": (msgpack.packb({**PROPER, "severity": 3}), "enough (by r1)"),
+    "a field less": (msgpack.packb({"t": 1.0, "origin": "r1"}), "no reason given (by r1)"),
+    "no time": (msgpack.packb({**PROPER, "t": float("nan")}), "enough (by r1)"),
+    "much": (bytes(900_000), "unreadable stop message (by unknown)"),
+}
+
+
+class Held:
+    """A balancing robot whose loop is held, so that what the bridge hands over waits for it."""
+
+    def __init__(self, processes: Processes, watcher: Watcher) -> None:
+        self.body = processes.start_ready("-m", "services.sim.body")
+        self.watcher = watcher
+        watcher.wait_mode("balancing")
+        self.body.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, self.body.pid, os.WSTOPPED)
+
+    def go_on(self) -> None:
+        """Let the loop go on when the bridge has handled all that was published before."""
+        self.watcher.command("mode", SetMode("dance"))
+        replies: list[bytes] = []
+
+        def refused() -> bool:
+            self.watcher.bus.ask(STATUS, lambda _, payload: replies.append(payload))
+            return any("refused" in read(STATUS, reply).counters for reply in replies)
+
+        wait_until(refused, what="the bridge has handled everything")
+        self.body.send_signal(signal.SIGCONT)
+
+
+def test_a_stop_overtakes_a_flood_of_velocity_commands(processes: Processes, watcher: Watcher) -> None:
+    held = Held(processes, watcher)
+    for _ in range(2000):
+        watcher.command("velocity", SetVelocity(0.1, 0.0, 10.0))
+    watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
+    held.go_on()
+    assert watcher.wait_mode("fault").fault == "stopped: enough (by test)"
+
+
+def test_a_command_from_before_a_stop_moves_nothing_after_it(processes: Processes, watcher: Watcher) -> None:
+    held = Held(processes, watcher)
+    watcher.command("mode", SetMode("stand"))
+    watcher.command("velocity", SetVelocity(0.1, 0.0, 10.0))
+    watcher.command("leds", SetLeds(True, True, False, 60.0))
+    watcher.bus.publish("swarm/stop", Stop(0.0, "test", "enough"))
+    held.go_on()
+    wait_until(lambda: sum("void" in notice.text for notice in watcher.heard["notice"]) == 2, what="both are told of")
+    assert watcher.wait_mode("fault").fault == "stopped: enough (by test)"
+    # What is given after the stop counts, and orders that move nothing are kept.
+    watcher.command("mode", SetMode("stand"))
+    watcher.wait_mode("standing_up")
+
+
+def test_any_sample_of_the_stop_key_stops_the_robot(processes: Processes, watcher: Watcher) -> None:
+    processes.start_ready("-m", "services.sim.body")
+    for payload, why in PAYLOADS.values():
+        watcher.command("mode", SetMode("stand"))
+        wait_until(lambda: watcher.last() is not None and watcher.last().mode in ("standing_up", "balancing"))
+        watcher.bus.publish("swarm/stop", payload)
+        assert watcher.wait_mode("fault").fault == f"stopped: {why}"
