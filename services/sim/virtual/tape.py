@@ -4,17 +4,26 @@ from collections.abc import Mapping
 
 from services.sim.virtual.strand import Line, Teller
 from swarm.codec import Value
-from swarm.recording.trajectory import EMPTY, Trajectory
+from swarm.recording.trajectory import EMPTY, WARM_UP, WINDOW, Trajectory
+
+MOST_TIMES = 20_000
+"""Iterations whose time is kept where not all states are: 2 MB a robot."""
 
 
 class Tape:
-    """What is kept of one robot's iterations: when each was done, and the states of all or of the last."""
+    """What is kept of one robot's iterations: when each was done, and the states of all or of the last.
 
-    __slots__ = ("_keep", "_last", "_lines", "_teller", "_times")
+    Where not all states are kept, nor are all times of a long run: then those of two windows (`WINDOW`) in four are, of
+    two in eight and so on, so that iterations can still be measured over a window.
+    """
+
+    __slots__ = ("_every", "_keep", "_last", "_lines", "_teller", "_times")
 
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
         self._times: dict[int, float] = {}
+        self._every = 2
+        """The first two windows of so many are kept."""
         self._lines: dict[int, Line] = {}
         """All, where they are kept."""
         self._last: Line | None = None
@@ -23,10 +32,20 @@ class Tape:
     def write(self, teller: Teller, line: Line) -> None:
         """One iteration."""
         self._teller = teller
-        self._times[line.k] = line.t
         self._last = line
         if self._keep:
             self._lines[line.k] = line
+        elif not self._is_kept(line.k):
+            return
+        elif len(self._times) >= MOST_TIMES:
+            self._every *= 2
+            self._times = {k: t for k, t in self._times.items() if self._is_kept(k)}
+            if not self._is_kept(line.k):
+                return
+        self._times[line.k] = line.t
+
+    def _is_kept(self, k: int) -> bool:
+        return (k - WARM_UP) // WINDOW % self._every < 2 or k <= WARM_UP
 
     def go_back(self, k: int) -> None:
         """The members have changed: the iterations from k on are done again."""
@@ -49,7 +68,10 @@ class Tape:
             parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]
             results += [f"result.{name}{part}" for part in parts]
         rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in lines.items()}
-        return Trajectory((*shared, *results), self._times, rows)
+        times = self._times
+        if self._last is not None:
+            times[self._last.k] = self._last.t
+        return Trajectory((*shared, *results), times, rows)
 
 
 def _cells(values: Mapping[str, Value]) -> list[str]:
