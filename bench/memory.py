@@ -31,8 +31,8 @@ Samples = dict[str, list[tuple[float, float]]]
 
 
 def rows(seconds: float = SECONDS) -> Iterator[Row]:
-    """`seconds`: how long is measured, after a warm-up of the same length or of an hour. A router's heap is given beside
-    its whole memory: what that grows by is Zenoh's own, Python's objects lie elsewhere."""
+    """`seconds`: how long is measured, after a warm-up of the same length or of an hour. A router's heap is given
+    beside its whole memory: what that grows by is Zenoh's own, Python's objects lie elsewhere."""
     warm_up = min(seconds, LONGEST_WARM_UP_S)
     lasts = warm_up + seconds + 600.0
     with Simulation("localization", "--robots", str(len(ROBOTS)), "--seconds", f"{lasts:.0f}") as simulation:

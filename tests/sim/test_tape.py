@@ -48,7 +48,7 @@ def test_a_run_that_goes_back_forgets_the_iterations_that_are_done_again(monkeyp
     monkeypatch.setattr(module, "MOST_TIMES", 100)
     tape = written(1000, keep=False)
     tape.go_back(600)
-    assert max(tape._times) < 600
+    assert max(tape._ks) < 600
     tape.write(TELLER, Line(600, 500.0, {"value": 0.0}, {}))
     found = tape.trajectory()
     assert (found.last, found.newest) == (600, 500.0)

@@ -1,5 +1,6 @@
 """What a run under virtual time keeps of one robot's app, without a file."""
 
+from array import array
 from collections.abc import Mapping
 
 from services.sim.virtual.strand import Line, Teller
@@ -7,7 +8,7 @@ from swarm.codec import Value
 from swarm.recording.trajectory import EMPTY, WARM_UP, WINDOW, Trajectory
 
 MOST_TIMES = 20_000
-"""Iterations whose time is kept where not all states are: 2 MB a robot."""
+"""Iterations whose time is kept where not all states are, 16 bytes each."""
 
 
 class Tape:
@@ -17,11 +18,12 @@ class Tape:
     two in eight and so on, so that iterations can still be measured over a window.
     """
 
-    __slots__ = ("_every", "_keep", "_last", "_lines", "_teller", "_times")
+    __slots__ = ("_every", "_keep", "_ks", "_last", "_lines", "_teller", "_times")
 
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
-        self._times: dict[int, float] = {}
+        self._ks, self._times = array("q"), array("d")
+        """Iterations, in order, and when each was done; where not all lines are kept."""
         self._every = 2
         """The first two windows of so many are kept."""
         self._lines: dict[int, Line] = {}
@@ -35,25 +37,32 @@ class Tape:
         self._last = line
         if self._keep:
             self._lines[line.k] = line
-        elif not self._is_kept(line.k):
             return
-        elif len(self._times) >= MOST_TIMES:
+        self._forget(line.k)
+        if len(self._ks) >= MOST_TIMES:
             self._every *= 2
-            self._times = {k: t for k, t in self._times.items() if self._is_kept(k)}
-            if not self._is_kept(line.k):
-                return
-        self._times[line.k] = line.t
-
-    def _is_kept(self, k: int) -> bool:
-        return (k - WARM_UP) // WINDOW % self._every < 2 or k <= WARM_UP
+            kept = [(k, t) for k, t in zip(self._ks, self._times, strict=True) if self._is_kept(k)]
+            self._ks, self._times = array("q", [k for k, _ in kept]), array("d", [t for _, t in kept])
+        if self._is_kept(line.k):
+            self._ks.append(line.k)
+            self._times.append(line.t)
 
     def go_back(self, k: int) -> None:
         """The members have changed: the iterations from k on are done again."""
-        for kept in (self._times, self._lines):
-            for later in [other for other in kept if other >= k]:
-                del kept[later]
+        self._forget(k)
+        for later in [other for other in self._lines if other >= k]:
+            del self._lines[later]
         if self._last is not None and self._last.k >= k:
             self._last = None
+
+    def _forget(self, k: int) -> None:
+        """Forget the times from iteration k on."""
+        while self._ks and self._ks[-1] >= k:
+            self._ks.pop()
+            self._times.pop()
+
+    def _is_kept(self, k: int) -> bool:
+        return (k - WARM_UP) // WINDOW % self._every < 2 or k <= WARM_UP
 
     def trajectory(self) -> Trajectory:
         """As the recorder would have written it."""
@@ -68,8 +77,9 @@ class Tape:
             parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]
             results += [f"result.{name}{part}" for part in parts]
         rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in lines.items()}
-        times = self._times
-        if self._last is not None:
+        times = {k: line.t for k, line in self._lines.items()}
+        if self._last is not None and not self._keep:
+            times = dict(zip(self._ks, self._times, strict=True))
             times[self._last.k] = self._last.t
         return Trajectory((*shared, *results), times, rows)
 
