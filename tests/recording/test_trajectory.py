@@ -110,3 +110,21 @@ def test_percentiles_are_nearest_rank():
     assert trajectory.percentile([], 95) is None
     assert trajectory.percentile([1.0], 95) == 1.0
     assert trajectory.percentile(list(map(float, range(1, 101))), 95) == 95.0
+
+
+def test_of_a_long_run_that_is_only_measured_the_newest_states_and_some_times_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(trajectory, "MOST_ROWS", 100)
+    monkeypatch.setattr(trajectory, "MOST_TIMES", 200)
+    rows = [(k, 0.1 * k, {"value": float(k)}, {}) for k in range(5000)]
+    path = write(tmp_path, *rows)
+    whole, found = trajectory.read(path), trajectory.read(path, whole=False)
+    assert (found.last, found.newest, found.columns) == (whole.last, whole.newest, whole.columns)
+    assert 100 <= len(found.rows) <= 201
+    assert len(found.times) <= 401
+    assert found.rows.items() <= whole.rows.items()
+    assert found.times.items() <= whole.times.items()
+    assert found.times.keys() >= found.rows.keys()
+    assert found.first_reached() == whole.first_reached()
+    assert trajectory.median(trajectory.iteration_times({"r0": found})) == pytest.approx(0.1)
+    with pytest.raises(RecordingError, match="iteration 4990 stands there twice"):
+        trajectory.read(write(tmp_path, *rows, (4990, 600.0, {"value": 0.5}, {})), whole=False)

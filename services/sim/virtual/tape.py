@@ -5,10 +5,7 @@ from collections.abc import Mapping
 
 from services.sim.virtual.strand import Line, Teller
 from swarm.codec import Value
-from swarm.recording.trajectory import EMPTY, WARM_UP, WINDOW, Trajectory
-
-MOST_TIMES = 20_000
-"""Iterations whose time is kept where not all states are, 16 bytes each."""
+from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
 
 
 class Tape:
@@ -41,9 +38,9 @@ class Tape:
         self._forget(line.k)
         if len(self._ks) >= MOST_TIMES:
             self._every *= 2
-            kept = [(k, t) for k, t in zip(self._ks, self._times, strict=True) if self._is_kept(k)]
+            kept = [(k, t) for k, t in zip(self._ks, self._times, strict=True) if is_kept(k, self._every)]
             self._ks, self._times = array("q", [k for k, _ in kept]), array("d", [t for _, t in kept])
-        if self._is_kept(line.k):
+        if is_kept(line.k, self._every):
             self._ks.append(line.k)
             self._times.append(line.t)
 
@@ -60,9 +57,6 @@ class Tape:
         while self._ks and self._ks[-1] >= k:
             self._ks.pop()
             self._times.pop()
-
-    def _is_kept(self, k: int) -> bool:
-        return (k - WARM_UP) // WINDOW % self._every < 2 or k <= WARM_UP
 
     def trajectory(self) -> Trajectory:
         """As the recorder would have written it."""
