@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import inspect
 import sys
 
 AREAS = {
@@ -19,6 +20,7 @@ AREAS = {
     "apps": "consensus and localization beside the thesis: table 4.1, rounds, errors, lines an author writes",
     "recording": "what a recording costs an app's process, and what a kill -9 takes from it",
     "footprint": "proportional memory of one robot's processes",
+    "memory": "growth of two robots' processes and of the simulation, MB an hour, after a warm-up (--seconds)",
     "i2c": "time on the I2C bus at 100 kHz: a control step, a whole tick, rates",
     "dwm": "the UWB service: memory, and CPU time and allocations of an update",
     "teamwork": "apps that blink, stand and drive together: LED phases, stand-up, formation, crossings",
@@ -41,9 +43,14 @@ def main() -> int:
     )
     parser.add_argument("area", choices=AREAS, metavar="AREA")
     parser.add_argument("--json", action="store_true", help="one JSON object a row")
+    parser.add_argument("--seconds", type=float, metavar="S", help="how long is measured (memory)")
     arguments = parser.parse_args()
+    rows = importlib.import_module(f"bench.{arguments.area}").rows
+    lasts = {} if arguments.seconds is None else {"seconds": arguments.seconds}
+    if not inspect.signature(rows).parameters.keys() >= lasts.keys():
+        parser.error(f"{arguments.area} takes no --seconds")
     missed = 0
-    for row in importlib.import_module(f"bench.{arguments.area}").rows():
+    for row in rows(**lasts):
         print(row.json() if arguments.json else row.text(), flush=True)
         missed += not row.ok
     return 1 if missed else 0

@@ -63,7 +63,7 @@ def as_value(value: object) -> Value:
     if isinstance(value, float) and math.isfinite(value):
         return float(value)
     if isinstance(value, tuple | list) and all(isinstance(x, float | int) and math.isfinite(x) for x in value):
-        return tuple(float(x) for x in value)
+        return tuple([float(x) for x in value])
     raise LocalError(f"expected a finite number, bool, text or vector, got {_shortened(repr(value))}")
 
 
@@ -204,7 +204,9 @@ def _check_tuple(item: _Check) -> _Check:
     def check(value: object, path: str) -> tuple[Any, ...]:
         if not isinstance(value, list):
             raise _wrong(value, path, "a list")
-        return tuple(item(entry, f"{path}[{index}]") for index, entry in enumerate(value))
+        # Of a list: Python begins a tuple of unknown length with 10 places and cuts it, so that each one made of a
+        # generator adds a block to the free list of its length, up to 2000 of every length.
+        return tuple([item(entry, f"{path}[{index}]") for index, entry in enumerate(value)])
 
     return check
 

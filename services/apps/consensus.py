@@ -113,14 +113,14 @@ class Flood(SyncApp):
         own = swarm.index(self.robot.name)
         self._order = swarm
         self.known = 1 << own
-        self.values = tuple(self.value if i == own else 0.0 for i in range(ROOM))
+        self.values = tuple([self.value if i == own else 0.0 for i in range(ROOM)])
 
     def on_epoch(self, members: Sequence[str]) -> None:
         """Forget who is no member; keep the others' values, in the new order."""
         values = {self._order[i]: self.values[i] for i in _bits(self.known)}
         self._order = tuple(members)
         self.known = sum(1 << i for i, name in enumerate(members) if name in values)
-        self.values = tuple(values.get(name, 0.0) for name in (*members, *[""] * (ROOM - len(members))))
+        self.values = tuple([values.get(name, 0.0) for name in (*members, *[""] * (ROOM - len(members)))])
         there = [values[name] for name in members if name in values]
         self.value = math.fsum(there) / len(there)
 

@@ -27,6 +27,7 @@ from swarm.errors import LocalError
 from swarm.hands import do
 from swarm.recording import folder, trajectory
 from swarm.recording.reader import SUFFIX
+from swarm.recording.trajectory import Trajectory
 
 SERVICE_MODULES = {
     "bus": "services.bus",
@@ -229,6 +230,12 @@ class Run:
     def _interrupted(self, *_: object) -> None:
         self._stop = True
 
+    def _trajectories(self, app: str) -> dict[str, Trajectory]:
+        """By robot; all of it only for a picture, or to compare it with another run: that of a day takes gigabytes."""
+        whole = self._options.plot is not None or bool(self._scenario.recorded)
+        names = self._scenario.config.names
+        return {name: trajectory.read(self._records / f"{name}.{app}{SUFFIX}", whole=whole) for name in names}
+
     def _outcome(self, started: float | None) -> Outcome:
         names = self._scenario.config.names
         now = clock.now()
@@ -239,13 +246,8 @@ class Run:
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
         found = self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded))
         self._processes.stop()  # only then are the recordings complete
-        paths = {}
-        if self._scenario.app is not None:
-            paths = {name: trajectory.read(self._records / f"{name}.{self._scenario.app}{SUFFIX}") for name in names}
-        beside = {
-            each.app: {name: trajectory.read(self._records / f"{name}.{each.app}{SUFFIX}") for name in names}
-            for each in self._beside.values()
-        }
+        paths = self._trajectories(self._scenario.app) if self._scenario.app is not None else {}
+        beside = {each.app: self._trajectories(each.app) for each in self._beside.values()}
         firsts = [path.first_reached() for path in paths.values()]
         reached = [at for at in firsts if at is not None]
         if len(reached) == len(names):

@@ -43,7 +43,7 @@ def _phases(scenario: Scenario, witness: Witness, began: float) -> Json:
     if at is not None:
         phases = witness.phases(edges, at)
     return {
-        "flashes": {name: len(times) for name, times in witness.flashes.items()},
+        "flashes": dict(witness.flashed),
         "synchronous_after_s": None if at is None else round(at - began, 2),
         "apart_neighbours_p95_ms": None if phases is None else round(1e3 * phases.neighbours, 2),
         "apart_all_p95_ms": None if phases is None else round(1e3 * phases.all, 2),

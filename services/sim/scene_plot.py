@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect_left
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def _flashes(axes: Any, witness: Witness, began: float) -> None:
 
 def _standing(axes: Any, witness: Witness, began: float) -> None:
     """Figure 4.2: who stands, over time."""
-    end = max(track[-1][0] for track in witness.tracks.values())
+    end = max(track.end for track in witness.tracks.values())
     for index, name in enumerate(witness.names):
         at = witness.stood_at.get(name, end)
         height = 0.8 if name in witness.stood_at else 0.0
@@ -87,8 +88,7 @@ def _paths(axes: Any, scenario: Scenario, witness: Witness) -> None:
     for anchor in scenario.config.anchors:
         axes.plot(anchor.x, anchor.y, "^", color="0.6", markersize=7)
     for index, name in enumerate(witness.names):
-        if track := witness.tracks[name]:
-            places = [place for _, place in track]
+        if places := [place for _, place in witness.tracks[name]]:
             axes.plot(*zip(*places, strict=True), color=_colour(index), linewidth=1.2)
             axes.plot(*places[0], "o", color=_colour(index), markerfacecolor="white", markersize=7)
             axes.plot(*places[-1], "o", color=_colour(index), markersize=9)
@@ -125,6 +125,6 @@ def _colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
-def _nearest(times: list[float], t: float) -> float:
+def _nearest(times: Sequence[float], t: float) -> float:
     at = bisect_left(times, t)
     return min((times[i] for i in (at - 1, at) if 0 <= i < len(times)), key=lambda other: abs(other - t))

@@ -9,6 +9,7 @@ from swarm.core.recording import Writer
 from swarm.errors import LocalError, RecordingError
 from swarm.recording import thesis
 from swarm.recording.file import LIBRARY
+from swarm.recording.plain import finish
 from swarm.recording.reader import EPOCH, RUN
 from swarm.recording.run import Run
 from swarm.recording.trajectory import Trajectory
@@ -117,10 +118,9 @@ def _merge(recorded: Run, path: Path) -> None:
     epoch_ns = round((recorded.epoch + recorded.origin) * 1e9)
     writer = Writer(LIBRARY, epoch_ns=epoch_ns)
     writer.metadata(RUN, {**recorded.info, EPOCH: str(epoch_ns)})
-    with path.open("xb") as file:
+    with path.open("x+b") as file:
         for sample in recorded.samples():
             writer.write_text(sample.topic, sample.t, sample.data, recorded.schemas[sample.topic])
             file.write(writer.take())
-        writer.finish()
-        file.write(writer.take())
+        finish(writer, file)
     print(path)

@@ -144,12 +144,12 @@ class Asynchronous:
         """Robots that the barrier waits for."""
         if not self.barrier or self._all_here or self._state is None:
             return ()
-        return tuple(name for name, bit in self._bits.items() if not self._roll & bit)
+        return tuple([name for name, bit in self._bits.items() if not self._roll & bit])
 
     @property
     def strangers(self) -> tuple[str, ...]:
         """Neighbours that run another version of the app: their state is not used."""
-        return tuple(name for name, peer in self._peers.items() if peer.stranger)
+        return tuple([name for name, peer in self._peers.items() if peer.stranger])
 
     @property
     def running(self) -> Call | None:

@@ -386,7 +386,7 @@ class Lockstep:
     def _lacking(self) -> tuple[str, ...]:
         """Neighbours whose x(k) is missing; at the last iteration those not known to be there (R7)."""
         if self.k == self._last:
-            return tuple(name for name, peer in self._peers.items() if peer.reached < self.k)
+            return tuple([name for name, peer in self._peers.items() if peer.reached < self.k])
         place = self.k % 3  # a loop: after each frame, and mostly of nobody
         lacking: tuple[str, ...] = ()
         for name, peer in self._peers.items():

@@ -37,12 +37,12 @@ class SilentLinks:
 
     def speaks(self, peer: str) -> None:
         """Something came over the link with `peer`."""
-        self._asked = tuple(name for name in self._asked if name != peer)
-        self.around = tuple(name for name in self.around if name != peer)
+        self._asked = tuple([name for name in self._asked if name != peer])
+        self.around = tuple([name for name in self.around if name != peer])
 
     def silent(self) -> tuple[str, ...]:
         """At `due`: whose link turns out to be silent."""
-        new = tuple(name for name in self._asked if name not in self.around)
+        new = tuple([name for name in self._asked if name not in self.around])
         self.progress()
         return new
 

@@ -18,6 +18,9 @@ MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(11, 16)
 """Opcodes; 9 and 10 are attachments, which we have none of."""
+CHECKPOINT = 0x80
+"""Opcode of a record of our own: what a summary would say at this place. Other readers step over it (the format leaves
+0x80 and above to applications)."""
 
 HEAD = struct.Struct("<BQ")
 """What every record begins with: opcode and length of the content."""
@@ -30,9 +33,14 @@ _CHUNK = struct.Struct("<QQQI")
 _CHUNK_INDEX = struct.Struct("<QQQQ")
 _STATISTICS = struct.Struct("<QHIIIIQQ")
 _FOOTER = struct.Struct("<QQI")
+_CHECKPOINT = struct.Struct("<QQI")
+_LINK = struct.Struct("<Q")
+CHECKPOINT_HEAD = HEAD.size + _CHECKPOINT.size
+"""Bytes of a checkpoint record before what it holds."""
 INDEX_ENTRY = struct.Struct("<QQ")
 """One message in an index of messages: log time, ns, and offset within the chunk's records."""
 CHANNEL_ID = _U16 = struct.Struct("<H")
+_COUNT = struct.Struct("<HQ")
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 
 
@@ -75,6 +83,17 @@ class Chunk(NamedTuple):
     crc: int
     compression: str
     records: bytes
+
+
+class Statistics(NamedTuple):
+    """Numbers of messages by channel, of chunks and metadata records, and the log times between which messages are."""
+
+    counts: dict[int, int]
+    chunks: int
+    metadatas: int
+    start: int
+    """ns"""
+    end: int
 
 
 # What is written
@@ -129,7 +148,7 @@ def chunk_index(start: int, end: int, offset: int, length: int, indexes: Mapping
 
 def statistics(counts: Mapping[int, int], schemas: int, chunks: int, metadatas: int, start: int, end: int) -> bytes:
     """Numbers of messages by channel, of schemas, chunks and metadata records, and the times between which they are."""
-    packed = b"".join(_U16.pack(channel) + _U64.pack(count) for channel, count in counts.items())
+    packed = b"".join(_COUNT.pack(channel, count) for channel, count in counts.items())
     head = _STATISTICS.pack(sum(counts.values()), schemas, len(counts), 0, metadatas, chunks, start, end)
     return record(STATISTICS, head + _block(packed))
 
@@ -139,19 +158,39 @@ def metadata_index(offset: int, length: int, name: str) -> bytes:
     return record(METADATA_INDEX, _U64.pack(offset) + _U64.pack(length) + _text(name))
 
 
-def ending(position: int, groups: Iterable[tuple[int, bytes]]) -> bytes:
-    """All that comes behind the last chunk when the file is complete: the summary, made of `groups` of records (opcode,
-    bytes), and where to find it. `position` is where in the file this begins."""
+def checkpoint(at: int, chunk_indexes: bytes | bytearray, state: bytes) -> bytes:
+    """A checkpoint record that stands at `at` in its file: index records of the chunks since the checkpoint before it,
+    and `state`, the other records of a summary. Its link to the next checkpoint is 0: none."""
+    body = _block(chunk_indexes) + state
+    return record(CHECKPOINT, _CHECKPOINT.pack(0, at, _checkpoint_sum(at, body)) + body)
+
+
+def link(at: int, after: int) -> tuple[int, bytes]:
+    """What is written over a checkpoint at `at` once the one at `after` follows it: offset in the file, and bytes."""
+    return at + HEAD.size, _LINK.pack(after)
+
+
+def ending(position: int, groups: Iterable[tuple[int, Iterable[bytes]]]) -> Iterator[bytes]:
+    """All that comes behind the last chunk when the file is complete: the summary, made of `groups` (opcode, pieces of
+    its records), and where to find it. `position` is where in the file this begins."""
     data_end = record(DATA_END, _U32.pack(0))
+    yield data_end
     start = at = position + len(data_end)
-    summary, offsets = b"", b""
-    for opcode, packed in groups:
-        if packed:
-            offsets += record(SUMMARY_OFFSET, bytes((opcode,)) + _U64.pack(at) + _U64.pack(len(packed)))
-            summary += packed
-            at += len(packed)
-    covered = summary + offsets + HEAD.pack(FOOTER, _FOOTER.size) + _FOOTER.pack(start, at, 0)[:16]
-    return data_end + covered + _U32.pack(crc32(covered)) + MAGIC
+    offsets, total = b"", 0
+    for opcode, pieces in groups:
+        begin = at
+        for piece in pieces:
+            total = crc32(piece, total)
+            at += len(piece)
+            yield piece
+        if at > begin:
+            offsets += record(SUMMARY_OFFSET, bytes((opcode,)) + _U64.pack(begin) + _U64.pack(at - begin))
+    covered = offsets + HEAD.pack(FOOTER, _FOOTER.size) + _FOOTER.pack(start, at, 0)[:16]
+    yield covered + _U32.pack(crc32(covered, total)) + MAGIC
+
+
+def _checkpoint_sum(at: int, body: bytes | memoryview) -> int:
+    return crc32(body, crc32(_LINK.pack(at)))
 
 
 def _text(text: str) -> bytes:
@@ -213,6 +252,39 @@ def read_chunk(content: bytes | memoryview) -> Chunk:
     compression = fields.text()
     length = fields.u64()
     return Chunk(start, end, size, crc, compression, fields.rest(length))
+
+
+def read_statistics(content: bytes | memoryview) -> Statistics:
+    """A statistics record's content."""
+    if len(content) < _STATISTICS.size:
+        raise RecordingError("a record of statistics is too short")
+    _, _, _, _, metadatas, chunks, start, end = _STATISTICS.unpack_from(content)
+    packed = _Fields(content[_STATISTICS.size :]).block()
+    if len(packed) % _COUNT.size:
+        raise RecordingError("a record of statistics has a count that is cut off")
+    return Statistics(dict(_COUNT.iter_unpack(packed)), chunks, metadatas, start, end)
+
+
+def next_checkpoint(at: int, head: bytes) -> int | None:
+    """Offset of the checkpoint that follows the one at `at`, whose first `CHECKPOINT_HEAD` bytes are `head`; 0 where
+    none follows yet; None where `head` begins no checkpoint of this place."""
+    if len(head) < CHECKPOINT_HEAD or head[0] != CHECKPOINT:
+        return None
+    after, own, _ = _CHECKPOINT.unpack_from(head, HEAD.size)
+    return after if own == at else None
+
+
+def read_checkpoint(at: int, content: bytes) -> tuple[bytes, bytes]:
+    """The index records of chunks, and the other records of a summary, that the content of a checkpoint at `at` holds;
+    raises `RecordingError` where it is none, or damaged."""
+    if len(content) < _CHECKPOINT.size:
+        raise RecordingError("a checkpoint is too short")
+    _, own, total = _CHECKPOINT.unpack_from(content)
+    body = memoryview(content)[_CHECKPOINT.size :]
+    if own != at or total != _checkpoint_sum(at, body):
+        raise RecordingError("the checksum of a checkpoint is wrong")
+    fields = _Fields(body)
+    return fields.block(), fields.rest(len(body))
 
 
 class _Fields:

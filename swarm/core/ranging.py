@@ -34,4 +34,4 @@ class RangeTable:
             return ()
         message, came = self._newest[robot]
         aged = (replace(item, age=item.age + now - came) for item in message.ranges)
-        return tuple(item for item in aged if item.age <= FRESH and not item.stale)
+        return tuple([item for item in aged if item.age <= FRESH and not item.stale])

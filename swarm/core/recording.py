@@ -4,14 +4,15 @@
     writer.metadata("run", {"app": "consensus"})
     writer.write("swarm/r0/app/consensus/state", 12.5, AppState(...))
     file.write(writer.take())       # as often as one likes: it gives whole records only
-    writer.finish(); file.write(writer.take())
+    for piece in writer.finish(read):   # gives what it has not given, and the file's end
+        file.write(piece)
 
 No clock and no file in here, and what it gives depends on nothing but what it was given: same messages, same bytes.
 Topics are keys of the bus. Times are of the recording process' clock, s; in the file they stand as nanoseconds since
 1970, `epoch_ns` after them (the clock's zero; 0 in virtual time).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from swarm.core import foxglove, jsontext, mcap
@@ -22,6 +23,10 @@ CHUNK_SIZE = 256 * 1024
 """Bytes of messages after which a chunk ends."""
 CHUNK_NS = 1_000_000_000
 """ns between a chunk's first message and the one that ends it."""
+
+INDEX_SIZE = 64 * 1024
+"""Bytes of chunk indexes that are kept in memory: then a checkpoint takes them into the file. A chunk with five topics
+has some 120."""
 
 MAX_CHANNELS = 65_535
 """The format has 16 bits for them."""
@@ -38,7 +43,9 @@ class Known:
     counts: dict[int, int] = field(default_factory=dict)
     """Messages by channel."""
     chunk_indexes: bytearray = field(default_factory=bytearray)
-    """Index records of its chunks."""
+    """Index records of its chunks since the last checkpoint."""
+    checkpoints: list[int] = field(default_factory=list)
+    """Offsets in the file; each holds the index records of the chunks since the one before it."""
     chunks: int = 0
     metadata_indexes: bytearray = field(default_factory=bytearray)
     metadatas: int = 0
@@ -60,6 +67,47 @@ class Known:
         self.metadata_indexes += mcap.metadata_index(self.position, length, name)
         self.metadatas += 1
         self.position += length
+
+    def summary(self) -> tuple[tuple[int, bytes], ...]:
+        """Opcode and records of each group of a summary but the chunk indexes."""
+        counted = mcap.statistics(
+            self.counts, len(self.schemas), self.chunks, self.metadatas, self.start, self.end
+        )  # fmt: skip
+        return (
+            (mcap.SCHEMA, b"".join(map(mcap.schema, self.schemas.values()))),
+            (mcap.CHANNEL, b"".join(map(mcap.channel, self.channels.values()))),
+            (mcap.STATISTICS, counted),
+            (mcap.METADATA_INDEX, bytes(self.metadata_indexes)),
+        )
+
+    def add_checkpoint(self, length: int) -> None:
+        """Note a checkpoint record of `length` bytes at `position`, which holds the chunk indexes so far."""
+        self.checkpoints.append(self.position)
+        self.position += length
+        self.chunk_indexes = bytearray()
+
+
+def recall(at: int, content: bytes, checkpoints: list[int]) -> Known:
+    """What a file holds up to the checkpoint at `at`, and that it is: all that a restart has to know of what is before.
+    `checkpoints`: offsets of those before it. Raises `RecordingError` where the content is damaged."""
+    _, summary = mcap.read_checkpoint(at, content)
+    known = Known(at + mcap.HEAD.size + len(content), checkpoints=[*checkpoints, at])
+    for start, opcode, inside in mcap.whole_records(summary):
+        if opcode == mcap.SCHEMA:
+            schema = mcap.read_schema(inside)
+            known.schemas[schema.id] = schema
+        elif opcode == mcap.CHANNEL:
+            channel = mcap.read_channel(inside)
+            known.channels[channel.id] = channel
+        elif opcode == mcap.STATISTICS:
+            known.counts, known.chunks, known.metadatas, known.start, known.end = mcap.read_statistics(inside)
+        elif opcode == mcap.METADATA_INDEX:
+            known.metadata_indexes += summary[start : start + mcap.HEAD.size + len(inside)]
+    return known
+
+
+def _unwritten(at: int, length: int) -> bytes:
+    raise RecordingError(f"{length} bytes at {at} are to be read again, and nobody said where")
 
 
 class Writer:
@@ -182,24 +230,40 @@ class Writer:
         known.add_chunk(self._start, self._end, len(packed), places, len(self._chunk))
         self._chunk = bytearray()
         self._indexes = {}
+        if len(known.chunk_indexes) >= INDEX_SIZE:
+            packed = mcap.checkpoint(
+                known.position, known.chunk_indexes, b"".join(records for _, records in known.summary())
+            )
+            self._ready += packed
+            known.add_checkpoint(len(packed))
 
-    def finish(self) -> None:
-        """End the file: behind the last chunk come the summary and the index, after which nothing may be written."""
+    @property
+    def checkpoints(self) -> list[int]:
+        """Offsets of the file's checkpoints. Those that are in it already may be linked (`mcap.link`), so that a
+        restart need not look at what is between them."""
+        return self._known.checkpoints
+
+    def finish(self, read: Callable[[int, int], bytes] = _unwritten) -> Iterator[bytes]:
+        """End the file: what was not taken yet, the summary and the index, behind which nothing may be written.
+
+        `read(offset, length)` gives bytes of the file again, which long recordings need. Raises `RecordingError` where
+        they are not what they were.
+        """
         self.cut()
-        known = self._known
-        groups = (
-            (mcap.SCHEMA, b"".join(map(mcap.schema, known.schemas.values()))),
-            (mcap.CHANNEL, b"".join(map(mcap.channel, known.channels.values()))),
-            (
-                mcap.STATISTICS,
-                mcap.statistics(
-                    known.counts, len(known.schemas), known.chunks, known.metadatas, known.start, known.end
-                ),
-            ),
-            (mcap.CHUNK_INDEX, bytes(known.chunk_indexes)),
-            (mcap.METADATA_INDEX, bytes(known.metadata_indexes)),
-        )
-        self._put(mcap.ending(known.position, groups))
+        yield self.take()
+        summary = [(opcode, (records,)) for opcode, records in self._known.summary()]
+        yield from mcap.ending(self._known.position, [*summary, (mcap.CHUNK_INDEX, self._chunk_indexes(read))])
+
+    def _chunk_indexes(self, read: Callable[[int, int], bytes]) -> Iterator[bytes]:
+        """Of all chunks, oldest first: those of long ago stand in the file's checkpoints."""
+        for at in self._known.checkpoints:
+            head = read(at, mcap.HEAD.size)
+            if len(head) < mcap.HEAD.size:
+                raise RecordingError(f"the checkpoint at {at} is not there any more")
+            _, length = mcap.HEAD.unpack(head)
+            packed, _ = mcap.read_checkpoint(at, read(at + mcap.HEAD.size, length))
+            yield packed
+        yield bytes(self._known.chunk_indexes)
 
     def take(self) -> bytes:
         """The records that are complete since the last call, to be appended to the file. Messages of the chunk that is

@@ -123,7 +123,7 @@ class Field:
         if self.kind == "matrix":
             return self._matrix(value)
         if isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping | Set):
-            items = tuple(_finite(item) for item in value)
+            items = tuple([_finite(item) for item in value])
             if len(items) == self.length:
                 return items
         raise AppError(f"expected {self.length} numbers, got {_shown(value)}")
@@ -134,7 +134,7 @@ class Field:
             name: str = value.name
             return name
         if self.kind == "matrix":
-            return tuple(number for row in value for number in row)
+            return tuple([number for row in value for number in row])
         same: Plain = value
         return same
 
@@ -151,7 +151,7 @@ class Field:
         if self.kind == "vector":
             return numbers
         if self.kind == "matrix":
-            return tuple(numbers[at : at + self.width] for at in range(0, self.length, self.width))
+            return tuple([numbers[at : at + self.width] for at in range(0, self.length, self.width)])
         if self.kind == "enum":
             if numbers[0] >= len(self.members):
                 raise FrameError(f"{self.name}: there is no member {numbers[0]}")
@@ -172,12 +172,11 @@ class Field:
         if isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping | Set):
             items = tuple(value)
             if len(items) == self.length and all(isinstance(item, numbers.Real) for item in items) and items:
-                return tuple(
-                    tuple(map(_finite, items[at : at + self.width])) for at in range(0, len(items), self.width)
-                )
+                rows_of = [items[at : at + self.width] for at in range(0, len(items), self.width)]
+                return tuple([tuple([_finite(item) for item in row]) for row in rows_of])
             nested = [tuple(row) for row in items if isinstance(row, Iterable) and not isinstance(row, str | bytes)]
             if len(items) == len(nested) == rows and all(len(row) == self.width for row in nested):
-                return tuple(tuple(map(_finite, row)) for row in nested)
+                return tuple([tuple([_finite(item) for item in row]) for row in nested])
         raise AppError(f"expected {rows} rows of {self.width} numbers, got {_shown(value)}")
 
 

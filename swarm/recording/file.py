@@ -11,6 +11,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
 
 from swarm import __version__
@@ -75,6 +76,8 @@ class RecordingFile:
         except OSError as error:
             self._lose(error.strerror or str(error))
         self._written = known.position
+        self._linked = max(len(known.checkpoints) - 2, 0)
+        """Checkpoints whose link to the next one is in the file; the process before may have left out its last."""
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         """The clock's zero in time of day, for people: nothing is computed with it."""
         keep = self._journal.add if self._journal is not None else _forget
@@ -121,14 +124,23 @@ class RecordingFile:
         with self._disk:
             if self._file is None:
                 return
-            if not self._unwritten:
-                self._writer.finish()
-                self._unwritten = self._writer.take()
-                self._store()
+            self._finish(self._file)
             os.close(self._file)
             self._file = None
             if self._journal is not None:
                 self._journal.close()
+
+    def _finish(self, file: int) -> None:
+        """Write the summary, piece by piece: that of a long recording is large. Without room for it the file stays
+        without."""
+        try:
+            for piece in self._writer.finish(lambda at, length: os.pread(file, length, at)):
+                if self._unwritten:
+                    return
+                self._unwritten = piece
+                self._store()
+        except (OSError, RecordingError) as error:
+            _log.warning("%s: the index cannot be written: %s", self._path, error)
 
     def _open_journal(self, path: Path | None) -> Journal | None:
         if path is None:
@@ -198,9 +210,23 @@ class RecordingFile:
         self._unwritten = data[count:]
         if self._unwritten:
             self._lose("the disk is full")
-        elif self._journal is not None:
+            return
+        self._link()
+        if self._journal is not None:
             self._journal.stored()
             self._due = False
+
+    def _link(self) -> None:
+        """Let each checkpoint in the file name the next one."""
+        assert self._file is not None
+        for at, after in pairwise(self._writer.checkpoints[self._linked :]):
+            place, packed = mcap.link(at, after)
+            try:
+                os.pwrite(self._file, packed, place)
+            except OSError as error:
+                self._lose(error.strerror or str(error))
+                return
+            self._linked += 1
 
     def _lose(self, reason: str) -> None:
         if not self._told:

@@ -1,7 +1,9 @@
 """A recording without clock and threads, for virtual time: same messages, same bytes."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 from swarm.core.recording import Writer
 from swarm.errors import LocalError
@@ -21,7 +23,7 @@ class PlainRecording:
         self._writer = Writer(LIBRARY, epoch_ns=0)
         self._writer.metadata(RUN, {**run, EPOCH: "0", CLOCK: clock})
         try:
-            self._file = path.open("xb")
+            self._file = path.open("x+b")
         except OSError as error:
             raise LocalError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -44,6 +46,20 @@ class PlainRecording:
 
     def close(self) -> None:
         """End the file."""
-        self._writer.finish()
-        self.flush()
-        self._file.close()
+        try:
+            finish(self._writer, self._file)
+            self._file.close()
+        except OSError as error:
+            raise LocalError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+
+def finish(writer: Writer, file: BinaryIO) -> None:
+    """Write a file's end, piece by piece, into a file that can be read, too."""
+
+    def read(at: int, length: int) -> bytes:
+        file.seek(at)
+        return file.read(length)
+
+    for piece in writer.finish(read):
+        file.seek(0, os.SEEK_END)
+        file.write(piece)

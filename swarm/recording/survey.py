@@ -3,7 +3,7 @@
 import os
 
 from swarm.core import mcap
-from swarm.core.recording import Known
+from swarm.core.recording import Known, recall
 from swarm.errors import RecordingError
 
 _CHUNK_HEAD = 40
@@ -13,8 +13,9 @@ _CHUNK_HEAD = 40
 def survey(file: int, limit: int | None = None) -> Known:
     """What the file holds, up to its last whole record (`position`) or to the end of its data where it was finished.
 
-    What begins at `limit` or behind it is left out. Chunks are stepped over; a chunk whose indexes are not all there
-    counts as not written. Raises `RecordingError` for a file that begins differently from one of ours.
+    What begins at `limit` or behind it is left out. Between two checkpoints that are linked nothing is read, behind the
+    last one chunks are stepped over; a chunk whose indexes are not all there counts as not written. Raises
+    `RecordingError` for a file that begins differently from one of ours.
     """
     size = os.fstat(file).st_size
     if limit is not None:
@@ -53,6 +54,9 @@ def survey(file: int, limit: int | None = None) -> Known:
         if opcode == mcap.CHUNK:
             chunk = mcap.read_chunk(os.pread(file, _CHUNK_HEAD, inside)), after - at
             indexes, counts = {}, {}
+        elif opcode == mcap.CHECKPOINT:
+            known = _last_checkpoint(file, known, at, size) or known
+            known.position = after = max(after, known.position)
         elif opcode in (mcap.DATA_END, mcap.FOOTER):
             break
         else:
@@ -63,6 +67,27 @@ def survey(file: int, limit: int | None = None) -> Known:
     if chunk is not None and indexes and _complete(file, chunk[0], known.position, counts):
         close_chunk(at)
     return known
+
+
+def _last_checkpoint(file: int, known: Known, at: int, size: int) -> Known | None:
+    """What the file holds up to the last checkpoint that the one at `at` leads to; None where `at` has none that is
+    whole. A link is only a hint: it may lead to what was cut off when a process was started again."""
+    chain: list[int] = []
+    while (after := mcap.next_checkpoint(at, os.pread(file, mcap.CHECKPOINT_HEAD, at))) is not None:
+        chain.append(at)
+        if after <= at:
+            break
+        at = after
+    while chain:
+        last = chain.pop()
+        _, length = mcap.HEAD.unpack(os.pread(file, mcap.HEAD.size, last))
+        if last + mcap.HEAD.size + length > size:
+            continue
+        try:
+            return recall(last, os.pread(file, length, last + mcap.HEAD.size), [*known.checkpoints, *chain])
+        except RecordingError:
+            continue
+    return None
 
 
 def _note(known: Known, opcode: int, content: bytes, length: int) -> None:

@@ -18,6 +18,18 @@ WARM_UP = 10
 """Iterations left out at the start."""
 
 
+MOST_TIMES = 20_000
+"""Iterations whose times are kept of a long run that is only measured."""
+MOST_ROWS = 20_000
+"""The newest iterations of such a run whose states are kept, at least; twice as many at most."""
+
+
+def is_kept(k: int, every: int) -> bool:
+    """Whether the time of iteration k is kept where those of two windows in `every` are: so iterations can still be
+    measured over a window."""
+    return k <= WARM_UP or (k - WARM_UP) // WINDOW % every < 2
+
+
 @frozen
 class Trajectory:
     """What one robot's app computed."""
@@ -57,10 +69,13 @@ EMPTY = Trajectory()
 class Builder:
     """Takes recorded states one by one."""
 
-    def __init__(self, *, strict: bool = True) -> None:
+    def __init__(self, *, strict: bool = True, whole: bool = True) -> None:
         """`strict`: an iteration that stands there twice with different values is an error; else the later one counts,
-        as where an app without snapshot, or a whole robot, began anew within a run."""
+        as where an app without snapshot, or a whole robot, began anew within a run. `whole`: keep all there is; else
+        of a long run the newest states and some of the times."""
         self._strict = strict
+        self._whole = whole
+        self._every = 2
         self.forks: set[int] = set()
         """Iterations that stand there twice with different values."""
         self._columns: tuple[str, ...] = ()
@@ -93,24 +108,34 @@ class Builder:
             self.forks.add(k)
             self._rows[k], self._times[k] = row, t
         self._times.setdefault(k, t)
+        if not self._whole and len(self._rows) > 2 * MOST_ROWS:
+            self._thin_out()
+
+    def _thin_out(self) -> None:
+        newest = sorted(self._rows)[-MOST_ROWS:]
+        self._rows = {k: self._rows[k] for k in newest}
+        while sum(1 for k in self._times if is_kept(k, self._every)) > MOST_TIMES:
+            self._every *= 2
+        self._times = {k: t for k, t in self._times.items() if is_kept(k, self._every) or k >= newest[0]}
 
     def go_back(self, epoch: Mapping[str, Any]) -> None:
         """The members have changed: the iterations from the epoch's first one on are done again."""
         k = epoch.get("k")
         if isinstance(k, int):
-            for later in [other for other in self._rows if other >= k]:
-                del self._rows[later], self._times[later]
+            for kept in (self._rows, self._times):
+                for later in [other for other in kept if other >= k]:
+                    del kept[later]
 
 
 class TrajectoryReader:
     """Reads one app's trajectory from a recording, and goes on with it while the file grows."""
 
-    def __init__(self, path: Path, topic: str = "") -> None:
-        """`topic`: of the app's states; default: the first app in the file."""
+    def __init__(self, path: Path, topic: str = "", *, whole: bool = True) -> None:
+        """`topic`: of the app's states; default: the first app in the file. `whole`: see `Builder`."""
         self._path = path
         self._topic = topic
         self._reader: Reader | None = None
-        self._builder = Builder()
+        self._builder = Builder(whole=whole)
 
     def read(self) -> Trajectory:
         """All there is by now; nothing where there is no such file. Raises `RecordingError`."""
@@ -131,9 +156,10 @@ class TrajectoryReader:
         return topic == self._topic or topic == epoch_topic(self._topic)
 
 
-def read(path: Path) -> Trajectory:
-    """Read one recording of one app. What was cut off (the robot was killed while it wrote) is left out."""
-    return TrajectoryReader(path).read()
+def read(path: Path, *, whole: bool = True) -> Trajectory:
+    """Read one recording of one app. What was cut off (the robot was killed while it wrote) is left out. `whole`: see
+    `Builder`."""
+    return TrajectoryReader(path, whole=whole).read()
 
 
 def is_state(topic: str) -> bool:

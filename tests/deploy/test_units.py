@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from services.balancer.bridge import OOM_SCORE_ADJUST
+
 SYSTEMD = Path(__file__).parents[2] / "deploy" / "systemd"
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm", "swarm-app@consensus")
 EXPOSURE = {"swarm-balancer": 40}
@@ -78,3 +80,48 @@ def test_every_service_and_device_is_where_the_scripts_look() -> None:
     assert made == users
     rules = (SYSTEMD / "60-swarm.rules").read_text()
     assert {word.split('"')[1] for word in rules.split() if word.startswith("OWNER=")} <= users
+
+
+PI_MB, GPU_MB, SYSTEM_MB = 512, 64, 90
+"""A Pi Zero 2 W; what its GPU has; what kernel and system need."""
+
+
+def setting(unit: str, name: str) -> str:
+    """The last value of a setting in a unit's file or in what all services share; empty where there is none."""
+    files = [SYSTEMD / unit]
+    if unit.endswith(".service"):
+        files.append(SYSTEMD / "swarm-.service.d/10-common.conf")
+    lines = [line for file in files for line in file.read_text().splitlines() if line.startswith(f"{name}=")]
+    return lines[-1].partition("=")[2] if lines else ""
+
+
+def limit_mb(unit: str) -> int:
+    """Its MemoryMax=."""
+    text = setting(unit, "MemoryMax")
+    assert text.endswith("M"), f"{unit} has no limit of memory"
+    return int(text[:-1])
+
+
+def test_all_limits_of_memory_fit_a_pi_however_many_apps_there_are() -> None:
+    services = [path.name for path in SYSTEMD.glob("swarm-*.service")]
+    limited = [name for name in services if setting(name, "Slice") == "swarm.slice"]
+    assert set(services) - set(limited) == {"swarm-balancer.service"}
+    assert sum(map(limit_mb, limited)) <= limit_mb("swarm.slice")
+    assert limit_mb("swarm.slice") + limit_mb("swarm-balancer.service") <= PI_MB - GPU_MB - SYSTEM_MB
+
+
+def test_the_balancer_is_the_last_that_is_ended_where_memory_runs_out() -> None:
+    scores = {path.name: int(setting(path.name, "OOMScoreAdjust")) for path in SYSTEMD.glob("swarm-*.service")}
+    in_order = sorted(scores, key=lambda name: scores[name])
+    assert in_order[0] == "swarm-balancer.service"
+    assert in_order[-1] == "swarm-app@.service"
+    assert scores["swarm-balancer.service"] < -500
+    # Its bridge goes before its loop, and takes nothing else with it.
+    assert int(OOM_SCORE_ADJUST) >= scores["swarm-app@.service"]
+    assert setting("swarm-balancer.service", "OOMPolicy") == "continue"
+
+
+def test_a_service_at_its_limit_of_memory_is_not_swapped_out() -> None:
+    for path in SYSTEMD.glob("swarm-*.service"):
+        assert setting(path.name, "MemorySwapMax") == "0"
+        assert setting(path.name, "MemoryHigh") == ""

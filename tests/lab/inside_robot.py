@@ -126,8 +126,8 @@ def is_a_robot() -> dict[str, float]:
     expect(os.sched_getscheduler(loop) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO, "the loop has no real-time priority")
     status = Path(f"/proc/{loop}/status").read_text()
     expect(int(status.split("VmLck:")[1].split()[0]) > 0, "the loop's memory is not locked")
-    for unit, limit in zip(SERVICES, (64, 96, 96, 64), strict=True):
-        found = int((Path("/sys/fs/cgroup") / show(unit, "ControlGroup").strip("/") / "memory.max").read_text())
+    for unit, limit in zip(SERVICES, (48, 64, 64, 48), strict=True):
+        found = int((group_of(unit) / "memory.max").read_text())
         expect(found == limit << 20, f"{unit} may have {found} bytes")
     tty = Path("/dev/ttyS0").stat()  # of a kernel with udev: the module's, where it is wired to the Pi's UART
     owner, mode = pwd.getpwuid(tty.st_uid).pw_name, stat.S_IMODE(tty.st_mode)
@@ -228,6 +228,56 @@ def mesh_killed() -> dict[str, float]:
     return {"back_s": back}
 
 
+def group_of(unit: str) -> Path:
+    """The folder of a service's cgroup. A limit written there below what its processes have ends one of them at once,
+    as when it had grown up to its limit; the service that is started anew has that of its unit."""
+    return Path("/sys/fs/cgroup") / show(unit, "ControlGroup").strip("/")
+
+
+def told_in_the_log(unit: str, text: str) -> bool:
+    words = ["journalctl", "--no-pager", "--output=cat", f"--unit={unit}"]
+    return text in subprocess.run(words, capture_output=True, text=True).stdout
+
+
+def a_limit_of_memory_is_reached() -> dict[str, float]:
+    """That service is ended and started anew, nothing else is, the robot stands all the while, and the log says why."""
+    robot.stand()
+    measured = {}
+    for unit in ("swarm-mesh", "swarm-dwm", "swarm-bus"):
+        group = group_of(unit)
+        measured[f"{unit.removeprefix('swarm-')}_mib"] = int((group / "memory.current").read_text()) / (1 << 20)
+        others = {other: show(other, "MainPID") for other in SERVICES if other != unit}
+        old = show(unit, "MainPID")
+        (group / "memory.max").write_text(str(4 << 20))
+        wait(lambda unit=unit, old=old: show(unit, "MainPID") not in ("0", old), f"there is another {unit}", 20.0)
+        wait(lambda unit=unit: show(unit, "ActiveState") == "active", f"{unit} is up", 30.0)
+        wait(lambda unit=unit: told_in_the_log(unit, "oom-kill"), f"the log of {unit} says why", 5.0)
+        expect(others == {other: show(other, "MainPID") for other in others}, f"others were started anew with {unit}")
+    robot.state = None
+    wait(lambda: robot.mode == "balancing", "it stands as before", 20.0)
+    return measured
+
+
+def the_balancers_limit_of_memory_is_reached() -> dict[str, float]:
+    """Its bridge is ended, and another one started: the loop goes on, and the robot stands."""
+    robot.stand()
+    loop = show("swarm-balancer", "MainPID")
+    children = Path(f"/proc/{loop}/task/{loop}/children")
+    bridge = children.read_text().split()
+    group = group_of("swarm-balancer")
+    limit, current = (group / "memory.max").read_text(), int((group / "memory.current").read_text())
+    resident = int(Path(f"/proc/{loop}/status").read_text().split("VmRSS:")[1].split()[0]) << 10
+    (group / "memory.max").write_text(str(resident + (4 << 20)))  # enough for the loop alone
+    wait(lambda: "oom_kill 1" in (group / "memory.events").read_text(), "the kernel has ended a process", 10.0)
+    (group / "memory.max").write_text(limit)
+    wait(lambda: (now := children.read_text().split()) and now != bridge, "there is another bridge", 10.0)
+    expect(show("swarm-balancer", "MainPID") == loop, "the loop was ended")
+    robot.state = None
+    wait(lambda: robot.mode == "balancing", "it stands as before", 20.0)
+    expect(told_in_the_log("swarm-balancer", "the bridge ended code=-9"), "the log does not say so")
+    return {"balancer_mib": current / (1 << 20)}
+
+
 def stopped() -> dict[str, float]:
     """By SIGTERM, in good order: motors off first of all."""
     robot.stand()
@@ -255,6 +305,8 @@ CHECKS: dict[str, Callable[[], dict[str, float]]] = {
     "another device": another_device,
     "killed": killed,
     "mesh is killed": mesh_killed,
+    "a limit of memory is reached": a_limit_of_memory_is_reached,
+    "the balancer's limit of memory is reached": the_balancers_limit_of_memory_is_reached,
     "stopped": stopped,
 }
 

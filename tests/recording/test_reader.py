@@ -20,8 +20,7 @@ def recording():
             writer.cut()
             data += writer.take()
             marks.append((len(data), i + 1))
-    writer.finish()
-    return data + writer.take(), marks
+    return data + b"".join(writer.finish()), marks
 
 
 def read(path):

@@ -33,9 +33,8 @@ def recorded(*messages, epoch_ns=0, finish=True):
     for topic, t, message in messages:
         writer.write(topic, t, message)
     if finish:
-        writer.finish()
-    else:
-        writer.cut()
+        return b"".join(writer.finish())
+    writer.cut()
     return writer.take()
 
 

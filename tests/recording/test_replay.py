@@ -44,8 +44,7 @@ def test_what_was_none_is_there_again(tmp_path):
     writer.write("swarm/r0/mesh/links", 1.0, Links(1.0, (link,)))
     writer.write("swarm/r0/dwm/pose", 1.0, pose)
     writer.write("swarm/r0/app/x/asked", 1.0, {"t": 1.0})
-    writer.finish()
-    (tmp_path / "x.mcap").write_bytes(writer.take())
+    (tmp_path / "x.mcap").write_bytes(b"".join(writer.finish()))
     found = {sample.topic: published(sample.topic, sample.message) for sample in Run(tmp_path / "x.mcap").samples()}
     assert found["swarm/r0/mesh/links"]["links"][0]["rtt"] is None
     assert found["swarm/r0/dwm/pose"].keys() == set(Pose.__slots__)

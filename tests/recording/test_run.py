@@ -18,8 +18,7 @@ def write(path, robot, clock, epoch_s, *messages):
     writer.metadata("run", run)
     for topic, t, message in messages:
         writer.write(f"swarm/{robot}/{topic}", t, message)
-    writer.finish()
-    path.write_bytes(writer.take())
+    path.write_bytes(b"".join(writer.finish()))
 
 
 def state(k, t, value=0.5):
@@ -161,7 +160,6 @@ def test_topics_are_chosen_as_on_the_bus(tmp_path, key, names):
     writer = Writer("test", epoch_ns=0)
     for topic in keys.values():
         writer.write(topic, 1.0, {"t": 1.0})
-    writer.finish()
-    (tmp_path / "x.mcap").write_bytes(writer.take())
+    (tmp_path / "x.mcap").write_bytes(b"".join(writer.finish()))
     found = {sample.topic for sample in Run(tmp_path / "x.mcap").samples(key)}
     assert found == {keys[name] for name in names}

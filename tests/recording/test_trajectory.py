@@ -15,9 +15,8 @@ def write(tmp_path, *rows, topic=TOPIC):
     writer = Writer("test", epoch_ns=0)
     for k, t, state, result in rows:
         writer.write(topic, t, AppState(t, k, state, result), "consensus.State")
-    writer.finish()
     path = tmp_path / "r0.consensus.mcap"
-    path.write_bytes(writer.take())
+    path.write_bytes(b"".join(writer.finish()))
     return path
 
 
@@ -55,9 +54,8 @@ def test_what_is_done_again_with_other_members_counts_from_then_on(tmp_path):
     writer.write("swarm/r0/app/consensus/epoch", 4.0, epoch)
     for k, value_of_it in ((1, 1.0), (2, 2.5)):
         writer.write(TOPIC, 4.0 + k, AppState(4.0 + k, k, {"value": value_of_it}, {}))
-    writer.finish()
     path = tmp_path / "epochs.mcap"
-    path.write_bytes(writer.take())
+    path.write_bytes(b"".join(writer.finish()))
     found = trajectory.read(path)
     assert [found.rows[k] for k in sorted(found.rows)] == [("0.0",), ("1.0",), ("2.5",)]
     assert found.times == {0: 0.0, 1: 5.0, 2: 6.0}
@@ -71,8 +69,7 @@ def test_a_state_has_the_same_fields_throughout(tmp_path):
 def test_what_is_no_state_is_refused(tmp_path):
     writer = Writer("test", epoch_ns=0)
     writer.write(TOPIC, 1.0, {"k": "one"})
-    writer.finish()
-    (tmp_path / "x.mcap").write_bytes(writer.take())
+    (tmp_path / "x.mcap").write_bytes(b"".join(writer.finish()))
     with pytest.raises(RecordingError, match="a state without k, t, state and result"):
         trajectory.read(tmp_path / "x.mcap")
 
@@ -113,3 +110,21 @@ def test_percentiles_are_nearest_rank():
     assert trajectory.percentile([], 95) is None
     assert trajectory.percentile([1.0], 95) == 1.0
     assert trajectory.percentile(list(map(float, range(1, 101))), 95) == 95.0
+
+
+def test_of_a_long_run_that_is_only_measured_the_newest_states_and_some_times_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(trajectory, "MOST_ROWS", 100)
+    monkeypatch.setattr(trajectory, "MOST_TIMES", 200)
+    rows = [(k, 0.1 * k, {"value": float(k)}, {}) for k in range(5000)]
+    path = write(tmp_path, *rows)
+    whole, found = trajectory.read(path), trajectory.read(path, whole=False)
+    assert (found.last, found.newest, found.columns) == (whole.last, whole.newest, whole.columns)
+    assert 100 <= len(found.rows) <= 201
+    assert len(found.times) <= 401
+    assert found.rows.items() <= whole.rows.items()
+    assert found.times.items() <= whole.times.items()
+    assert found.times.keys() >= found.rows.keys()
+    assert found.first_reached() == whole.first_reached()
+    assert trajectory.median(trajectory.iteration_times({"r0": found})) == pytest.approx(0.1)
+    with pytest.raises(RecordingError, match="iteration 4990 stands there twice"):
+        trajectory.read(write(tmp_path, *rows, (4990, 600.0, {"value": 0.5}, {})), whole=False)

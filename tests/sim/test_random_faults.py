@@ -85,9 +85,8 @@ def test_recordings_are_read_epoch_by_epoch(tmp_path: Path) -> None:
     writer.write("swarm/r0/app/restless/epoch", 3.0, epoch)
     step(4.0, 1, 0.25, 1)
     step(5.0, 1, 0.75, 1)
-    writer.finish()
     path = tmp_path / "r0.restless.mcap"
-    path.write_bytes(writer.take())
+    path.write_bytes(b"".join(writer.finish()))
     pair = Graph(("r0", "r1"), list(links))
     first, second = restless_rule.read({"r0": [path]}, pair).values()
     assert (first.counter, first.first, first.states) == (0, 0, {"r0": {0: (0.0, 0), 1: (0.25, 1)}})

@@ -96,7 +96,7 @@ def test_leds_are_told_when_they_change_and_go_back_to_the_robots_own(rig):
     changes = [(round(at, 3), message.red, message.green) for at, message in rig.messages(LedChange)]
     assert [change[1:] for change in changes] == [(False, True), (True, False), (False, True)]
     assert changes[1][0] == 1.0
-    assert rig.world.robots["r0"].balancer.led_changes[-1][1] == (False, False, True)
+    assert rig.world.robots["r0"].balancer.shown == (False, False, True)
 
 
 def test_a_stop_holds_and_refusals_are_told(rig):

@@ -1,11 +1,15 @@
 """What the simulation sees of its robots: LED phases, who stands when, how near they come, how well they are formed."""
 
+import itertools
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.sim.core import track as track_module
+from services.sim.core import witness as witness_module
+from services.sim.core.track import MOST_PLACES, TRACK_S, Track
 from services.sim.core.witness import Witness, percentile
 
 
@@ -48,7 +52,7 @@ def test_an_order_that_is_written_again_is_no_flash() -> None:
     witness = Witness(["r0"])
     for t in (1.0, 1.1, 1.2):
         witness.leds("r0", t, yellow=True)
-    assert witness.flashes["r0"] == [1.0]
+    assert list(witness.flashes["r0"]) == [1.0]
 
 
 def test_standing_is_being_upright_for_a_while() -> None:
@@ -94,3 +98,37 @@ def test_a_percentile_is_one_of_the_values_that_its_share_does_not_exceed(values
     found = percentile(values, share)
     assert found in values
     assert sum(value <= found for value in values) >= share * len(values)
+
+
+def test_a_track_of_days_stays_as_large_as_one_of_half_an_hour(monkeypatch):
+    monkeypatch.setattr(track_module, "MOST_PLACES", 100)
+    track = Track()
+    assert track.at(0.0) is None
+    for i in range(10_000):
+        track.add(TRACK_S * i, (float(i), -float(i)))
+        assert len(track) <= 100
+    places = list(track)
+    assert len(places) >= 50
+    assert places[0] == (0.0, (0.0, 0.0))
+    times = [t for t, _ in places]
+    gaps = [b - a for a, b in itertools.pairwise(times)]
+    # Evenly all along, and none is older than the longest gap.
+    assert max(gaps) == pytest.approx(min(gaps))
+    assert TRACK_S * 9_999 - track.end <= max(gaps)
+    assert track.at(times[7]) == places[7][1]
+    assert track.at(1e9) == places[-1][1]
+    assert track.at(-1.0) is None
+
+
+def test_a_track_takes_half_a_megabyte_at_most():
+    assert MOST_PLACES * 24 < 0.5e6
+
+
+def test_flashes_of_days_are_counted_and_the_first_ones_kept(monkeypatch):
+    monkeypatch.setattr(witness_module, "MOST_FLASHES", 10)
+    witness = Witness(["r0"])
+    for i in range(25):
+        witness.leds("r0", float(i), yellow=True)
+        witness.leds("r0", i + 0.5, yellow=False)
+    assert list(witness.flashes["r0"]) == [float(i) for i in range(10)]
+    assert witness.flashed == {"r0": 25}

@@ -52,7 +52,7 @@ class Flood(Localization):
         """Forget who is no member; find the ways anew."""
         known = dict(zip(self._order, self.entries, strict=False))
         self._find_ways()
-        self.entries = tuple(known.get(name, 0.0) for name in (*self._order, *[""] * (ROOM - len(self._order))))
+        self.entries = tuple([known.get(name, 0.0) for name in (*self._order, *[""] * (ROOM - len(self._order)))])
 
     def step(self, neighbours: Sequence[Any]) -> None:
         """Of each robot take what the neighbour nearest to it knows."""
@@ -70,7 +70,7 @@ class Flood(Localization):
         """Place of the target, m, its uncertainty, and the other place that fits as well (the same one if none)."""
         seen = [unpack(entry) for entry in self.entries if entry]
         parts = [ranges.statistics(*one, self.sigma()) for one in seen]
-        mean = tuple(fsum(column) / len(parts) for column in zip(*parts, strict=True)) if parts else ranges.NOTHING
+        mean = tuple([fsum(column) / len(parts) for column in zip(*parts, strict=True)]) if parts else ranges.NOTHING
         found = ranges.solve(mean, len(parts)) or UNKNOWN
         place = refine(seen, (found.x, found.y)) if found.rank == 3 else (found.x, found.y)
         return self.report(place, found)

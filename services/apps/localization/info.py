@@ -35,7 +35,7 @@ class Info(Localization):
     def step(self, neighbours: Sequence[Any]) -> None:
         """One round of dynamic average consensus."""
         new, beta = self.statistics(), self.smoothing
-        m = tuple(old + beta * (now - old) for old, now in zip(self._m, new, strict=True))
+        m = tuple([old + beta * (now - old) for old, now in zip(self._m, new, strict=True)])
         weighted = self.weighted(neighbours)
         # The difference to each neighbour is formed first, of values as they are sent, the own one too: both ends of an
         # edge then add the same amount with opposite signs, and the sum over the swarm stays.

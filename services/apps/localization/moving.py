@@ -41,9 +41,9 @@ class Moving(Localization):
     def step(self, neighbours: Sequence[Any]) -> None:
         """Agree, predict, take in the new range."""
         weighted = self.weighted(neighbours)
-        mixed = tuple(own + fsum(w * (n.q[i] - own) for w, n in weighted) for i, own in enumerate(self.q))
+        mixed = tuple([own + fsum(w * (n.q[i] - own) for w, n in weighted) for i, own in enumerate(self.q)])
         predicted = track.predict(mixed, 1.0 - 1.0 / self.memory)
-        self.q = tuple(a + b for a, b in zip(predicted, self._new(), strict=True))
+        self.q = tuple([a + b for a, b in zip(predicted, self._new(), strict=True)])
         self._period = max(0.0, self.robot.measurement.t - self._began) / (self.k + 1)
         found = self._solved()
         self._velocity = (found.vx, found.vy)

@@ -104,7 +104,7 @@ class Judged(Localization):
         """For `step`; `neighbours`: Metropolis weight and `part` of each; `moved`: by how much the place has, m."""
         self._moved = moved
         smoothing = 0.1
-        self._m = tuple(old + smoothing * (new - old) for old, new in zip(self._m, self.statistics(), strict=True))
+        self._m = tuple([old + smoothing * (new - old) for old, new in zip(self._m, self.statistics(), strict=True)])
         i = self.k % len(self._q)
         pull = math.fsum(w * (part - self.part) for w, part in neighbours)
         q, entered = list(self._q), list(self._entered)

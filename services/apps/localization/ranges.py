@@ -115,7 +115,7 @@ def solve(s: Statistics, robots: int) -> Estimate | None:
     widest = (u * u + h * h + (big + small) / (4 * w)) / 2
     covariance = (widest, 0.0, widest)
     if determinant > 0.0 and (i11 + i22) / (robots * determinant) < 2 * widest:
-        covariance = tuple(part / (robots * determinant) for part in _turned(i22, -i12, i11, cos, sin))  # type: ignore[assignment]
+        covariance = tuple([part / (robots * determinant) for part in _turned(i22, -i12, i11, cos, sin)])  # type: ignore[assignment]
 
     def back(u: float, h: float) -> tuple[float, float]:
         return cx + cos * u - sin * h, cy + sin * u + cos * h

@@ -63,7 +63,7 @@ class Block:
 
 def location(block: Uwb) -> Location:
     """The report as the module gave it to the ATmega."""
-    return Location(Position(block.x, block.y, block.z, block.quality), tuple(map(_range, block.ranges)))
+    return Location(Position(block.x, block.y, block.z, block.quality), tuple([_range(item) for item in block.ranges]))
 
 
 def _range(item: UwbRange) -> AnchorRange:

@@ -205,7 +205,7 @@ def _fix(
     anchors: Sequence[Point], distances: Sequence[float], height: float, sigma: float, place: tuple[float, float]
 ) -> Fix | NoFix:
     terms = [_terms(anchor, d, height, *place) for anchor, d in zip(anchors, distances, strict=True)]
-    weights = tuple(_weight(error, sigma) for _, _, error in terms)
+    weights = tuple([_weight(error, sigma) for _, _, error in terms])
     xx, xy, yy = (
         fsum(w * term[i] * term[j] for w, term in zip(weights, terms, strict=True)) for i, j in ((0, 0), (0, 1), (1, 1))
     )
@@ -216,4 +216,4 @@ def _fix(
     spread = max(sigma, 1.4826 * median(abs(term[2]) for term in terms) * sqrt(len(terms) / (len(terms) - 2)))
     variance = spread * spread / determinant
     covariance = (yy * variance, -xy * variance, xx * variance)
-    return Fix(*place, covariance, tuple(term[2] for term in terms), weights)
+    return Fix(*place, covariance, tuple([term[2] for term in terms]), weights)

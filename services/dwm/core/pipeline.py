@@ -77,7 +77,7 @@ class Pipeline:
             else:
                 self._last_pose = self._averaged(location.position, now)
                 self.tracker.ranges(now, fresh)
-        ranges = tuple(self._range(track, now) for track in self._book.listed(now))
+        ranges = tuple([self._range(track, now) for track in self._book.listed(now)])
         pose = self._tracked(now) if self._kind in ("ekf", "auto") else self._last_pose
         if location.position.quality > 0:
             pose = replace(pose, raw_x=location.position.x, raw_y=location.position.y)

@@ -148,7 +148,8 @@ def _location(parts: list[tuple[int, bytes]]) -> Location:
     if len(ranges) != 1 + size * ranges[0]:
         raise FrameError(f"{ranges[0]} ranges announced in a part of {len(ranges)} bytes")
     read = _tag_ranges if kind == TAG_RANGES else _anchor_ranges
-    return Location(decode_position(position), tuple(read(ranges[1:])))
+    listed = list(read(ranges[1:]))
+    return Location(decode_position(position), tuple(listed))
 
 
 def _tag_ranges(records: bytes) -> Iterable[AnchorRange]:

@@ -94,7 +94,7 @@ class Membership:
 
     def members(self) -> tuple[Member, ...]:
         """Everybody, by name; those never seen included."""
-        return tuple(self.member(name) for name in self._names[: MAX_SHOWN + 1] if name != self._me)[:MAX_SHOWN]
+        return tuple([self.member(name) for name in self._names[: MAX_SHOWN + 1] if name != self._me])[:MAX_SHOWN]
 
     def member(self, name: str) -> Member:
         """One of the others."""

@@ -214,7 +214,7 @@ class Node:
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
         links = [link for _, link in sorted(self._links.items()) if link.lasting or link.session is not None]
-        return tuple(link.state() for link in links)
+        return tuple([link.state() for link in links])
 
     def clock(self, now: float) -> ClockState:
         """The mesh clock."""

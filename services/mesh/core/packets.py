@@ -228,7 +228,7 @@ def decode_echo(data: bytes) -> Echo:
     if flags > 3:
         raise FrameError(f"ECHO flags {flags:#x}: bits 0 and 1 are known")
     reader = Reader(data, _ECHO.size)
-    robots = tuple(reader.name() for _ in range(count))
+    robots = tuple([reader.name() for _ in range(count)])
     reader.end()
     return Echo(incarnation, sequence, robots, bool(flags & 1), bool(flags & 2), ttl)
 

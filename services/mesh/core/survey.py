@@ -41,7 +41,7 @@ class Survey:
     def graph(self, now: float, *, stopped: bool, after: str = "") -> MeshGraph:
         """Robots with names behind `after`; `stopped` says whether this one is."""
         names = [name for name in self._names if name > after]
-        page = tuple(self._robot(name, stopped) for name in names[:PAGE])
+        page = tuple([self._robot(name, stopped) for name in names[:PAGE]])
         return MeshGraph(now, page, len(names) > PAGE)
 
     def _robot(self, name: str, stopped: bool) -> GraphRobot:

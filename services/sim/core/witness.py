@@ -4,16 +4,17 @@ Fed with true poses and changes of the LEDs' registers; no app and no robot know
 """
 
 import math
+from array import array
 from bisect import bisect_left
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from services.balancer.core.posture import UPRIGHT
+from services.sim.core.track import Point, Track
 
-Point = tuple[float, float]
-
-TRACK_S = 0.1
-"""Between two places that are kept of a robot."""
+MOST_FLASHES = 20_000
+"""Times of flashes that are kept of a robot: the first ones, three hours at two a second. A flash behind them is
+counted."""
 STANDS_S = 0.5
 """Upright for so long is standing, not swinging through."""
 
@@ -43,14 +44,16 @@ WINDOW_S = 3.0
 
 
 class Witness:
-    """Keeps what it sees. Times are of one clock, s."""
+    """Keeps what it sees, in bounded memory. Times are of one clock, s."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self.names = tuple(names)
-        self.tracks: dict[str, list[tuple[float, Point]]] = {name: [] for name in self.names}
-        """Where each has been, every `TRACK_S` or so."""
-        self.flashes: dict[str, list[float]] = {name: [] for name in self.names}
-        """When each one's yellow LED went on."""
+        self.tracks = {name: Track() for name in self.names}
+        """Where each has been."""
+        self.flashes = {name: array("d") for name in self.names}
+        """When each one's yellow LED went on, the first `MOST_FLASHES` times."""
+        self.flashed = dict.fromkeys(self.names, 0)
+        """How often it did."""
         self.stood_at: dict[str, float] = {}
         """Since when each has stood; missing where it does not."""
         self.closest: Closest | None = None
@@ -64,9 +67,7 @@ class Witness:
         for other, there in self._places.items():
             if other != robot and (self.closest is None or math.dist(place, there) < self.closest.distance):
                 self.closest = Closest(math.dist(place, there), t, *sorted((robot, other)))
-        track = self.tracks[robot]
-        if not track or t >= track[-1][0] + TRACK_S - 1e-3:
-            track.append((t, place))
+        self.tracks[robot].add(t, place)
         if abs(tilt) > UPRIGHT:
             self._upright.pop(robot, None)
             self.stood_at.pop(robot, None)
@@ -76,14 +77,14 @@ class Witness:
     def leds(self, robot: str, t: float, *, yellow: bool) -> None:
         """A robot's LEDs have changed."""
         if yellow and not self._yellow[robot]:
-            self.flashes[robot].append(t)
+            self.flashed[robot] += 1
+            if len(self.flashes[robot]) < MOST_FLASHES:
+                self.flashes[robot].append(t)
         self._yellow[robot] = yellow
 
     def place(self, robot: str, t: float) -> Point | None:
         """Where a robot was at a time; None before it was seen."""
-        track = self.tracks[robot]
-        at = bisect_left(track, t, key=lambda item: item[0])
-        return None if not track or t < track[0][0] else track[min(at, len(track) - 1)][1]
+        return self.tracks[robot].at(t)
 
     def phases(self, edges: Collection[tuple[str, str]], since: float) -> Phases | None:
         """How far apart the robots' LEDs went on from `since` on; `edges`: which are neighbours. None where one never
@@ -122,7 +123,7 @@ class Witness:
         """Time, and how far the robots are from the shape with these places (root mean square, m, wherever it is)."""
         if not all(self.tracks.values()):
             return []
-        begin = max(track[0][0] for track in self.tracks.values())
+        begin = max(track.begin for track in self.tracks.values())
         found = []
         for t, _ in self.tracks[self.names[0]]:
             if t < begin:
@@ -143,7 +144,7 @@ def percentile(values: Collection[float], share: float) -> float:
     return math.nan if not ordered else ordered[max(0, math.ceil(share * len(ordered)) - 1)]
 
 
-def _nearest(times: list[float], t: float) -> float:
+def _nearest(times: Sequence[float], t: float) -> float:
     """How far the nearest of `times` (sorted, at least one) is from `t`."""
     at = bisect_left(times, t)
     return min(abs(times[i] - t) for i in (at - 1, at) if 0 <= i < len(times))

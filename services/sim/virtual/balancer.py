@@ -61,8 +61,8 @@ class VirtualBalancer:
         place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
         self.robot = robot
         self.body = VirtualBody(model, config.body_of(robot), config.balancing_of(robot), place, numbers.gauss)
-        self.led_changes: list[tuple[float, Shown]] = []
-        """What the LEDs have shown, and since when."""
+        self.shown: Shown | None = None
+        """What the LEDs show."""
         self._time = time
         self._bus = bus
         self._witness = witness
@@ -147,9 +147,9 @@ class VirtualBalancer:
         now, body = self._time.now, self.body
         body.advance(now)
         lamps = shown(body.mode, STOPPED if body.fault else "", self._claim.leds(now), low_battery=False, now=now)
-        if self.led_changes and self.led_changes[-1][1] == lamps:
+        if self.shown == lamps:
             return
-        self.led_changes.append((now, lamps))
+        self.shown = lamps
         if self._witness is not None:
             self._witness.leds(self.robot, self._time.true, yellow=lamps[1])
         self._bus.publish(self._keys["leds"], Leds(now, *lamps))
@@ -211,8 +211,8 @@ class VirtualBalancer:
         self._time.at(self._time.now + REPEAT_S, self._tell_slowly)
         if self._bus.wanted(self._keys["battery"]):
             self._bus.publish(self._keys["battery"], Battery(self._time.now, BATTERY))
-        if self._bus.wanted(self._keys["leds"]) and self.led_changes:
-            self._bus.publish(self._keys["leds"], Leds(self._time.now, *self.led_changes[-1][1]))
+        if self._bus.wanted(self._keys["leds"]) and self.shown is not None:
+            self._bus.publish(self._keys["leds"], Leds(self._time.now, *self.shown))
         self._tell_buttons()
 
     def _tell_buttons(self) -> None:

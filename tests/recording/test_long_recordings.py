@@ -1,0 +1,190 @@
+"""A recording of days: its index leaves the memory, and a process that goes on with it reads little of it."""
+
+import os
+from collections import Counter
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm.core import mcap, recording
+from swarm.core.recording import Writer
+from swarm.recording.file import RecordingFile
+from swarm.recording.plain import PlainRecording
+from swarm.recording.reader import Reader
+from swarm.recording.survey import survey
+
+TOPICS = tuple(f"swarm/r0/{name}" for name in "abcde")
+SMALL = 1000
+"""Bytes of chunk indexes between two checkpoints in these tests: some eight chunks."""
+
+
+@pytest.fixture(autouse=True)
+def small_index(monkeypatch):
+    monkeypatch.setattr(recording, "INDEX_SIZE", SMALL)
+
+
+def written(path, seconds, *, append=False, end=True, journal=None):
+    """A recording of five messages a second, each second one chunk."""
+    file = RecordingFile(path, Counter(), append=append, min_free=0, journal=journal)
+    for t in seconds:
+        for topic in TOPICS:
+            file.write(topic, float(t), {"i": t})
+        file.flush()
+    if end:
+        file.close()
+        return
+    file._ending.set()
+    file._thread.join()
+    os.close(file._file)
+    file._file = None
+
+
+def surveyed(path, limit=None):
+    file = os.open(path, os.O_RDONLY)
+    try:
+        return survey(file, limit)
+    finally:
+        os.close(file)
+
+
+def checkpoints(path):
+    """Offset and content of each."""
+    data = path.read_bytes()
+    return [
+        (at, bytes(content))
+        for at, opcode, content in mcap.whole_records(data, len(mcap.MAGIC))
+        if opcode == mcap.CHECKPOINT
+    ]
+
+
+def check_with_the_other_reader(path, seconds):
+    """The index names every message, the checksums are right: read by the package of the format's authors."""
+    reader = pytest.importorskip("mcap.reader")
+    with path.open("rb") as stream:
+        seeking = reader.SeekingReader(stream, validate_crcs=True)
+        summary = seeking.get_summary()
+        assert summary.statistics.message_count == seconds * len(TOPICS)
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) == seconds
+        assert len(list(seeking.iter_messages())) == seconds * len(TOPICS)
+        late = [message.log_time for _, _, message in seeking.iter_messages(topics=[TOPICS[2]])]
+        assert len(late) == seconds
+
+
+def test_the_index_of_a_long_recording_is_in_the_file_not_in_memory(tmp_path):
+    path = tmp_path / "x.mcap"
+    written(path, range(200))
+    assert len(checkpoints(path)) > 10
+    check_with_the_other_reader(path, 200)
+    reader = Reader(path)
+    assert [sample.message["i"] for sample in reader.samples(TOPICS[0].__eq__)] == list(range(200))
+    assert (reader.finished, reader.damage) == (True, [])
+
+
+def test_a_recording_under_virtual_time_keeps_its_index_in_the_file_too(tmp_path):
+    path = tmp_path / "x.mcap"
+    file = PlainRecording(path, {"app": "x"})
+    for t in range(201):
+        for topic in TOPICS:
+            file.write(topic, float(t), {"i": t})
+    file.close()
+    check_with_the_other_reader(path, 201)
+    assert len(checkpoints(path)) > 10
+
+
+def test_a_writer_keeps_no_more_of_the_index_than_goes_into_a_checkpoint():
+    writer = Writer("test", epoch_ns=0)
+    most = 0
+    for t in range(300):
+        for topic in TOPICS:
+            writer.write(topic, float(t), {"i": t})
+        writer.take()
+        most = max(most, len(writer._known.chunk_indexes))
+    assert most < SMALL + 200
+    assert len(writer.checkpoints) > 20
+
+
+def reads(path, monkeypatch):
+    """Bytes that a process reads before it goes on with a recording."""
+    read = 0
+    pread = os.pread
+
+    def count(file, length, at):
+        nonlocal read
+        data = pread(file, length, at)
+        read += len(data)
+        return data
+
+    monkeypatch.setattr(os, "pread", count)
+    surveyed(path)
+    monkeypatch.undo()
+    monkeypatch.setattr(recording, "INDEX_SIZE", SMALL)
+    return read
+
+
+def test_a_process_that_goes_on_with_a_long_recording_reads_little_of_it(tmp_path, monkeypatch):
+    written(tmp_path / "short.mcap", range(30), end=False)
+    written(tmp_path / "long.mcap", range(300), end=False)
+    links = len(checkpoints(tmp_path / "long.mcap")) * mcap.CHECKPOINT_HEAD
+    # Not more than what one checkpoint and the chunks behind it may differ by, and the links.
+    assert reads(tmp_path / "long.mcap", monkeypatch) < reads(tmp_path / "short.mcap", monkeypatch) + links + 4 * SMALL
+
+
+def test_a_recording_that_was_gone_on_with_often_is_whole(tmp_path):
+    path = tmp_path / "x.mcap"
+    for start in range(10):
+        written(path, range(20 * start, 20 * start + 20), append=start > 0, end=start % 2 == 0, journal=tmp_path / "j")
+    written(path, range(200, 201), append=True)
+    check_with_the_other_reader(path, 201)
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A recording with checkpoints and no end, and the same without links between them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "INDEX_SIZE", SMALL)
+        path = tmp_path_factory.mktemp("killed") / "x.mcap"
+        written(path, range(60), end=False)
+        unlinked = bytearray(path.read_bytes())
+        for at, _ in checkpoints(path):
+            place, data = mcap.link(at, 0)
+            unlinked[place : place + len(data)] = data
+        other = path.with_name("unlinked.mcap")
+        other.write_bytes(unlinked)
+        return path, other
+
+
+def test_checkpoints_are_linked(killed):
+    linked, unlinked = killed
+    found = [at for at, _ in checkpoints(linked)]
+    heads = [mcap.next_checkpoint(at, linked.read_bytes()[at : at + mcap.CHECKPOINT_HEAD]) for at in found]
+    assert heads == [*found[1:], 0]
+    assert surveyed(linked).checkpoints == surveyed(unlinked).checkpoints == found
+
+
+@given(st.data())
+def test_a_survey_finds_the_same_with_and_without_links_wherever_the_file_ends(killed, data):
+    linked, unlinked = killed
+    limit = data.draw(st.integers(0, linked.stat().st_size))
+    assert surveyed(linked, limit) == surveyed(unlinked, limit)
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_a_damaged_checkpoint_costs_no_message(killed, tmp_path_factory, data):
+    linked, _ = killed
+    whole = surveyed(linked)
+    at, content = data.draw(st.sampled_from(checkpoints(linked)))
+    damaged = bytearray(linked.read_bytes())
+    place = data.draw(st.integers(at + mcap.HEAD.size, at + mcap.HEAD.size + len(content) - 1))
+    damaged[place] ^= data.draw(st.integers(1, 255))
+    path = tmp_path_factory.mktemp("damaged") / "x.mcap"
+    path.write_bytes(damaged)
+    found = surveyed(path)
+    assert (found.position, found.counts, found.chunks) == (whole.position, whole.counts, whole.chunks)
+    written(path, range(60, 70), append=True)
+    reader = Reader(path)
+    assert [sample.message["i"] for sample in reader.samples(TOPICS[0].__eq__)] == list(range(70))
+    if reader.finished:  # damage to the index itself leaves the file without one
+        assert reader.damage == []
+        check_with_the_other_reader(path, 70)
