@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from conftest import Processes, wait_until
+from conftest import Processes
 from inside_swarm import NAMES, Swarm
 
 from lab.radio.remote import Radio
+from lab.waiting import until
 from swarm import clock
 from swarm.mesh_clock import MeshClock
 from swarm.messages import Member, Stop, Stopped, read
@@ -63,7 +64,7 @@ def come(each: Overlays, count: int) -> list[tuple[str, bytes, bool]]:
         got.extend(tuple(message) for message in each.messages())
         return len(got) >= count
 
-    wait_until(enough, what="messages come")
+    until(f"{count} messages come", enough, state=lambda: got)
     time.sleep(0.2)
     enough()
     return got
@@ -75,7 +76,13 @@ def members(swarm: Swarm, name: str) -> dict[str, Member]:
 
 def wait_here(swarm: Swarm) -> None:
     """All see all, and by the shortest way."""
-    wait_until(lambda: all(whole(swarm, name) for name in NAMES), 40, "all see all")
+    swarm.wait(
+        "each robot sees each by the shortest way",
+        lambda: all(whole(swarm, name) for name in NAMES),
+        lambda: {
+            name: {each.robot: (each.state, each.hops) for each in members(swarm, name).values()} for name in NAMES
+        },
+    )
 
 
 def whole(swarm: Swarm, name: str) -> bool:
@@ -115,7 +122,11 @@ def test_a_large_payload_arrives_whole(overlays: dict[str, Overlays]) -> None:
 
 def test_mesh_time_is_the_same_everywhere(swarm: Swarm) -> None:
     clocks = {name: MeshClock(swarm.buses[name], name) for name in NAMES}
-    wait_until(lambda: all(each.root == "r0" for each in clocks.values()), what="one root")
+    swarm.wait(
+        "the root of all clocks is r0",
+        lambda: all(each.root == "r0" for each in clocks.values()),
+        lambda: {name: each.root for name, each in clocks.items()},
+    )
     # One machine, one monotonic clock: mesh time is that of r0, which is everybody's.
     off: dict[str, float] = {}
 
@@ -123,7 +134,7 @@ def test_mesh_time_is_the_same_everywhere(swarm: Swarm) -> None:
         off.update({name: (each.now() or 0.0) - clock.now() for name, each in clocks.items()})
         return max(map(abs, off.values())) < CLOCK_S
 
-    swarm.wait(right, lambda: f"{off}")
+    swarm.wait("mesh time is right everywhere", right, lambda: off)
 
 
 def test_rules_carry_keys(swarm: Swarm) -> None:
@@ -145,7 +156,7 @@ def test_rules_carry_keys(swarm: Swarm) -> None:
     wanted[FAR].update([leds])
     for name in ("r1", "r5"):
         wanted[name].update([sync])
-    swarm.wait(lambda: seen == wanted, lambda: f"{seen}")
+    swarm.wait("the rules have carried the keys", lambda: seen == wanted, lambda: seen)
 
 
 def test_a_stop_reaches_all_and_is_taken_back(swarm: Swarm, overlays: dict[str, Overlays]) -> None:
@@ -155,16 +166,24 @@ def test_a_stop_reaches_all_and_is_taken_back(swarm: Swarm, overlays: dict[str, 
             f"swarm/{name}/mesh/stopped", lambda key, data: states.update({key.split("/")[1]: read(key, data)})
         )
     swarm.buses["r0"].publish("swarm/stop", Stop(0.0, "somebody", "smoke"), urgent=True)
-    wait_until(lambda: len(states) == 6 and all(each.by == {"r0": "smoke"} for each in states.values()))
+    swarm.wait(
+        "all six are stopped by r0",
+        lambda: len(states) == 6 and all(each.by == {"r0": "smoke"} for each in states.values()),
+        lambda: states,
+    )
     overlays["r2"].arm()
-    wait_until(lambda: not any(each.stopped for each in states.values()))
+    swarm.wait("none is stopped", lambda: not any(each.stopped for each in states.values()), lambda: states)
 
 
 def test_messages_take_another_way(swarm: Swarm, overlays: dict[str, Overlays], radio: Radio) -> None:
     radio.order("silence", address=radio.addresses[1])
     assert overlays["r0"].send("r2", b"around").result(2 * PATIENCE).delivered
     assert come(overlays["r2"], 1) == [("r0", b"around", False)]
-    wait_until(lambda: members(swarm, "r0")["r2"].hops == 4, what="four hops the other way around")
-    wait_until(lambda: members(swarm, "r0")["r1"].state == "gone", what="r1 is gone")
+    swarm.wait(
+        "r0 reaches r2 by four hops, the other way around",
+        lambda: members(swarm, "r0")["r2"].hops == 4,
+        lambda: members(swarm, "r0"),
+    )
+    swarm.wait("r0 takes r1 for gone", lambda: members(swarm, "r0")["r1"].state == "gone", lambda: members(swarm, "r0"))
     radio.order("unsilence", address=radio.addresses[1])
     wait_here(swarm)

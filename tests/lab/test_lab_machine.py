@@ -23,7 +23,7 @@ def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callab
         robot.run("echo no; exit 3")
     slow = robot.spawn("sleep 60", 1.0)
     assert robot.run("echo meanwhile") == "meanwhile\n"
-    assert robot.wait(slow, 30).code == 124
+    assert robot.wait(slow, 30, "the slow command is ended").code == 124
     robot.kill()
     cut = time.monotonic()
     with pytest.raises(MachineError, match="switched off"):

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -15,11 +14,13 @@ from typing import Any
 import pytest
 
 from bench import restless_rule
+from lab import waiting
 from lab.inside import command, furnish
 from lab.radio.remote import Radio
 from lab.shapes import ITERATIONS, LINE, ROBOTS, SHAPES, config, line
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
+from lab.waiting import PATIENCE_S, until
 from swarm.core.graph import Graph
 from swarm.keyfile import new_key_file
 from swarm.recording import trajectory
@@ -29,8 +30,6 @@ pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(900)]
 
 KEY = 'key = "/share/swarm.key"'
-PATIENCE_S = 180.0
-"""For each thing to happen: it only bounds a failure."""
 DROP_AFTER_S = 10.0
 """Longer than a busy host keeps a machine from computing."""
 
@@ -38,8 +37,9 @@ DROP_AFTER_S = 10.0
 class Swarm:
     """Machines that are robots r0, r1, ..., and what they say of the app that each runs."""
 
-    def __init__(self, image: Image, folder: Path, count: int) -> None:
+    def __init__(self, image: Image, folder: Path, count: int, radio: Radio) -> None:
         self.folder = folder
+        self.radio = radio
         self.names = [f"r{i}" for i in range(count)]
         self.machines = {
             name: Machine(image, folder / name, name, init=PLAIN, radio=folder / f"radio-{number}")
@@ -76,24 +76,34 @@ class Swarm:
     def until(self, name: str, shape: str, condition: Callable[[dict[str, Any]], object], what: str) -> dict[str, Any]:
         """What the robot has said in that run when that was so."""
         path = self.machines[name].share / "said"
-        end = time.monotonic() + PATIENCE_S
-        while True:
+
+        def found() -> dict[str, Any] | None:
             text = path.read_text()
             whole, _, _ = text.rpartition("\n")
             for said in (json.loads(one) for one in whole.splitlines() if one.startswith("{")):
                 if said["config"] == shape and condition(said):
                     return dict(said)
-            if "ended" in text.splitlines()[-1:] or time.monotonic() > end:
-                pytest.fail(f"{name}, {shape}: not {what}: {text[-3000:]}")
-            time.sleep(0.2)
+            assert "ended" not in text.splitlines()[-1:], f"{name}, {shape}: it ended, not {what}: {text[-3000:]}"
+            return None
+
+        return until(f"{name}, {shape}: {what}", found, state=self._last, every=0.2)
+
+    def _last(self) -> str:
+        """What each robot has said last, and the links of the air."""
+        last = {
+            name: (robot.share / "said").read_text()[-200:].splitlines()[-1:] for name, robot in self.machines.items()
+        }
+        return f"{last}, air {self.radio.order('look')}"
 
     def until_recorded(self, name: str, shape: str, app: str, iteration: int) -> None:
         """The robot's recording has that iteration: what it does not have by now goes with a power cut."""
         path = self.machines[name].share / f"records-{shape}/{name}.{app}.mcap"
-        end = time.monotonic() + PATIENCE_S
-        while trajectory.read(path).last < iteration:
-            assert time.monotonic() < end, f"{name}: iteration {iteration} is not recorded"
-            time.sleep(0.1)
+        until(
+            f"{name}: iteration {iteration} is recorded",
+            lambda: trajectory.read(path).last >= iteration,
+            state=lambda: trajectory.read(path).last,
+            every=0.1,
+        )
 
     def end_run(self, shape: str) -> None:
         """What follows may begin."""
@@ -103,7 +113,7 @@ class Swarm:
     def end(self) -> None:
         """All has ended, and well."""
         for name, number in self._commands.items():
-            done = self.machines[name].wait(number, PATIENCE_S)
+            done = self.machines[name].wait(number, PATIENCE_S, "its services end")
             assert done.code == 0, (self.machines[name].share / "said").read_text()[-3000:]
 
 
@@ -111,7 +121,7 @@ class Swarm:
 def swarm_of(image: Image, folder: Path, count: int) -> Iterator[tuple[Swarm, Radio]]:
     """So many robots, and the air between them."""
     with Radio(folder, count, machines=True) as radio:
-        made = Swarm(image, folder, count)
+        made = Swarm(image, folder, count, radio)
         try:
             made.boot(*made.names)
             yield made, radio
@@ -126,7 +136,7 @@ def simulate(folder: Path, shape: str) -> Run:
     own.write_text(config(shape, "insecure = true"))
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
     command = [sys.executable, "-m", "services.sim", *words, "--record", str(record)]
-    subprocess.run(command, check=True, capture_output=True)
+    waiting.run(f"the simulation of {shape}", command)
     return Run(record)
 
 

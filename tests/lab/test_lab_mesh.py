@@ -1,6 +1,5 @@
 """The mesh over real RFCOMM, six robots in one machine: tests/lab/inside_consensus.py and inside_overlays.py."""
 
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from lab import waiting
 from lab.inside import run_tests
 from lab.shapes import ITERATIONS, LONG, config, hasty
 from lab.vm.build import Image
@@ -40,7 +40,7 @@ def simulate(shape: str, share: Path, make: Callable[[str, str], str] = config, 
     iterations = LONG if name in ("line", "around") else ITERATIONS
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(iterations), "--json"]
     record = ["--record", str(share / "simulated" / name)]
-    subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
+    waiting.run(f"the simulation of {name}", [sys.executable, "-m", "services.sim", *words, *record])
 
 
 @pytest.fixture(scope="module")

@@ -266,6 +266,31 @@ def test_an_inquiry_finds_those_that_can_be_found(world: World) -> None:
     assert events[1][1][1:7] == hci.to_wire(B)
 
 
+def test_an_inquiry_before_a_reset_says_nothing_after_it(world: World) -> None:
+    world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x08\0")
+    world.run(1.0)
+    world.tell(A, Op.RESET)
+    world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x08\0")
+    world.events(A)
+    world.run(9.5)
+    assert Ev.INQUIRY_COMPLETE not in world.codes(A)
+    world.run(1.0)
+    assert world.codes(A) == [Ev.INQUIRY_COMPLETE]
+
+
+def test_the_pages_of_a_lost_adapter_end_with_it(world: World) -> None:
+    world.air.cut(A, B, world.now)
+    world.tell(A, Op.CREATE_CONNECTION, hci.to_wire(B) + bytes(7))
+    world.run(0.5)
+    world.air.remove(A, world.now)
+    world.air.add(A)
+    world.events(A)
+    world.air.mend(A, B, world.now)
+    world.run(20.0)
+    assert world.codes(B) == []
+    assert world.codes(A) == []
+
+
 def pair(world: World, answer: dict[int, tuple[int, bytes]]) -> dict[str, list[tuple[int, bytes]]]:
     """Both hosts answer each question by that table until none is left: what else they heard."""
     rest: dict[str, list[tuple[int, bytes]]] = {A: [], B: []}
@@ -310,6 +335,15 @@ def test_simple_pairing_gives_both_the_key_and_next_time_it_is_enough(world: Wor
     assert world.air.encrypted() == [(A, B)]
     world.tell(A, Op.SET_ENCRYPTION, handle + b"\0")
     assert world.air.encrypted() == []
+
+
+def test_both_hosts_that_authenticate_one_link_at_once_hear_how_it_ended(world: World) -> None:
+    one, other = world.link(A, B)
+    for address, handle in ((A, one), (B, other)):
+        world.tell(address, Op.AUTHENTICATION_REQUESTED, handle.to_bytes(2, "little"))
+    rest = pair(world, {Ev.LINK_KEY_REQUEST: (Op.LINK_KEY_REPLY, KEY)})
+    for address, handle in ((A, one), (B, other)):
+        assert rest[address] == [(Ev.AUTHENTICATION_COMPLETE, b"\0" + handle.to_bytes(2, "little"))]
 
 
 def test_golden_bytes_of_pairing_and_encryption(world: World) -> None:
