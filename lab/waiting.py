@@ -6,10 +6,11 @@ needs only Python's standard library: it also runs inside machines.
 """
 
 import os
+import select
 import subprocess
 import time
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 FIRST_S = 5.0
 """Seconds of waiting before the first line is printed."""
@@ -76,7 +77,7 @@ class Wait:
 
 def until(
     what: str,
-    condition: Callable[[], T],
+    condition: Callable[[], T | None],
     seconds: float = PATIENCE_S,
     state: Callable[[], object] | None = None,
     every: float = 0.05,
@@ -86,6 +87,13 @@ def until(
     while not (found := condition()):
         time.sleep(min(every, wait.look()))
     return found
+
+
+def readable(what: str, file: Any, seconds: float = PATIENCE_S) -> None:
+    """Wait until a file, socket or descriptor can be read."""
+    wait = Wait(what, seconds)
+    while not select.select([file], [], [], wait.look())[0]:
+        pass
 
 
 def finished(what: str, process: "subprocess.Popen[str]", seconds: float = PATIENCE_S) -> tuple[str, str]:

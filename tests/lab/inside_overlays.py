@@ -10,23 +10,23 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from conftest import Processes
 from inside_swarm import NAMES, Swarm
 
 from lab.radio.remote import Radio
-from lab.waiting import until
+from lab.waiting import PATIENCE_S, until
 from swarm import clock
 from swarm.mesh_clock import MeshClock
-from swarm.messages import Member, Stop, Stopped, read
-from swarm.overlays import Overlays
+from swarm.messages import Flooded, Member, Sent, Stop, Stopped, read
+from swarm.overlays import Handle, Overlays
+
+A = TypeVar("A", Flooded, Sent)
 
 FAR = "r3"
 """Of r0, three hops either way around the loop."""
-
-PATIENCE = 60.0
-"""s until an answer of a mesh in a machine."""
 
 CLOCK_S = 0.1
 """Within which mesh time must be right here, where all robots have the same clock; some ms on a machine with time."""
@@ -54,6 +54,11 @@ def overlays(swarm: Swarm, request: pytest.FixtureRequest) -> dict[str, Overlays
         each.collect()
     time.sleep(0.5)  # until the routers know of it
     return found
+
+
+def answer(what: str, handle: Handle[A]) -> A:
+    """Wait for what the mesh says a message or flood came to."""
+    return until(f"the mesh answers: {what}", lambda: handle.answer, state=lambda: f"{handle.moved} bytes moved")
 
 
 def come(each: Overlays, count: int) -> list[tuple[str, bytes, bool]]:
@@ -95,7 +100,7 @@ def whole(swarm: Swarm, name: str) -> bool:
 
 
 def test_a_flood_reaches_everybody_once(overlays: dict[str, Overlays]) -> None:
-    reached = overlays["r0"].flood(b"hello", announce=True).result(PATIENCE)
+    reached = answer("the flood", overlays["r0"].flood(b"hello", announce=True))
     assert reached.complete
     assert reached.robots == tuple(NAMES[1:])
     for name, each in overlays.items():
@@ -104,19 +109,19 @@ def test_a_flood_reaches_everybody_once(overlays: dict[str, Overlays]) -> None:
 
 def test_each_robot_has_a_message_for_each(overlays: dict[str, Overlays]) -> None:
     pairs = [(one, other) for one in NAMES for other in NAMES if one != other]
-    handles = [overlays[one].send(other, f"{one}>{other}".encode()) for one, other in pairs]
-    assert all(handle.result(PATIENCE).delivered for handle in handles)
+    handles = {f"{one}>{other}": overlays[one].send(other, f"{one}>{other}".encode()) for one, other in pairs}
+    assert all(answer(pair, handle).delivered for pair, handle in handles.items())
     for name, each in overlays.items():
         wanted = sorted((one, f"{one}>{other}".encode(), False) for one, other in pairs if other == name)
         assert sorted(come(each, len(wanted))) == wanted
-    assert overlays["r0"].send("r9", b"x").result(PATIENCE).problem == "there is no robot r9"
+    assert answer("r0>r9", overlays["r0"].send("r9", b"x")).problem == "there is no robot r9"
 
 
 def test_a_large_payload_arrives_whole(overlays: dict[str, Overlays]) -> None:
     payload = os.urandom(100_000)
-    assert overlays["r0"].send(FAR, payload, timeout=2 * PATIENCE).result(2 * PATIENCE).delivered
+    assert answer("100 kB by unicast", overlays["r0"].send(FAR, payload, timeout=PATIENCE_S)).delivered
     assert come(overlays[FAR], 1) == [("r0", payload, False)]
-    assert overlays[FAR].flood(payload).result(2 * PATIENCE).complete
+    assert answer("100 kB by flood", overlays[FAR].flood(payload)).complete
     assert come(overlays["r0"], 1) == [(FAR, payload, True)]
 
 
@@ -177,7 +182,7 @@ def test_a_stop_reaches_all_and_is_taken_back(swarm: Swarm, overlays: dict[str, 
 
 def test_messages_take_another_way(swarm: Swarm, overlays: dict[str, Overlays], radio: Radio) -> None:
     radio.order("silence", address=radio.addresses[1])
-    assert overlays["r0"].send("r2", b"around").result(2 * PATIENCE).delivered
+    assert answer("r0>r2 around r1", overlays["r0"].send("r2", b"around", timeout=PATIENCE_S)).delivered
     assert come(overlays["r2"], 1) == [("r0", b"around", False)]
     swarm.wait(
         "r0 reaches r2 by four hops, the other way around",
