@@ -86,7 +86,7 @@ def image() -> Image:
         raise UnableError(f"this host cannot run the lab: {lacking}")
     mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
     of_system = (Path(recipe.__file__), Path(debian.__file__))
-    of_core = (Path(kernel.__file__), kernel.CONFIG, kernel.PATCH)
+    of_core = (Path(kernel.__file__), kernel.CONFIG, *kernel.PATCHES)
     system = "base-" + recipe.digest(mirror, *map(Path.read_bytes, of_system))
     core = "kernel-" + recipe.digest(mirror, *map(Path.read_bytes, of_core))
     parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]

@@ -34,6 +34,15 @@ def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callab
     robot.stop()
 
 
+def test_a_serial_line_still_carries_after_more_has_come_than_the_kernel_holds(machine: Callable[..., Machine]) -> None:
+    """Commands and the Bluetooth controller come over such lines; lab/vm/serial.patch says what was wrong with them."""
+    robot = machine("r0", init=PLAIN)
+    robot.start()
+    text = "x" * 50_000
+    assert robot.run(f"echo {text}") == text + "\n"
+    assert robot.run("echo more", 10) == "more\n"
+
+
 def test_a_whole_system_has_the_release_and_ssh(machine: Callable[..., Machine]) -> None:
     robot = machine("r0")
     robot.start()
