@@ -1,6 +1,7 @@
 """The radio's core in virtual time: golden bytes, links, and what ends them."""
 
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from lab.radio.core import hci
 from lab.radio.core.air import Air
 from lab.radio.core.controller import FEATURES
 from lab.radio.core.hci import Ev, Op, Status
+from lab.radio.trace import Trace
 
 A, B, C = "02:10:BA:00:00:01", "02:10:BA:00:00:02", "02:10:BA:00:00:03"
 KEY = bytes(range(16))
@@ -94,6 +96,22 @@ def test_golden_bytes() -> None:
     assert hci.parse(bytes.fromhex("02410002007879")) == hci.Acl(0x41, 0, b"xy")
     assert hci.from_wire(hci.to_wire(A)) == A
     assert FEATURES.hex() == "2700004000000880"
+
+
+def test_golden_bytes_of_a_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.time_ns", lambda: 946_684_800_000_000_000)  # the year 2000, by which the format counts
+    trace = Trace(tmp_path / "trace")
+    trace.adapter(1, A)
+    trace.from_host(1, command(Op.RESET))
+    trace.to_host(1, hci.complete(Op.RESET))
+    trace.close()
+    data = (tmp_path / "trace").read_bytes()
+    assert data[:16].hex() == "6274736e6f6f7000" + "00000001" + "000007d1"
+    record = "{0:08x}{0:08x}0001{1:04x}00000000" + "00e03ab44a676000"
+    adapter = record.format(16, 0) + "0000" + "010000ba1002" + b"hci1".hex() + "00000000"
+    reset = record.format(3, 2) + "030c00"
+    completed = record.format(6, 3) + "0e0401030c00"
+    assert data[16:].hex() == adapter + reset + completed
 
 
 def test_a_host_that_starts_learns_what_its_controller_can(world: World) -> None:
