@@ -122,5 +122,5 @@ def run(what: str, words: Sequence[str], seconds: float = PATIENCE_S) -> str:
 
 def say(text: str) -> None:
     """Print a line to standard error at once, in one write, so that lines of several processes do not mix."""
-    test = os.environ.get("PYTEST_CURRENT_TEST", "").partition(" ")[0].rpartition("/")[2]
+    test = os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" (")[0].rpartition("/")[2]
     os.write(2, f"lab: {test + ': ' if test else ''}{text}\n".encode(errors="replace"))

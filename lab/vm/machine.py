@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from lab import waiting
 from lab.vm.build import Image
 from lab.vm.network import Wire
 from lab.waiting import Wait
@@ -201,12 +202,8 @@ class Machine:
         return ["ssh", "-i", str(key), *words, f"root@{self.address}"]
 
     def ssh(self, command: str, seconds: float = 60.0) -> str:
-        """Run a command as root by ssh; its standard output. Raises subprocess.CalledProcessError."""
-        words = [*self.ssh_words(), command]
-        done = subprocess.run(
-            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=seconds, check=True
-        )
-        return done.stdout
+        """Run a command as root by ssh and return its standard output; its exit code must be 0."""
+        return waiting.run(f"{self.name}: ssh {command}", [*self.ssh_words(), command], seconds)
 
     # -- inside ----------------------------------------------------------------------------------------------
 

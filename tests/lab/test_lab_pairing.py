@@ -83,10 +83,11 @@ class Robots:
     def pair(self, *words: str) -> str:
         """`swarm pair` of the host: what it says of the link."""
         asked = ["--config", str(self.config), "--ssh-config", str(self.folder / "ssh_config"), "--json"]
-        words = ("pair", *asked, "--timeout", "200", *words)
-        done = subprocess.run([sys.executable, "-m", "swarm.cli", *words], capture_output=True, text=True, check=False)
-        assert done.stdout, done.stderr
-        answer = json.loads(done.stdout.splitlines()[-1])
+        command = [sys.executable, "-m", "swarm.cli", "pair", *asked, "--timeout", "200", *words]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        output, errors = waiting.finished(f"swarm pair {' '.join(words)}", process)
+        assert output, errors
+        answer = json.loads(output.splitlines()[-1])
         assert all(each["ok"] for each in answer["robots"].values()), answer
         return str(answer["links"]["r0 r1"])
 
