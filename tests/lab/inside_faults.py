@@ -210,6 +210,33 @@ def test_a_silent_robot_takes_the_buffers_of_its_neighbours_until_its_connection
     other.close()
 
 
+def test_a_link_goes_on_when_a_silent_one_of_the_same_adapter_has_ended(
+    radio: Radio, listener: rfcomm.Listener, pair: Pair
+) -> None:
+    """Linux 6.12 gives the silent link's buffers back without sending what waits for them. A link with used-up credits,
+    which writes nothing by itself, stayed silent for 40 s and more."""
+    caller, living = pair
+    other = rfcomm.Listener(mine(radio, 2), {})
+    silent = dial(radio, 0, 2)
+    called = accept(other)
+    for _ in range(20):  # until it may have more under way than RFCOMM's seven of the beginning
+        assert write(silent, b"x")
+        assert read(called) == b"x"
+    radio.order("silence", address=radio.addresses[2])
+    for _ in range(12):
+        assert write(silent, bytes(900))
+    while write(caller, bytes(900)):
+        pass
+    assert ended(silent) == "connection timed out"
+    assert not select.select([living], [], [], 1.0)[0], "the kernel sends on by itself by now: `nudge` is needless"
+    caller.nudge()
+    assert read(living)
+    for pipe in (silent, called):
+        pipe.shutdown()
+        pipe.close()
+    other.close()
+
+
 def test_only_the_caller_limits_silence(radio: Radio, pair: Pair) -> None:
     adapter = Adapter(radio.addresses[1])
     with pytest.raises(LocalError, match="HCI status 0x0c"):
