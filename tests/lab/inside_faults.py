@@ -225,6 +225,7 @@ def test_a_link_goes_on_when_a_silent_one_of_the_same_adapter_has_ended(
     radio.order("silence", address=radio.addresses[2])
     for _ in range(12):
         assert write(silent, bytes(900))
+    time.sleep(0.5)  # until the kernel's thread has handed eight of them to the controller, which nothing tells
     while write(caller, bytes(900)):
         pass
     assert ended(silent) == "connection timed out"
