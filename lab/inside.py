@@ -37,10 +37,10 @@ def command(words: str) -> str:
     return f"cd /share && {environment} {PYTHON} {words}"
 
 
-def run_tests(machine: Machine, words: str, seconds: float) -> str:
+def run_tests(machine: Machine, words: str, seconds: float = 900.0) -> str:
     """Run pytest inside with these words, with six adapters of its kernel: what it said. AssertionError if it fails."""
     furnish(machine)
-    options = "-p no:cacheprovider -p inside_radio -v -s --durations=20 --tb=short --timeout=300"
+    options = "-p no:cacheprovider -p inside_radio -v -s --durations=20 --tb=short --timeout=450"
     output = run_logged(machine, f"pytest inside: {words}", command(f"-m pytest {options} {words}"), seconds)
     sys.stdout.write(output)
     return output

@@ -18,7 +18,7 @@ FIRST_S = 5.0
 AGAIN_S = 15.0
 """Seconds between further lines."""
 
-PATIENCE_S = 240.0
+PATIENCE_S = 400.0
 """Default for the longest wait, in seconds. It only bounds a failure: a busy host makes everything slow."""
 
 SHOWN = 400

@@ -5,8 +5,8 @@ The caller says something and the called one answers. Both print the security le
 it. The called one serves all callers until it is ended; its process id is in /tmp/peer. With `advertise` there is a
 service record of the mesh meanwhile.
 
-A call that meets the end of an earlier link's RFCOMM session is reset with it by the kernel, some before the call is
-accepted and some after. The mesh calls again then, and so does this program.
+A call that meets the end of an earlier connection or session is refused or reset by the kernel, some calls before they
+are accepted and some after. The mesh calls again then, and so does this program.
 """
 
 import errno
@@ -23,10 +23,10 @@ from swarm import clock
 
 CHANNEL = 4
 SECONDS = 120
-AGAIN = (errno.ECONNRESET, errno.EBUSY, errno.EALREADY)
-"""Errors of a call that meets the end of an earlier link."""
-CALLS_S = 20.0
-"""Seconds after which the caller gives up."""
+AGAIN = (errno.ECONNRESET, errno.ECONNABORTED, errno.ECONNREFUSED, errno.EBUSY, errno.EALREADY)
+"""Errors of a call that meets the end of an earlier connection. Who is refused for good gets one of them, too."""
+CALLS_S = 6.0
+"""Seconds after which the caller gives up; an RFCOMM session ends 2 s after its last connection."""
 
 
 def read(pipe: Pipe) -> bytes:

@@ -30,7 +30,7 @@ def test_a_long_wait_prints_what_it_waits_for_and_what_it_saw(
     assert len(lines) == 2
     for line in lines:
         assert line.startswith("lab: test_waiting.py::test_a_long_wait")
-        assert line.endswith(": waiting since 0 s, at most 240 s: the third answer; seen last: two links")
+        assert line.endswith(": waiting since 0 s, at most 400 s: the third answer; seen last: two links")
 
 
 def test_a_short_wait_prints_nothing(answers: Iterator[bool], capfd: pytest.CaptureFixture[str]) -> None:
