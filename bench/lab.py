@@ -27,7 +27,7 @@ def rows() -> Iterator[Row]:
     ):
         new_key_file(machine.share / "swarm.key", int(time.time()))
         (machine.share / "line.toml").write_text(config("line", 'key = "/share/swarm.key"'))
-        run_tests(machine, "tests/lab/inside_pace.py", 600)
+        run_tests(machine, "tests/lab/inside_pace.py")
         lines = (machine.share / "pace").read_text().splitlines()
     for found in map(json.loads, lines):
         name = f"iteration, line of 6, RFCOMM, {1000 * found['latency_s']:.0f} ms links"

@@ -45,7 +45,9 @@ def main() -> int:
     if not any(Path(word.split("::")[0]).exists() for word in chosen):
         chosen.append(str(TESTS))
     # A test for each core. Those with the longest time-outs begin first (tests/conftest.py).
-    words = [sys.executable, "-m", "pytest", "-m", "lab", "--durations=0", "-v", "-n", str(os.cpu_count()), *chosen]
+    words = [sys.executable, "-m", "pytest", "-m", "lab", "--durations=0", "-v", "-n", str(os.cpu_count())]
+    # So that what a test waits for (lab.waiting) is seen at once: standard error itself is not captured.
+    words += ["--capture=sys", *chosen]
     return subprocess.run(words, check=False).returncode
 
 

@@ -8,9 +8,6 @@ from lab.vm.machine import Machine
 
 ROOT = Path(__file__).parents[1]
 
-PATIENCE = 6
-"""How many times longer than elsewhere a test of the services may wait inside a machine: all have one processor."""
-
 PYTHON = "/opt/swarm/current/bin/python"
 """Inside: the release's."""
 
@@ -36,18 +33,30 @@ def furnish(machine: Machine) -> None:
 
 def command(words: str) -> str:
     """The shell command that runs the release's Python inside with these words."""
-    environment = f"PYTHONPATH=/share:/share/tests:/share/tests/lab LAB_PATIENCE={PATIENCE} PYTHONUNBUFFERED=1"
+    environment = "PYTHONPATH=/share:/share/tests:/share/tests/lab PYTHONUNBUFFERED=1"
     return f"cd /share && {environment} {PYTHON} {words}"
 
 
-def run_tests(machine: Machine, words: str, seconds: float) -> str:
+def run_tests(machine: Machine, words: str, seconds: float = 900.0) -> str:
     """Run pytest inside with these words, with six adapters of its kernel: what it said. AssertionError if it fails."""
     furnish(machine)
-    options = "-p no:cacheprovider -p inside_radio -v -s --durations=20 --tb=short --timeout=300"
-    # Into a file of the host, too, for whoever wants to see how far it is.
-    log = "/share/pytest.log"
-    words = f"{command(f'-m pytest {options} {words}')} >{log} 2>&1; code=$?; cat {log}; exit $code"
-    result = machine.wait(machine.spawn(words, seconds), seconds + 30)
-    sys.stdout.write(result.output)
-    assert result.code == 0, f"exit code {result.code}: {result.output[-8000:]}"
-    return result.output
+    options = "-p no:cacheprovider -p inside_radio -v -s --durations=20 --tb=short --timeout=450"
+    output = run_logged(machine, f"pytest inside: {words}", command(f"-m pytest {options} {words}"), seconds)
+    sys.stdout.write(output)
+    return output
+
+
+def run_logged(machine: Machine, what: str, words: str, seconds: float) -> str:
+    """Run a long shell command inside and return its output; its exit code must be 0. The output goes to a file in the
+    machine's share, so that a long wait shows how far the command is."""
+    log = machine.share / "command.log"
+    log.write_text("")
+
+    def last_line() -> str:
+        return log.read_text(errors="replace").strip().rpartition("\n")[2]
+
+    number = machine.spawn(f"({words}) >/share/{log.name} 2>&1", seconds)
+    code = machine.wait(number, seconds + 30, what, last_line).code
+    output = log.read_text(errors="replace")
+    assert code == 0, f"{machine.name}: {what}: exit code {code}: {output[-8000:]}"
+    return output

@@ -35,9 +35,6 @@ try:
 except ImportError:  # nor this; its services have a nursery of their own (tests/lab/inside_nursery.py)
     start = subprocess.Popen
 
-PATIENCE = float(os.environ.get("LAB_PATIENCE", "1"))
-"""How many times longer a failure may take to show: a machine has one processor for all (docs/lab.md)."""
-
 CONFIG = """\
 network = "test"
 [[robots]]
@@ -150,7 +147,7 @@ def pytest_terminal_summary(terminalreporter: "pytest.TerminalReporter") -> None
 
 def wait_until(condition: Callable[[], object], timeout: float = 60.0, what: str = "") -> None:
     """Poll until `condition()` is true; the deadline only bounds a failure."""
-    deadline = time.monotonic() + timeout * PATIENCE
+    deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline:
             pytest.fail(f"not within {timeout} s: {what or condition}")
@@ -210,7 +207,7 @@ class Processes:
         sock.bind(address)
         sock.settimeout(0.1)
         process = self.start(*arguments, NOTIFY_SOCKET=address, **environment)
-        deadline = time.monotonic() + 60 * PATIENCE
+        deadline = time.monotonic() + 60
         while True:
             try:
                 if until in sock.recv(4096).decode():

@@ -20,6 +20,7 @@ from typing import Any
 
 from lab.radio.core import hci
 from lab.radio.core.air import Air
+from lab.radio.trace import Trace
 
 VENDOR = 0xFF
 """Type byte of what /dev/vhci itself says; written with a 0 it asks for an adapter (hci_vhci.c)."""
@@ -99,9 +100,11 @@ class Line:
 class Process:
     """The air with its adapters, and who orders it about."""
 
-    def __init__(self, control: Path, seed: int) -> None:
+    def __init__(self, control: Path, seed: int, trace: Trace | None) -> None:
         draw = random.Random(seed)
         self._air = Air(draw.random, lambda: draw.randbytes(16))
+        self._trace = trace
+        self._numbers: dict[str, int] = {}
         self._adapters: dict[str, Vhci | Line] = {}
         self._doors: dict[socket.socket, str] = {}
         control.unlink(missing_ok=True)
@@ -110,9 +113,9 @@ class Process:
 
     def open(self, address: str, folder: Path | None, number: int) -> None:
         """An adapter here, or a door for one elsewhere."""
+        self._numbers.setdefault(address, len(self._numbers))
         if folder is None:
-            self._air.add(address)
-            self._adapters[address] = Vhci(address)
+            self._plug(Vhci(address))
         else:
             door = socket.socket(socket.AF_UNIX)
             path = folder / f"radio-{number}"
@@ -137,18 +140,29 @@ class Process:
                     if packets is None:
                         self._unplug(adapter.address, now)
                     for packet in packets or ():
+                        if self._trace is not None:
+                            self._trace.from_host(self._numbers[adapter.address], packet)
                         self._air.receive(adapter.address, packet, now)
             for door, address in self._doors.items():
                 if door in ready:
                     self._unplug(address, now)  # its machine was cut off and we have not seen the end yet
-                    self._air.add(address)
-                    self._adapters[address] = Line(address, door.accept()[0])
+                    self._plug(Line(address, door.accept()[0]))
             if self._control in ready:
                 self._obey(now)
             self._air.handle_timer(time.monotonic())
             for address, packet in self._air.to_send():
-                if address in self._adapters and not self._adapters[address].write(packet):
+                if address not in self._adapters:
+                    continue
+                if self._trace is not None:
+                    self._trace.to_host(self._numbers[address], packet)
+                if not self._adapters[address].write(packet):
                     self._air.switch_off(address, time.monotonic())
+
+    def _plug(self, adapter: Vhci | Line) -> None:
+        self._air.add(adapter.address)
+        self._adapters[adapter.address] = adapter
+        if self._trace is not None:
+            self._trace.adapter(self._numbers[adapter.address], adapter.address)
 
     def _unplug(self, address: str, now: float) -> None:
         if address in self._adapters:
@@ -187,12 +201,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="lab.radio")
     parser.add_argument("--control", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--trace", type=Path, help="write all packets to this file, for btmon -r")
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--vhci", action="store_true")
     where.add_argument("--sockets", type=Path)
     parser.add_argument("addresses", nargs="+")
     asked = parser.parse_args()
-    process = Process(asked.control, asked.seed)
+    process = Process(asked.control, asked.seed, None if asked.trace is None else Trace(asked.trace))
     for number, address in enumerate(asked.addresses):
         process.open(address, asked.sockets, number)
     sys.stdout.write("ready\n")

@@ -29,7 +29,9 @@ class Radio:
         """`machines`: the adapters are for other machines, at `folder`/radio-N; otherwise for our own kernel."""
         self.addresses = [address(number) for number in range(robots)]
         self._path = folder / "radio-control"
-        where = ["--sockets", str(folder)] if machines else ["--vhci"]
+        # A machine with six adapters has no time to write down what they say; elsewhere a failure can be looked into.
+        traced = ["--trace", str(folder / "radio.btsnoop")]
+        where = [*traced, "--sockets", str(folder)] if machines else ["--vhci"]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "lab.radio", "--control", str(self._path), *where, *self.addresses],
             cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE,

@@ -19,7 +19,7 @@ SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm", *OURS)
 HERE = Path(__file__).parent
 PLACE = "/opt/lab"
 """Of this package inside."""
-CARRIED = ("__init__.py", "i2c/*.py", "robot/__init__.py", "robot/__main__.py", "robot/module.py")
+CARRIED = ("__init__.py", "waiting.py", "i2c/*.py", "robot/__init__.py", "robot/__main__.py", "robot/module.py")
 KEY_MODE = 0o100600
 
 

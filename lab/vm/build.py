@@ -6,6 +6,7 @@ leaves the others. The same packages give the same bytes; `SWARM_LAB_MIRROR` may
 snapshot.debian.org does.
 """
 
+import contextlib
 import fcntl
 import os
 import platform
@@ -16,10 +17,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from lab import container
 from lab.vm import debian, kernel, recipe
 from lab.vm.shell import sh
+from lab.waiting import until
 from swarm.errors import LocalError
 
 ROOT = Path(__file__).parents[2]
@@ -44,6 +47,9 @@ TOOLS = {
 """Programs that the lab needs, and the Debian packages that have them."""
 
 TUN = Path("/dev/net/tun")
+
+LOCK_S = 7200.0
+"""Seconds for which a build waits for one of the same kind by another process."""
 
 
 class UnableError(LocalError):
@@ -86,7 +92,7 @@ def image() -> Image:
         raise UnableError(f"this host cannot run the lab: {lacking}")
     mirror = os.environ.get("SWARM_LAB_MIRROR", recipe.MIRROR)
     of_system = (Path(recipe.__file__), Path(debian.__file__))
-    of_core = (Path(kernel.__file__), kernel.CONFIG, kernel.PATCH)
+    of_core = (Path(kernel.__file__), kernel.CONFIG, *kernel.PATCHES)
     system = "base-" + recipe.digest(mirror, *map(Path.read_bytes, of_system))
     core = "kernel-" + recipe.digest(mirror, *map(Path.read_bytes, of_core))
     parts = [ROOT / name for name in RELEASED] + [recipe.GUEST, Path(__file__), Path(container.__file__)]
@@ -133,8 +139,15 @@ def kept(wanted: Path, make: Callable[[Path], None]) -> Path:
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     with path.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        until(f"another process has made its {path.stem}", lambda: _lock(file), LOCK_S, every=0.2)
         yield
+
+
+def _lock(file: IO[str]) -> bool:
+    with contextlib.suppress(BlockingIOError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False
 
 
 # -- our release in it -------------------------------------------------------------------------------------------

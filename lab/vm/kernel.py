@@ -15,7 +15,9 @@ from lab.vm.shell import sh
 from swarm.errors import LocalError
 
 HERE = Path(__file__).parent
-CONFIG, PATCH = HERE / "kernel.config", HERE / "xstate.patch"
+CONFIG = HERE / "kernel.config"
+PATCHES = (HERE / "xstate.patch", HERE / "serial.patch")
+"""Faults of Linux as a program that a later version does not have, or that meet our use of it; each says which."""
 SOURCE = "linux-source-6.12"
 BUILTIN = ("modules.builtin", "modules.builtin.modinfo")
 """What lets modprobe know that all of it is there already."""
@@ -29,7 +31,8 @@ def make(folder: Path, mirror: str) -> None:
     sh("tar", "-C", folder, "-xf", package / f"usr/src/{SOURCE}.tar.xz")
     shutil.rmtree(package)
     source = folder / SOURCE
-    sh("patch", "--quiet", "--strip=1", f"--directory={source}", f"--input={PATCH}")
+    for fault in PATCHES:
+        sh("patch", "--quiet", "--strip=1", f"--directory={source}", f"--input={fault}")
     words = ("make", "--silent", f"--directory={source}", "ARCH=um", "KBUILD_BUILD_USER=lab", "KBUILD_BUILD_HOST=lab")
     stamp = f"KBUILD_BUILD_TIMESTAMP=@{recipe.EPOCH}"
     sh(*words, "allnoconfig", f"KCONFIG_ALLCONFIG={CONFIG}")

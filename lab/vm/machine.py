@@ -15,13 +15,16 @@ import socket
 import subprocess
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from lab import waiting
 from lab.vm.build import Image
 from lab.vm.network import Wire
+from lab.waiting import Wait
 
 SYSTEMD, PLAIN = "/sbin/init", "/usr/lib/lab/init"
 """What a machine boots into: all of a robot's system, or a shell script that starts the agent in a second."""
@@ -162,7 +165,8 @@ class Machine:
     # -- commands --------------------------------------------------------------------------------------------
 
     def run(self, command: str, seconds: float = 60.0, *, code: int | None = 0) -> str:
-        """Run a shell command as root inside; its output. `MachineError` where its exit code is not `code`."""
+        """Run a shell command as root inside and return its output. Raises `MachineError` where its exit code is not
+        `code`, and `WaitedInVainError` where the machine does not answer."""
         result = self._wait_for(self.spawn(command, seconds), seconds + 30, command)
         if code is not None and result.code != code:
             raise MachineError(f"{self.name}: {command}: exit code {result.code}: {result.output[-4000:]}")
@@ -182,9 +186,10 @@ class Machine:
         with self._changed:
             self._stream.sendall(json.dumps(request).encode() + b"\n")
 
-    def wait(self, number: int, seconds: float) -> Result:
-        """What the command with that number came to."""
-        return self._wait_for(number, seconds, f"command {number}")
+    def wait(self, number: int, seconds: float, what: str, state: Callable[[], object] | None = None) -> Result:
+        """Wait for the command with that number to end, and return what it came to. `what` and `state` describe it in
+        the lines that a long wait prints (`lab.waiting`)."""
+        return self._wait_for(number, seconds, what, state)
 
     def ssh_words(self) -> list[str]:
         """The command line of ssh up to and including the host; add a command, or nothing."""
@@ -197,12 +202,8 @@ class Machine:
         return ["ssh", "-i", str(key), *words, f"root@{self.address}"]
 
     def ssh(self, command: str, seconds: float = 60.0) -> str:
-        """Run a command as root by ssh; its standard output. Raises subprocess.CalledProcessError."""
-        words = [*self.ssh_words(), command]
-        done = subprocess.run(
-            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=seconds, check=True
-        )
-        return done.stdout
+        """Run a command as root by ssh and return its standard output; its exit code must be 0."""
+        return waiting.run(f"{self.name}: ssh {command}", [*self.ssh_words(), command], seconds)
 
     # -- inside ----------------------------------------------------------------------------------------------
 
@@ -225,15 +226,13 @@ class Machine:
         with self._changed:
             self._changed.notify_all()
 
-    def _wait_for(self, number: int, seconds: float, what: str) -> Result:
-        deadline = time.monotonic() + seconds
+    def _wait_for(self, number: int, seconds: float, what: str, state: Callable[[], object] | None = None) -> Result:
+        wait = Wait(f"{self.name}: {what}", seconds, state or (lambda: f"console {self._console()!r}"))
         with self._changed:
             while number not in self._answers:
-                left = deadline - time.monotonic()
-                if left <= 0 or not self.running:
-                    why = f"not within {seconds:g} s" if self.running else "it went off"
-                    raise MachineError(f"{self.name}: {what}: {why}; its console ends with: {self._console()}")
-                self._changed.wait(min(left, 1.0))
+                if not self.running:
+                    wait.fail("the machine went off")
+                self._changed.wait(min(wait.look(), 1.0))
             return self._answers.pop(number)
 
     def _console(self) -> str:

@@ -359,6 +359,9 @@ class Runner:
                     else:
                         reason = pipe.fault or "closed by the other end"
                         self._node.transport_down(session, reason, now)
+                        for other in self._pipes.values():
+                            if other is not pipe:
+                                other.nudge()
                 for fd in writable:
                     session, pipe = watched.pipes[fd]
                     if session in self._blocked:

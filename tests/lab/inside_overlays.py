@@ -10,22 +10,23 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
-from conftest import Processes, wait_until
+from conftest import Processes
 from inside_swarm import NAMES, Swarm
 
 from lab.radio.remote import Radio
+from lab.waiting import PATIENCE_S, until
 from swarm import clock
 from swarm.mesh_clock import MeshClock
-from swarm.messages import Member, Stop, Stopped, read
-from swarm.overlays import Overlays
+from swarm.messages import Flooded, Member, Sent, Stop, Stopped, read
+from swarm.overlays import Handle, Overlays
+
+A = TypeVar("A", Flooded, Sent)
 
 FAR = "r3"
 """Of r0, three hops either way around the loop."""
-
-PATIENCE = 60.0
-"""s until an answer of a mesh in a machine."""
 
 CLOCK_S = 0.1
 """Within which mesh time must be right here, where all robots have the same clock; some ms on a machine with time."""
@@ -55,6 +56,11 @@ def overlays(swarm: Swarm, request: pytest.FixtureRequest) -> dict[str, Overlays
     return found
 
 
+def answer(what: str, handle: Handle[A]) -> A:
+    """Wait for what the mesh says a message or flood came to."""
+    return until(f"the mesh answers: {what}", lambda: handle.answer, state=lambda: f"{handle.moved} bytes moved")
+
+
 def come(each: Overlays, count: int) -> list[tuple[str, bytes, bool]]:
     """(sender, payload, flooded) of what has come: so many, and whatever came too much."""
     got: list[tuple[str, bytes, bool]] = []
@@ -63,7 +69,7 @@ def come(each: Overlays, count: int) -> list[tuple[str, bytes, bool]]:
         got.extend(tuple(message) for message in each.messages())
         return len(got) >= count
 
-    wait_until(enough, what="messages come")
+    until(f"{count} messages come", enough, state=lambda: got)
     time.sleep(0.2)
     enough()
     return got
@@ -75,7 +81,13 @@ def members(swarm: Swarm, name: str) -> dict[str, Member]:
 
 def wait_here(swarm: Swarm) -> None:
     """All see all, and by the shortest way."""
-    wait_until(lambda: all(whole(swarm, name) for name in NAMES), 40, "all see all")
+    swarm.wait(
+        "each robot sees each by the shortest way",
+        lambda: all(whole(swarm, name) for name in NAMES),
+        lambda: {
+            name: {each.robot: (each.state, each.hops) for each in members(swarm, name).values()} for name in NAMES
+        },
+    )
 
 
 def whole(swarm: Swarm, name: str) -> bool:
@@ -88,7 +100,7 @@ def whole(swarm: Swarm, name: str) -> bool:
 
 
 def test_a_flood_reaches_everybody_once(overlays: dict[str, Overlays]) -> None:
-    reached = overlays["r0"].flood(b"hello", announce=True).result(PATIENCE)
+    reached = answer("the flood", overlays["r0"].flood(b"hello", announce=True))
     assert reached.complete
     assert reached.robots == tuple(NAMES[1:])
     for name, each in overlays.items():
@@ -97,25 +109,29 @@ def test_a_flood_reaches_everybody_once(overlays: dict[str, Overlays]) -> None:
 
 def test_each_robot_has_a_message_for_each(overlays: dict[str, Overlays]) -> None:
     pairs = [(one, other) for one in NAMES for other in NAMES if one != other]
-    handles = [overlays[one].send(other, f"{one}>{other}".encode()) for one, other in pairs]
-    assert all(handle.result(PATIENCE).delivered for handle in handles)
+    handles = {f"{one}>{other}": overlays[one].send(other, f"{one}>{other}".encode()) for one, other in pairs}
+    assert all(answer(pair, handle).delivered for pair, handle in handles.items())
     for name, each in overlays.items():
         wanted = sorted((one, f"{one}>{other}".encode(), False) for one, other in pairs if other == name)
         assert sorted(come(each, len(wanted))) == wanted
-    assert overlays["r0"].send("r9", b"x").result(PATIENCE).problem == "there is no robot r9"
+    assert answer("r0>r9", overlays["r0"].send("r9", b"x")).problem == "there is no robot r9"
 
 
 def test_a_large_payload_arrives_whole(overlays: dict[str, Overlays]) -> None:
     payload = os.urandom(100_000)
-    assert overlays["r0"].send(FAR, payload, timeout=2 * PATIENCE).result(2 * PATIENCE).delivered
+    assert answer("100 kB by unicast", overlays["r0"].send(FAR, payload, timeout=PATIENCE_S)).delivered
     assert come(overlays[FAR], 1) == [("r0", payload, False)]
-    assert overlays[FAR].flood(payload).result(2 * PATIENCE).complete
+    assert answer("100 kB by flood", overlays[FAR].flood(payload)).complete
     assert come(overlays["r0"], 1) == [(FAR, payload, True)]
 
 
 def test_mesh_time_is_the_same_everywhere(swarm: Swarm) -> None:
     clocks = {name: MeshClock(swarm.buses[name], name) for name in NAMES}
-    wait_until(lambda: all(each.root == "r0" for each in clocks.values()), what="one root")
+    swarm.wait(
+        "the root of all clocks is r0",
+        lambda: all(each.root == "r0" for each in clocks.values()),
+        lambda: {name: each.root for name, each in clocks.items()},
+    )
     # One machine, one monotonic clock: mesh time is that of r0, which is everybody's.
     off: dict[str, float] = {}
 
@@ -123,7 +139,7 @@ def test_mesh_time_is_the_same_everywhere(swarm: Swarm) -> None:
         off.update({name: (each.now() or 0.0) - clock.now() for name, each in clocks.items()})
         return max(map(abs, off.values())) < CLOCK_S
 
-    swarm.wait(right, lambda: f"{off}")
+    swarm.wait("mesh time is right everywhere", right, lambda: off)
 
 
 def test_rules_carry_keys(swarm: Swarm) -> None:
@@ -145,7 +161,7 @@ def test_rules_carry_keys(swarm: Swarm) -> None:
     wanted[FAR].update([leds])
     for name in ("r1", "r5"):
         wanted[name].update([sync])
-    swarm.wait(lambda: seen == wanted, lambda: f"{seen}")
+    swarm.wait("the rules have carried the keys", lambda: seen == wanted, lambda: seen)
 
 
 def test_a_stop_reaches_all_and_is_taken_back(swarm: Swarm, overlays: dict[str, Overlays]) -> None:
@@ -155,16 +171,24 @@ def test_a_stop_reaches_all_and_is_taken_back(swarm: Swarm, overlays: dict[str, 
             f"swarm/{name}/mesh/stopped", lambda key, data: states.update({key.split("/")[1]: read(key, data)})
         )
     swarm.buses["r0"].publish("swarm/stop", Stop(0.0, "somebody", "smoke"), urgent=True)
-    wait_until(lambda: len(states) == 6 and all(each.by == {"r0": "smoke"} for each in states.values()))
+    swarm.wait(
+        "all six are stopped by r0",
+        lambda: len(states) == 6 and all(each.by == {"r0": "smoke"} for each in states.values()),
+        lambda: states,
+    )
     overlays["r2"].arm()
-    wait_until(lambda: not any(each.stopped for each in states.values()))
+    swarm.wait("none is stopped", lambda: not any(each.stopped for each in states.values()), lambda: states)
 
 
 def test_messages_take_another_way(swarm: Swarm, overlays: dict[str, Overlays], radio: Radio) -> None:
     radio.order("silence", address=radio.addresses[1])
-    assert overlays["r0"].send("r2", b"around").result(2 * PATIENCE).delivered
+    assert answer("r0>r2 around r1", overlays["r0"].send("r2", b"around", timeout=PATIENCE_S)).delivered
     assert come(overlays["r2"], 1) == [("r0", b"around", False)]
-    wait_until(lambda: members(swarm, "r0")["r2"].hops == 4, what="four hops the other way around")
-    wait_until(lambda: members(swarm, "r0")["r1"].state == "gone", what="r1 is gone")
+    swarm.wait(
+        "r0 reaches r2 by four hops, the other way around",
+        lambda: members(swarm, "r0")["r2"].hops == 4,
+        lambda: members(swarm, "r0"),
+    )
+    swarm.wait("r0 takes r1 for gone", lambda: members(swarm, "r0")["r1"].state == "gone", lambda: members(swarm, "r0"))
     radio.order("unsilence", address=radio.addresses[1])
     wait_here(swarm)

@@ -6,7 +6,7 @@ import statistics
 import time
 
 import pytest
-from conftest import Processes, wait_until
+from conftest import Processes
 from inside_swarm import NAMES, SHARE, Swarm
 
 from lab.radio.remote import Radio
@@ -53,7 +53,7 @@ def test_pace(processes: Processes, radio: Radio, latency: float) -> None:
     raw = statistics.median(one_way(radio, one, other) for one, other in LINE[:2])
     swarm = Swarm(processes, "line")
     swarm.run(ITERATIONS)
-    wait_until(lambda: min(swarm.reached.values()) >= ITERATIONS, 40, f"{swarm.reached}")
+    swarm.wait_reached("the end of the run", ITERATIONS)
     swarm.end()
     found = Run(swarm.records).trajectories("consensus")
     swarm.close()

@@ -1,8 +1,12 @@
 """Inside a machine: one end of an encrypted link. `inside_peer.py listen|advertise|dial-encrypted OWN OTHER` prints
 what came; with `dial-plain` the caller does not want encryption.
 
-The caller says something, the called one answers; both tell the security level of their socket, as the kernel has it.
-With `advertise` it listens, too, and there is a service record of the mesh. Its process id is in /tmp/peer.
+The caller says something and the called one answers. Both print the security level of their socket, as the kernel has
+it. The called one serves all callers until it is ended; its process id is in /tmp/peer. With `advertise` there is a
+service record of the mesh meanwhile.
+
+A call that meets the end of an earlier connection or session is refused or reset by the kernel, some calls before they
+are accepted and some after. The mesh calls again then, and so does this program.
 """
 
 import errno
@@ -19,51 +23,78 @@ from swarm import clock
 
 CHANNEL = 4
 SECONDS = 120
+AGAIN = (errno.ECONNRESET, errno.ECONNABORTED, errno.ECONNREFUSED, errno.EBUSY, errno.EALREADY)
+"""Errors of a call that meets the end of an earlier connection. Who is refused for good gets one of them, too."""
+CALLS_S = 6.0
+"""Seconds after which the caller gives up; an RFCOMM session ends 2 s after its last connection."""
 
 
-def call(radio: rfcomm.Radio, other: str) -> Pipe:
-    """As the mesh does it: again where it met the end of an earlier link."""
-    end = time.monotonic() + 20
+def read(pipe: Pipe) -> bytes:
+    """Return the next bytes, empty at the end of the connection."""
+    while True:
+        assert select.select([pipe], [], [], SECONDS)[0], "nothing comes"
+        pipe.read(clock.now())
+        if (data := pipe.take(clock.now())) is not None:
+            return data
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def describe(pipe: Pipe, data: bytes) -> str:
+    level, _ = struct.unpack("BB", pipe._sock.getsockopt(rfcomm.SOL_BLUETOOTH, rfcomm.BT_SECURITY, 2))
+    return f"{data!r} level {level} robot {pipe.caller.robot}"
+
+
+def call(radio: rfcomm.Radio, other: str) -> None:
+    end = time.monotonic() + CALLS_S
     while True:
         try:
-            return rfcomm.dial(radio, other)
+            pipe = rfcomm.dial(radio, other)
         except OSError as error:
-            if error.errno != errno.ECONNRESET or time.monotonic() > end:
+            if error.errno not in AGAIN or time.monotonic() > end:
                 sys.exit(f"refused: {error}")
+        else:
+            pipe.offer(b"encrypted")
+            pipe.flush()
+            if data := read(pipe):
+                say(describe(pipe, data))
+                return
+            pipe.close()
+            assert time.monotonic() < end, "all calls are reset"
         time.sleep(0.5)
+
+
+def serve(listener: rfcomm.Listener) -> None:
+    say("listening")
+    while True:
+        select.select([listener], [], [])
+        pipe = listener.accept()
+        if data := read(pipe):
+            say(describe(pipe, data))
+            pipe.offer(b"and back")
+            pipe.flush()
+            read(pipe)  # until the caller has it and goes
+        pipe.close()
 
 
 def main() -> None:
     role, own, other = sys.argv[1:]
     radio = rfcomm.Radio(own, CHANNEL, encrypt=role != "dial-plain")
-    record = None
+    if role.startswith("dial"):
+        call(radio, other)
+        return
     Path("/tmp/peer").write_text(str(os.getpid()))
-    if not role.startswith("dial"):
-        listener = rfcomm.Listener(radio, {other: "r0"})
-        if role == "advertise":
-            record = pybluez.Record(listener.fileno())
-        sys.stdout.write("listening\n")
-        sys.stdout.flush()
-        assert select.select([listener], [], [], SECONDS)[0], "nobody calls"
-        pipe = listener.accept()
-    else:
-        pipe = call(radio, other)
-        pipe.offer(b"encrypted")
-        pipe.flush()
-    data = None
-    while data is None:
-        assert select.select([pipe], [], [], SECONDS)[0], "nothing comes"
-        pipe.read(clock.now())
-        data = pipe.take(clock.now())
-    level, _ = struct.unpack("BB", pipe._sock.getsockopt(rfcomm.SOL_BLUETOOTH, rfcomm.BT_SECURITY, 2))
-    sys.stdout.write(f"{data!r} level {level} robot {pipe.caller.robot}\n")
-    sys.stdout.flush()
-    if not role.startswith("dial"):
-        pipe.offer(b"and back")
-        pipe.flush()
-        select.select([pipe], [], [], SECONDS)  # until the caller has it and goes
-    if record is not None:
-        record.close()
+    listener = rfcomm.Listener(radio, {other: "r0"})
+    # The record stays with its descriptor, which closes with this process.
+    record = pybluez.Record(listener.fileno()) if role == "advertise" else None
+    try:
+        serve(listener)
+    finally:
+        if record is not None:
+            record.close()
 
 
 if __name__ == "__main__":

@@ -2,13 +2,13 @@
 
 import subprocess
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from lab.radio.remote import Radio
+from lab.waiting import until
 
 ROBOTS = 6
 SUPERVISION = 4.0
@@ -31,10 +31,7 @@ def adapters() -> dict[str, int]:
 
 def bring_up(radio: Radio) -> None:
     """All adapters can be connected to; without bluetoothd nobody else does that."""
-    deadline = time.monotonic() + 60
-    while not set(radio.addresses) <= set(adapters()):
-        assert time.monotonic() < deadline, f"only {adapters()}"
-        time.sleep(0.1)
+    until("the kernel has all adapters", lambda: set(radio.addresses) <= set(adapters()), state=adapters)
     for number in adapters().values():
         hci(number, "up")
         hci(number, "sspmode", "0")

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lab.i2c.order import order
+from lab.waiting import WaitedInVainError, until
 from services.balancer.core import balboa, imu
 from swarm.bus import Bus
 from swarm.codec import decode
@@ -39,11 +40,9 @@ def expect(condition: object, problem: str) -> None:
 
 
 def wait(condition: Callable[[], object], what: str, seconds: float = 20.0) -> float:
-    """s until it was so."""
+    """Wait until `condition()`; return the seconds it took."""
     began = time.monotonic()
-    while not condition():
-        expect(time.monotonic() - began < seconds, f"not within {seconds:g} s: {what}; {robot.said()}")
-        time.sleep(0.05)
+    until(what, condition, seconds, robot.said)
     return time.monotonic() - began
 
 
@@ -318,7 +317,7 @@ def main() -> None:
         began = time.monotonic()
         try:
             measured = check()
-        except CheckFailed as error:
+        except (CheckFailed, WaitedInVainError) as error:
             problem = str(error)
         except (OSError, LookupError, ValueError, TypeError, AssertionError):  # a check of ours is wrong
             problem = traceback.format_exc()

@@ -12,9 +12,10 @@ import tempfile
 import threading
 from pathlib import Path
 
-from conftest import Processes, wait_until
+from conftest import Processes
 from inside_swarm import APPS, SHARE, Swarm
 
+from lab.waiting import until
 from swarm.messages import AppEpoch, read
 
 STATE = Path("/var/lib/lab-robot")
@@ -23,7 +24,8 @@ EVERY_S = 0.2
 
 def bring_up() -> None:
     """The adapter answers calls; without bluetoothd nobody else sees to that."""
-    wait_until(lambda: subprocess.run(["hciconfig", "hci0", "up"], capture_output=True, check=False).returncode == 0)
+    words = ["hciconfig", "hci0", "up"]
+    until("the adapter is up", lambda: subprocess.run(words, capture_output=True, check=False).returncode == 0)
     for words in (("sspmode", "0"), ("piscan",)):
         subprocess.run(["hciconfig", "hci0", *words], check=True)
 

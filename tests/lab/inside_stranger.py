@@ -19,15 +19,15 @@ def test_a_robot_with_another_key_is_refused(radio: Radio, processes: Processes)
     swarm.start(MESH, "r0")
     swarm.start(MESH, "r1")
     swarm.start(MESH, "r2", config="stranger")
-    swarm.wait(lambda: "r0" in links and links["r0"].state == "up", lambda: f"{links}")
-    swarm.wait(lambda: "r2" in links and "key" in links["r2"].reason, lambda: f"{links}")
+    swarm.wait("r1's link to r0 is up", lambda: "r0" in links and links["r0"].state == "up", lambda: links)
+    swarm.wait("r1 names the key of r2", lambda: "r2" in links and "key" in links["r2"].reason, lambda: links)
     counters: dict[str, int] = {}
 
     def refused() -> bool:
         counters.update(swarm.ask("r1", "status").counters)
         return counters.get("refused_key", 0) >= 1
 
-    swarm.wait(refused, lambda: f"{counters}")
+    swarm.wait("r1 counts the refusal", refused, lambda: counters)
     assert links["r2"].connection == 0
     assert links["r0"].state == "up"
     swarm.end()

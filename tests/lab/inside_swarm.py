@@ -3,15 +3,15 @@
 import json
 import os
 import signal
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from conftest import PATIENCE, Processes
+from conftest import Processes
 
 from lab.inside import PYTHON
 from lab.shapes import ROBOTS
+from lab.waiting import until
 from swarm.bus import Bus, Router
 from swarm.messages import read
 from swarm.paths import bus_endpoint
@@ -101,30 +101,31 @@ class Swarm:
             self.buses[name].ask(key, lambda key, payload: answers.append(read(key, payload)), timeout_s=2.0)
             return bool(answers)
 
-        self.wait(asked, lambda: f"{name}'s mesh does not answer")
+        self.wait(f"{name}'s mesh answers about {topic}", asked)
         return answers[0]
 
-    def wait(self, condition: Callable[[], bool], what: Callable[[], str]) -> None:
-        """Until that is so; `what` says how it is when it took too long."""
-        deadline = time.monotonic() + 20 * PATIENCE
-        while not condition():
-            assert time.monotonic() < deadline, f"{what()}\n{self.logs()}"
-            time.sleep(0.05)
+    def wait(self, what: str, condition: Callable[[], bool], state: Callable[[], object] = str) -> None:
+        """Wait until `condition()`; `what` describes it, `state()` returns what is so now."""
+        until(what, condition, state=lambda: f"{state()}; iterations {self.reached}\n{self.logs()}")
+
+    def wait_reached(self, what: str, iteration: int) -> None:
+        """Wait until all robots have done that iteration."""
+        self.wait(f"all at iteration {iteration}, {what}", lambda: min(self.reached.values()) >= iteration)
 
     def end_services(self) -> None:
         """Meshes and apps, not what has started them."""
         running = [Path(f"/proc/{self.process(module, name)}") for module in (APPS, MESH) for name in self.names]
         for process in running:
             os.kill(int(process.name), signal.SIGTERM)
-        self.wait(lambda: not any(process.exists() for process in running), lambda: f"{running} do not end")
+        self.wait(f"{running} end after SIGTERM", lambda: not any(process.exists() for process in running))
 
     def end(self) -> None:
         """All services end by SIGTERM, and well."""
         stdin = self.nursery.stdin
         assert stdin is not None
         stdin.close()
-        code = self.nursery.wait(40 * PATIENCE)
-        assert code == 0, self.logs()
+        self.wait("all services end after SIGTERM", lambda: self.nursery.poll() is not None)
+        assert self.nursery.returncode == 0, self.logs()
 
     def logs(self) -> str:
         """What the services have said last."""

@@ -23,7 +23,7 @@ def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callab
         robot.run("echo no; exit 3")
     slow = robot.spawn("sleep 60", 1.0)
     assert robot.run("echo meanwhile") == "meanwhile\n"
-    assert robot.wait(slow, 30).code == 124
+    assert robot.wait(slow, 30, "the slow command is ended").code == 124
     robot.kill()
     cut = time.monotonic()
     with pytest.raises(MachineError, match="switched off"):
@@ -32,6 +32,15 @@ def test_it_runs_commands_and_keeps_its_disk_through_a_power_cut(machine: Callab
     assert robot.run("cat /root/kept; hostname") == "kept\nr0\n"
     assert float(robot.run("cut -d' ' -f1 /proc/uptime")) < time.monotonic() - cut, "it has not booted"
     robot.stop()
+
+
+def test_a_serial_line_still_carries_after_more_has_come_than_the_kernel_holds(machine: Callable[..., Machine]) -> None:
+    """Commands and the Bluetooth controller come over such lines; lab/vm/serial.patch says what was wrong with them."""
+    robot = machine("r0", init=PLAIN)
+    robot.start()
+    text = "x" * 50_000
+    assert robot.run(f"echo {text}") == text + "\n"
+    assert robot.run("echo more", 10) == "more\n"
 
 
 def test_a_whole_system_has_the_release_and_ssh(machine: Callable[..., Machine]) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -15,11 +14,13 @@ from typing import Any
 import pytest
 
 from bench import restless_rule
+from lab import waiting
 from lab.inside import command, furnish
 from lab.radio.remote import Radio
 from lab.shapes import ITERATIONS, LINE, ROBOTS, SHAPES, config, line
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
+from lab.waiting import PATIENCE_S, until
 from swarm.core.graph import Graph
 from swarm.keyfile import new_key_file
 from swarm.recording import trajectory
@@ -29,8 +30,6 @@ pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(900)]
 
 KEY = 'key = "/share/swarm.key"'
-PATIENCE_S = 180.0
-"""For each thing to happen: it only bounds a failure."""
 DROP_AFTER_S = 10.0
 """Longer than a busy host keeps a machine from computing."""
 
@@ -38,8 +37,9 @@ DROP_AFTER_S = 10.0
 class Swarm:
     """Machines that are robots r0, r1, ..., and what they say of the app that each runs."""
 
-    def __init__(self, image: Image, folder: Path, count: int) -> None:
+    def __init__(self, image: Image, folder: Path, count: int, radio: Radio) -> None:
         self.folder = folder
+        self.radio = radio
         self.names = [f"r{i}" for i in range(count)]
         self.machines = {
             name: Machine(image, folder / name, name, init=PLAIN, radio=folder / f"radio-{number}")
@@ -76,24 +76,45 @@ class Swarm:
     def until(self, name: str, shape: str, condition: Callable[[dict[str, Any]], object], what: str) -> dict[str, Any]:
         """What the robot has said in that run when that was so."""
         path = self.machines[name].share / "said"
-        end = time.monotonic() + PATIENCE_S
-        while True:
+
+        def found() -> dict[str, Any] | None:
             text = path.read_text()
             whole, _, _ = text.rpartition("\n")
             for said in (json.loads(one) for one in whole.splitlines() if one.startswith("{")):
                 if said["config"] == shape and condition(said):
                     return dict(said)
-            if "ended" in text.splitlines()[-1:] or time.monotonic() > end:
-                pytest.fail(f"{name}, {shape}: not {what}: {text[-3000:]}")
-            time.sleep(0.2)
+            assert "ended" not in text.splitlines()[-1:], f"{name}, {shape}: it ended, not {what}: {text[-3000:]}"
+            return None
+
+        return until(f"{name}, {shape}: {what}", found, state=self._state, every=0.2)
+
+    def links(self) -> set[tuple[int, int]]:
+        """The numbers of the robots that have links, as the air has them."""
+        numbers = {address: number for number, address in enumerate(self.radio.addresses)}
+        return {(numbers[one], numbers[other]) for one, other in self.radio.order("look")["links"]}
+
+    def wait_links(self, pairs: list[tuple[int, int]]) -> None:
+        """Wait until just these robots have links. A run may be over before the last link is up, since it goes around
+        links that do not carry, and those of an earlier run stay for some seconds."""
+        until(f"the links are {pairs}", lambda: self.links() == set(pairs), state=self.links)
+
+    def _state(self) -> str:
+        """What each robot has said last, and the links."""
+        last = {}
+        for name, robot in self.machines.items():
+            lines = (robot.share / "said").read_text().splitlines()
+            last[name] = lines[-1] if lines else ""
+        return f"links {sorted(self.links())}, {last}"
 
     def until_recorded(self, name: str, shape: str, app: str, iteration: int) -> None:
         """The robot's recording has that iteration: what it does not have by now goes with a power cut."""
         path = self.machines[name].share / f"records-{shape}/{name}.{app}.mcap"
-        end = time.monotonic() + PATIENCE_S
-        while trajectory.read(path).last < iteration:
-            assert time.monotonic() < end, f"{name}: iteration {iteration} is not recorded"
-            time.sleep(0.1)
+        until(
+            f"{name}: iteration {iteration} is recorded",
+            lambda: trajectory.read(path).last >= iteration,
+            state=lambda: trajectory.read(path).last,
+            every=0.1,
+        )
 
     def end_run(self, shape: str) -> None:
         """What follows may begin."""
@@ -103,18 +124,18 @@ class Swarm:
     def end(self) -> None:
         """All has ended, and well."""
         for name, number in self._commands.items():
-            done = self.machines[name].wait(number, PATIENCE_S)
+            done = self.machines[name].wait(number, PATIENCE_S, "its services end")
             assert done.code == 0, (self.machines[name].share / "said").read_text()[-3000:]
 
 
 @contextmanager
-def swarm_of(image: Image, folder: Path, count: int) -> Iterator[tuple[Swarm, Radio]]:
+def swarm_of(image: Image, folder: Path, count: int) -> Iterator[Swarm]:
     """So many robots, and the air between them."""
     with Radio(folder, count, machines=True) as radio:
-        made = Swarm(image, folder, count)
+        made = Swarm(image, folder, count, radio)
         try:
             made.boot(*made.names)
-            yield made, radio
+            yield made
         finally:
             for machine in made.machines.values():
                 machine.kill()
@@ -126,24 +147,22 @@ def simulate(folder: Path, shape: str) -> Run:
     own.write_text(config(shape, "insecure = true"))
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
     command = [sys.executable, "-m", "services.sim", *words, "--record", str(record)]
-    subprocess.run(command, check=True, capture_output=True)
+    waiting.run(f"the simulation of {shape}", command)
     return Run(record)
 
 
 def test_robots_in_machines_of_their_own_compute_what_the_simulation_computes(lab_image: Image, tmp_path: Path) -> None:
-    with swarm_of(lab_image, tmp_path, ROBOTS) as (swarm, radio):
+    with swarm_of(lab_image, tmp_path, ROBOTS) as swarm:
         texts = {shape: config(shape, KEY) for shape in SHAPES}
         swarm.begin(texts, f"consensus --iterations {ITERATIONS}", *swarm.names)
-        heard = {}
         for shape in SHAPES:
             for name in swarm.names:
                 swarm.until(name, shape, lambda said: said["k"] >= ITERATIONS, f"at iteration {ITERATIONS}")
-            heard[shape] = {tuple(pair) for pair in radio.order("look")["links"]}
+            swarm.wait_links(SHAPES[shape])
             swarm.end_run(shape)
         swarm.end()
         records = {name: robot.share for name, robot in swarm.machines.items()}
-    for shape, pairs in SHAPES.items():
-        assert heard[shape] == {(radio.addresses[i], radio.addresses[j]) for i, j in pairs}
+    for shape in SHAPES:
         simulated = simulate(tmp_path, shape).trajectories("consensus")
         for name, share in records.items():
             rows = Run(share / f"records-{shape}").trajectories("consensus")[name].rows
@@ -160,7 +179,7 @@ def test_a_machine_that_loses_its_power_boots_and_joins_again(lab_image: Image, 
     )
     texts = {"line": line(3, KEY, values)}
     words = f"/share/restless.py --absent drop --drop-after {DROP_AFTER_S}"
-    with swarm_of(lab_image, tmp_path, 3) as (swarm, _):
+    with swarm_of(lab_image, tmp_path, 3) as swarm:
         for robot in swarm.machines.values():
             shutil.copy(Path(restless_rule.__file__).with_name("restless.py"), robot.share)
         swarm.begin(texts, words, *swarm.names)

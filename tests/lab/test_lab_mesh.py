@@ -1,6 +1,5 @@
 """The mesh over real RFCOMM, six robots in one machine: tests/lab/inside_consensus.py and inside_overlays.py."""
 
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from lab import waiting
 from lab.inside import run_tests
 from lab.shapes import ITERATIONS, LONG, config, hasty
 from lab.vm.build import Image
@@ -40,7 +40,7 @@ def simulate(shape: str, share: Path, make: Callable[[str, str], str] = config, 
     iterations = LONG if name in ("line", "around") else ITERATIONS
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(iterations), "--json"]
     record = ["--record", str(share / "simulated" / name)]
-    subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
+    waiting.run(f"the simulation of {name}", [sys.executable, "-m", "services.sim", *words, *record])
 
 
 @pytest.fixture(scope="module")
@@ -55,21 +55,21 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 def test_six_robots_compute_what_the_simulation_computes(robots: Machine, shapes: str) -> None:
     for shape in shapes.split(" or "):
         simulate(shape, robots.share)
-    run_tests(robots, f"tests/lab/inside_consensus.py -k 'simulation and ({shapes})'", 500)
+    run_tests(robots, f"tests/lab/inside_consensus.py -k 'simulation and ({shapes})'")
 
 
 def test_nothing_is_lost_or_doubled_by_faults_in_mid_run(robots: Machine) -> None:
     simulate("line", robots.share)
-    run_tests(robots, "tests/lab/inside_consensus.py -k faults", 500)
+    run_tests(robots, "tests/lab/inside_consensus.py -k faults")
 
 
 def test_a_silent_link_is_gone_around(robots: Machine) -> None:
     simulate("loop", robots.share, hasty, "around")
-    run_tests(robots, "tests/lab/inside_consensus.py -k around", 500)
+    run_tests(robots, "tests/lab/inside_consensus.py -k around")
 
 
 def test_all_that_the_mesh_does_it_does_over_rfcomm(robots: Machine) -> None:
     (robots.share / "overlays.toml").write_text(config("loop", 'key = "/share/swarm.key"', RULES))
     for name in ("swarm", "stranger"):
         (robots.share / f"{name}.toml").write_text(config("line", f'key = "/share/{name}.key"'))
-    run_tests(robots, " ".join(f"tests/lab/inside_{name}.py" for name in ("overlays", "stranger", "pybluez")), 500)
+    run_tests(robots, " ".join(f"tests/lab/inside_{name}.py" for name in ("overlays", "stranger", "pybluez")))

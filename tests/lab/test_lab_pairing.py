@@ -8,17 +8,20 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from lab import waiting
 from lab.inside import command, furnish
 from lab.radio.remote import Radio
 from lab.vm.build import Image
-from lab.vm.machine import PLAIN, Machine
+from lab.vm.machine import PLAIN, Machine, Result
+from lab.waiting import PATIENCE_S, until
 from swarm.keyfile import new_key_file
 from swarm.recording.run import Run
 
@@ -33,9 +36,6 @@ systemctl restart bluetooth
 for i in $(seq 200); do timeout 10 bluetoothctl show | grep -q 'Powered: yes' && exit 0; sleep 0.3; done; exit 1
 """
 """Service records need bluetoothd's old door."""
-
-PATIENCE_S = 400.0
-"""For a run to get on: it only bounds a failure. Beside three machines of another test a service starts in a minute."""
 
 PEER = "tests/lab/inside_peer.py"
 ITERATIONS = 400
@@ -83,33 +83,50 @@ class Robots:
     def pair(self, *words: str) -> str:
         """`swarm pair` of the host: what it says of the link."""
         asked = ["--config", str(self.config), "--ssh-config", str(self.folder / "ssh_config"), "--json"]
-        words = ("pair", *asked, "--timeout", "200", *words)
-        done = subprocess.run([sys.executable, "-m", "swarm.cli", *words], capture_output=True, text=True, check=False)
-        assert done.stdout, done.stderr
-        answer = json.loads(done.stdout.splitlines()[-1])
+        command = [sys.executable, "-m", "swarm.cli", "pair", *asked, "--timeout", "200", *words]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        output, errors = waiting.finished(f"swarm pair {' '.join(words)}", process)
+        assert output, errors
+        answer = json.loads(output.splitlines()[-1])
         assert all(each["ok"] for each in answer["robots"].values()), answer
         return str(answer["links"]["r0 r1"])
+
+    def state(self) -> str:
+        """The air's links, and each robot's adapter and devices as bluetoothd has them."""
+        said = [
+            robot.run(
+                "hciconfig hci0 | sed -n 3p; bluetoothctl devices Paired; systemctl is-active bluetooth", code=None
+            )
+            for robot in self.machines
+        ]
+        return f"air {self.radio.order('look')}, {said}"
 
     def scans(self) -> list[bool]:
         """Whether each listens to calls."""
         return ["PSCAN" in robot.run("hciconfig hci0") for robot in self.machines]
 
-    def listens(self) -> int:
-        """The second waits for a call of the first: the number of its command."""
+    @contextmanager
+    def second_listens(self, how: str = "listen") -> Iterator[None]:
+        """The second robot answers calls meanwhile; /tmp/said there has what it says of them."""
         a, b = self.addresses
         self.second.run("rm -f /tmp/said")
-        number = self.second.spawn(command(f"{PEER} listen {b} {a} >/tmp/said 2>&1"), 300)
+        number = self.second.spawn(command(f"{PEER} {how} {b} {a} >/tmp/said 2>&1"), 600)
         self.second.run("until grep -q listening /tmp/said; do sleep 0.2; done", 120)
-        return number
+        try:
+            yield
+        finally:
+            self.second.run("kill $(cat /tmp/peer)", code=None)
+            self.second.wait(number, 60, "the listening program ends")
+
+    def call(self, caller: Machine, own: str, how: str = "encrypted") -> Result:
+        """A machine calls the second robot."""
+        words = command(f"{PEER} dial-{how} {own} {self.addresses[1]}")
+        return caller.wait(caller.spawn(words, 150), 180, f"the call ({how}) comes to an end", self.state)
 
     def talk(self) -> tuple[int, str, str]:
         """The first calls the second over an encrypted link: its exit code, what it said, what the second said."""
-        a, b = self.addresses
-        number = self.listens()
-        result = self.first.wait(self.first.spawn(command(f"{PEER} dial-encrypted {a} {b}"), 150), 180)
-        if result.code:
-            self.second.run("kill $(cat /tmp/peer)", code=None)
-        self.second.wait(number, 180)
+        with self.second_listens():
+            result = self.call(self.first, self.addresses[0])
         return result.code, result.output, self.second.run("cat /tmp/said")
 
 
@@ -152,13 +169,6 @@ def stranger(lab_image: Image, robots: Robots) -> Iterator[Machine]:
         yield made
 
 
-def until(condition: Callable[[], object], seconds: float, what: Callable[[], str]) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, what()
-        time.sleep(0.3)
-
-
 def test_an_adapter_that_is_paired_with_nobody_is_deaf(robots: Robots) -> None:
     assert robots.scans() == [False, False]
     code, said, _ = robots.talk()
@@ -170,7 +180,7 @@ def test_swarm_pair_pairs_them(robots: Robots) -> None:
     assert robots.pair("--check") == "not paired at r0, not paired at r1"
     assert robots.pair() == "paired"
     assert robots.pair("--check") == "paired"
-    until(lambda: robots.scans() == [True, True], 30, lambda: "paired, and still deaf")
+    until("the paired robots listen", lambda: robots.scans() == [True, True], state=robots.scans)
 
 
 def test_links_are_encrypted_when_asked_for(robots: Robots) -> None:
@@ -187,23 +197,20 @@ def test_links_are_encrypted_when_asked_for(robots: Robots) -> None:
 @pytest.mark.parametrize("encrypt", ["encrypted", "plain"])
 def test_a_device_that_nobody_knows_is_refused(robots: Robots, stranger: Machine, encrypt: str) -> None:
     """Whether it wants an encrypted link or not; and the robot still hears its own."""
-    a, b = robots.addresses
-    number = robots.listens()
-    words = command(f"{PEER} dial-{encrypt} {robots.radio.addresses[2]} {b}")
-    refused = stranger.wait(stranger.spawn(words, 150), 180)
-    assert refused.code == 1, refused.output
-    assert "refused: [Errno 111]" in refused.output
-    assert not [pair for pair in robots.radio.order("look")["encrypted"] if robots.radio.addresses[2] in pair]
-    code = robots.first.wait(robots.first.spawn(command(f"{PEER} dial-encrypted {a} {b}"), 150), 180).code
-    assert code == 0
-    assert robots.second.wait(number, 120).code == 0
+    own = robots.radio.addresses[2]
+    with robots.second_listens():
+        refused = robots.call(stranger, own, encrypt)
+        assert refused.code == 1, refused.output
+        assert "refused: [Errno 111]" in refused.output
+        assert not [pair for pair in robots.radio.order("look")["encrypted"] if own in pair]
+        called = robots.call(robots.first, robots.addresses[0])
+        assert called.code == 0, called.output
 
 
 def test_pybluez_finds_the_robot_and_its_mesh(robots: Robots) -> None:
-    a, b = robots.addresses
+    b = robots.addresses[1]
     # PyBluez makes a record only while the adapter can be found.
     robots.second.run("bluetoothctl discoverable on; until hciconfig hci0 | grep -q ISCAN; do sleep 0.2; done", 60)
-    number = robots.second.spawn(command(f"{PEER} advertise {b} {a}"), 300)
     rows: list[dict[str, Any]] = []
 
     def found() -> bool:
@@ -211,16 +218,16 @@ def test_pybluez_finds_the_robot_and_its_mesh(robots: Robots) -> None:
         rows[:] = map(json.loads, said.splitlines())
         return {row["address"]: row["channel"] for row in rows} == {b: 4}
 
-    until(found, 120, lambda: f"{rows}")
-    code = robots.first.wait(robots.first.spawn(command(f"{PEER} dial-encrypted {a} {b}"), 150), 180).code
-    assert code == 0
-    assert robots.second.wait(number, 120).code == 0
+    with robots.second_listens("advertise"):
+        until("PyBluez finds the robot and its mesh", found, state=lambda: f"{rows}, {robots.state()}")
+        called = robots.call(robots.first, robots.addresses[0])
+        assert called.code == 0, called.output
 
 
 def test_who_was_forgotten_is_refused_and_may_be_paired_again(robots: Robots) -> None:
     a = robots.addresses[0]
     robots.second.run(f"bluetoothctl remove {a}; bluetoothctl pairable off")
-    until(lambda: not robots.radio.order("look")["links"], 30, lambda: "the link stays")
+    until("the link has ended", lambda: not robots.radio.order("look")["links"], state=robots.state)
     robots.second.run("hciconfig hci0 pscan")  # deaf otherwise; a paired third robot makes it hear
     code, said, heard = robots.talk()
     assert code == 1, said + heard
@@ -240,7 +247,7 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
     own.write_text(CONFIG.format(*robots.addresses, "insecure = true"))
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
     record = ["--record", str(robots.folder / "simulated")]
-    subprocess.run([sys.executable, "-m", "services.sim", *words, *record], check=True, capture_output=True)
+    waiting.run("the simulation", [sys.executable, "-m", "services.sim", *words, *record])
     robots.radio.order("medium", latency=0.05)
     for robot in robots.machines:
         (robot.share / "swarm.toml").write_text(robots.config.read_text())
@@ -261,14 +268,22 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
         said = [robot.run("tail -n 1 /tmp/states", 60) for robot in robots.machines]
         return [json.loads(each)["value"]["k"] if each else -1 for each in said]
 
-    until(lambda: min(reached()) >= 5, PATIENCE_S, lambda: journals(robots))
+    def wait_reached(iteration: int) -> None:
+        until(
+            f"both at iteration {iteration}",
+            lambda: min(reached()) >= iteration,
+            state=lambda: f"{journals(robots)}\niterations {reached()}, {robots.state()}",
+            every=0.3,
+        )
+
+    wait_reached(5)
     for robot in robots.machines:
         before = max(reached())
         robot.run("systemctl restart bluetooth", 90)
         assert before < ITERATIONS - 20
-        until(lambda before=before: min(reached()) >= before + 5, PATIENCE_S, lambda: journals(robots))  # type: ignore[misc]
+        wait_reached(before + 5)
     assert [tuple(each) for each in robots.radio.order("look")["encrypted"]] == [tuple(robots.addresses)]
-    until(lambda: min(reached()) >= ITERATIONS, PATIENCE_S, lambda: journals(robots))
+    wait_reached(ITERATIONS)
     simulated = Run(robots.folder / "simulated").trajectories("consensus")
     for robot in robots.machines:
         robot.run("systemctl stop swarm-app@consensus swarm-mesh swarm-bus; cp -r /var/lib/swarm/runs /share/runs")

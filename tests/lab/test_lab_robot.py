@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from room import ANCHORS
 
+from lab.inside import run_logged
 from lab.robot import disk
 from lab.vm import build
 from lab.vm.build import Image
@@ -51,7 +52,8 @@ def report(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Report
     image = disk.robots(lab_image, folder, CONFIG, folder / "swarm.key")
     with Machine(image, folder, "r0") as robot:
         shutil.copy(INSIDE, robot.share)
-        robot.run(f"PYTHONPATH={disk.PLACE} /opt/swarm/current/bin/python /share/inside_robot.py", 700)
+        words = f"PYTHONPATH={disk.PLACE} /opt/swarm/current/bin/python /share/inside_robot.py"
+        run_logged(robot, "the checks of inside_robot.py", words, 700)
         lines = [json.loads(line) for line in (robot.share / "report").read_text().splitlines()]
     return {line["check"]: line for line in lines}
 

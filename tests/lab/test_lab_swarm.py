@@ -16,10 +16,12 @@ from typing import Any
 
 import pytest
 
+from lab import waiting
 from lab.radio.remote import Radio, address
 from lab.robot import disk
 from lab.vm.build import Image
 from lab.vm.machine import Machine
+from lab.waiting import PATIENCE_S, Wait
 from swarm.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
@@ -34,8 +36,6 @@ COLD_START_S = 90.0
 DROP_AFTER_S = 5.0
 LATENCY_S = 0.15
 """One way, by the host's clock: some 0.03 s by those of three machines at once."""
-PATIENCE_S = 900.0
-"""For each thing to happen: it only bounds a failure."""
 SEEDS = 12
 """Simulations that tell how far off such a swarm is: errors of modules are drawn."""
 
@@ -96,15 +96,13 @@ class Laptop:
         own = ["--config", str(self.config), "--ssh-config", str(self._ssh)]
         return [sys.executable, "-m", module, *rest, *own]
 
-    def do(self, command: str, seconds: float = PATIENCE_S + 10) -> str:
-        """Its output; it must succeed."""
-        done = subprocess.run(self.words(command), capture_output=True, text=True, timeout=seconds)
-        assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
-        return done.stdout
+    def do(self, command: str) -> str:
+        """Run the command and return its output; it must succeed."""
+        return waiting.run(command, self.words(command), PATIENCE_S + 10)
 
     @contextmanager
-    def watch(self, robot: str, keys: str) -> Iterator[Callable[[Callable[[Any], object], float], Any]]:
-        """What `z_sub --robot` shows: waits for a payload with which the condition is true, so many s at most."""
+    def watch(self, robot: str, keys: str) -> Iterator[Callable[[str, Callable[[Any], object]], Any]]:
+        """Watch by `z_sub --robot`. What this gives waits for a payload for which the condition is true."""
         process = subprocess.Popen(
             self.words(f"z_sub {keys} --robot {robot} --json"),
             stdout=subprocess.PIPE,
@@ -117,15 +115,14 @@ class Laptop:
         reader.start()
         last: Any = None
 
-        def until(condition: Callable[[Any], object], seconds: float) -> Any:
+        def until(what: str, condition: Callable[[Any], object]) -> Any:
             nonlocal last
-            deadline = time.monotonic() + seconds
-            while (left := deadline - time.monotonic()) > 0:
+            wait = Wait(f"{keys} of {robot}: {what}", state=lambda: last)
+            while True:
                 with suppress(queue.Empty):
-                    last = json.loads(lines.get(timeout=left))["value"]
+                    last = json.loads(lines.get(timeout=wait.look()))["value"]
                     if condition(last):
                         return last
-            raise AssertionError(f"{keys} of {robot}: not within {seconds:g} s; the last one: {last}")
 
         try:
             yield until
@@ -141,8 +138,8 @@ def simulated_error(laptop: Laptop) -> float:
 
     def once(seed: int) -> float:
         words = f"sim localization --virtual --iterations 200 --json --seed {seed} --config {laptop.config}".split()
-        done = subprocess.run([sys.executable, "-m", "swarm.cli", *words], capture_output=True, text=True, check=True)
-        return float(json.loads(done.stdout.splitlines()[-1])["error_cm"]) / 100
+        said = waiting.run(f"the simulation of seed {seed}", [sys.executable, "-m", "swarm.cli", *words])
+        return float(json.loads(said.splitlines()[-1])["error_cm"]) / 100
 
     with ThreadPoolExecutor(2) as pool:
         return max(pool.map(once, range(1, SEEDS + 1)))
@@ -179,7 +176,7 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
             booted = time.monotonic() - began
             laptop.do(f"swarm run localization --absent drop --drop-after {DROP_AFTER_S} --timeout {PATIENCE_S:.0f}")
             with laptop.watch("r0", "swarm/r0/app/localization/state") as until:
-                found = until(lambda state: state["k"] > 50 and off(state) <= simulated, PATIENCE_S)
+                found = until("the target is found", lambda state: state["k"] > 50 and off(state) <= simulated)
             cold_start = float(machines[0].run("cat /proc/uptime").split()[0])
             rejoined = power_cut(laptop, machines)
             laptop.do(f"swarm stop localization --timeout {PATIENCE_S:.0f}")
@@ -201,13 +198,13 @@ def power_cut(laptop: Laptop, machines: list[Machine]) -> float:
     epochs = "swarm/r0/app/localization/epoch"
     with laptop.watch("r0", epochs) as until:
         machines[2].kill()
-        without = until(lambda epoch: epoch["members"] == ["r0", "r1"], PATIENCE_S)
+        without = until("the members are r0 and r1", lambda epoch: epoch["members"] == ["r0", "r1"])
         began = time.monotonic()
         boot(machines[2])
         laptop.knows(machines)
         laptop.do(f"swarm start localization --robots r2 --timeout {PATIENCE_S:.0f}")
-        again = until(lambda epoch: epoch["members"] == list(NAMES), PATIENCE_S)
+        again = until("the members are all three", lambda epoch: epoch["members"] == list(NAMES))
     assert again["epoch"] > without["epoch"]
     with laptop.watch("r2", "swarm/r2/app/localization/state") as until:
-        until(lambda state: state["k"] > again["k"] + 20 and off(state) < 0.3, PATIENCE_S)
+        until("r2 finds the target again", lambda state: state["k"] > again["k"] + 20 and off(state) < 0.3)
     return time.monotonic() - began

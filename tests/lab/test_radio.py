@@ -1,6 +1,7 @@
 """The radio's core in virtual time: golden bytes, links, and what ends them."""
 
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from lab.radio.core import hci
 from lab.radio.core.air import Air
 from lab.radio.core.controller import FEATURES
 from lab.radio.core.hci import Ev, Op, Status
+from lab.radio.trace import Trace
 
 A, B, C = "02:10:BA:00:00:01", "02:10:BA:00:00:02", "02:10:BA:00:00:03"
 KEY = bytes(range(16))
@@ -94,6 +96,22 @@ def test_golden_bytes() -> None:
     assert hci.parse(bytes.fromhex("02410002007879")) == hci.Acl(0x41, 0, b"xy")
     assert hci.from_wire(hci.to_wire(A)) == A
     assert FEATURES.hex() == "2700004000000880"
+
+
+def test_golden_bytes_of_a_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.time_ns", lambda: 946_684_800_000_000_000)  # the year 2000, by which the format counts
+    trace = Trace(tmp_path / "trace")
+    trace.adapter(1, A)
+    trace.from_host(1, command(Op.RESET))
+    trace.to_host(1, hci.complete(Op.RESET))
+    trace.close()
+    data = (tmp_path / "trace").read_bytes()
+    assert data[:16].hex() == "6274736e6f6f7000" + "00000001" + "000007d1"
+    record = "{0:08x}{0:08x}0001{1:04x}00000000" + "00e03ab44a676000"
+    adapter = record.format(16, 0) + "0000" + "010000ba1002" + b"hci1".hex() + "00000000"
+    reset = record.format(3, 2) + "030c00"
+    completed = record.format(6, 3) + "0e0401030c00"
+    assert data[16:].hex() == adapter + reset + completed
 
 
 def test_a_host_that_starts_learns_what_its_controller_can(world: World) -> None:
@@ -266,6 +284,31 @@ def test_an_inquiry_finds_those_that_can_be_found(world: World) -> None:
     assert events[1][1][1:7] == hci.to_wire(B)
 
 
+def test_an_inquiry_before_a_reset_says_nothing_after_it(world: World) -> None:
+    world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x08\0")
+    world.run(1.0)
+    world.tell(A, Op.RESET)
+    world.tell(A, Op.INQUIRY, b"\x33\x8b\x9e\x08\0")
+    world.events(A)
+    world.run(9.5)
+    assert Ev.INQUIRY_COMPLETE not in world.codes(A)
+    world.run(1.0)
+    assert world.codes(A) == [Ev.INQUIRY_COMPLETE]
+
+
+def test_the_pages_of_a_lost_adapter_end_with_it(world: World) -> None:
+    world.air.cut(A, B, world.now)
+    world.tell(A, Op.CREATE_CONNECTION, hci.to_wire(B) + bytes(7))
+    world.run(0.5)
+    world.air.remove(A, world.now)
+    world.air.add(A)
+    world.events(A)
+    world.air.mend(A, B, world.now)
+    world.run(20.0)
+    assert world.codes(B) == []
+    assert world.codes(A) == []
+
+
 def pair(world: World, answer: dict[int, tuple[int, bytes]]) -> dict[str, list[tuple[int, bytes]]]:
     """Both hosts answer each question by that table until none is left: what else they heard."""
     rest: dict[str, list[tuple[int, bytes]]] = {A: [], B: []}
@@ -310,6 +353,15 @@ def test_simple_pairing_gives_both_the_key_and_next_time_it_is_enough(world: Wor
     assert world.air.encrypted() == [(A, B)]
     world.tell(A, Op.SET_ENCRYPTION, handle + b"\0")
     assert world.air.encrypted() == []
+
+
+def test_both_hosts_that_authenticate_one_link_at_once_hear_how_it_ended(world: World) -> None:
+    one, other = world.link(A, B)
+    for address, handle in ((A, one), (B, other)):
+        world.tell(address, Op.AUTHENTICATION_REQUESTED, handle.to_bytes(2, "little"))
+    rest = pair(world, {Ev.LINK_KEY_REQUEST: (Op.LINK_KEY_REPLY, KEY)})
+    for address, handle in ((A, one), (B, other)):
+        assert rest[address] == [(Ev.AUTHENTICATION_COMPLETE, b"\0" + handle.to_bytes(2, "little"))]
 
 
 def test_golden_bytes_of_pairing_and_encryption(world: World) -> None:

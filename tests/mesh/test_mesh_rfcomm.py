@@ -233,8 +233,11 @@ insecure = true
 """
 
 
-def local(me: str) -> Local:
-    config = parse(CONFIG, Path("swarm.toml"))
+THREE = CONFIG.replace("[topology]", f'[[robots]]\nname = "r2"\nbluetooth = "{C}"\n[topology]')
+
+
+def local(me: str, text: str = CONFIG) -> Local:
+    config = parse(text, Path("swarm.toml"))
     return Local(
         me,
         "lab",
@@ -248,8 +251,8 @@ def local(me: str) -> Local:
 class Mesh:
     """A whole mesh of one robot over the stand-in."""
 
-    def __init__(self, name: str, air: RfcommAir, directory: Path) -> None:
-        config, own = parse(CONFIG, Path("swarm.toml")), local(name)
+    def __init__(self, name: str, air: RfcommAir, directory: Path, text: str = CONFIG) -> None:
+        config, own = parse(text, Path("swarm.toml")), local(name, text)
         self.limits: list[tuple[str, str, float]] = []
         """Own and other address, time-out of the mesh: whose silence was to be limited."""
         self.network = Network(
@@ -320,6 +323,63 @@ def test_meshes_meet_over_rfcomm_part_and_meet_again(air: RfcommAir, runtime: Pa
     assert (near.limits, far.limits) == ([(A, B, 3.0)] * 2, [])
     near.stop()
     far.stop()
+
+
+class L2capSocket:
+    """A raw socket that notes what is done with it."""
+
+    def __init__(self, done: list[object]) -> None:
+        self._done = done
+
+    def setblocking(self, blocking: bool) -> None:
+        assert not blocking
+
+    def bind(self, address: object) -> None:
+        self._done.append(address)
+
+    connect = send = bind
+
+    def close(self) -> None:
+        self._done.append("closed")
+
+
+def test_a_nudge_is_an_echo_request_from_the_own_adapter_to_the_other_end(
+    air: RfcommAir, listener: rfcomm.Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[object] = []
+    near, far = dial(air), accept(listener)
+    monkeypatch.setattr(rfcomm, "open_l2cap_socket", lambda: L2capSocket(done))
+    near.nudge()
+    far.nudge()
+    echo = bytes.fromhex("08c80000")
+    assert done == [(A, 0), (B, 0), echo, "closed", (B, 0), (A, 0), echo, "closed"]
+
+
+def test_a_nudge_without_the_right_to_a_raw_socket_does_no_harm(
+    air: RfcommAir, listener: rfcomm.Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused() -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(rfcomm, "open_l2cap_socket", refused)
+    dial(air).nudge()
+
+
+def test_the_other_links_are_nudged_when_one_has_ended(
+    air: RfcommAir, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nudged: list[str] = []
+    monkeypatch.setattr(rfcomm.RfcommPipe, "nudge", lambda pipe: nudged.append(pipe._peer))
+    air.adapters.add(C)
+    meshes = {name: Mesh(name, air, runtime, THREE) for name in ("r0", "r1", "r2")}  # a line
+    middle = meshes["r1"].runner
+    wait_until(lambda: [each.state for each in middle.links()] == ["up", "up"])
+    assert nudged == []
+    for sock in [sock for sock in air.sockets if sock.fileno() >= 0 and sock.adapter == A and not sock.channel]:
+        sock.shutdown(socket.SHUT_RDWR)
+    wait_until(lambda: nudged == [C])
+    for mesh in meshes.values():
+        mesh.stop()
 
 
 def test_a_call_from_the_address_of_no_robot_is_ended_before_a_handshake(air: RfcommAir, runtime: Path) -> None:

@@ -63,9 +63,9 @@ class Air:
         self._controllers[address] = Controller(self, address, len(self._controllers))
 
     def remove(self, address: str, now: float) -> None:
-        """A controller is gone, however; the others find out by the supervision time-out."""
-        controller = self._controllers.pop(address)
-        self.forget(controller, now)
+        """A controller is gone, and with it its links, pages and inquiries; the others find out by the supervision
+        time-out."""
+        self._controllers.pop(address).switch_off(now)
 
     def switch_off(self, address: str, now: float) -> None:
         """A controller's host has switched it off; its settings are gone, and the others find out as by `remove`."""

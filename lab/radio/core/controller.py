@@ -98,6 +98,8 @@ class Controller:
         self._air = air
         # Handles differ between controllers, so that no test passes by their being equal.
         self._next_handle = 1 + 64 * number
+        # Of the last inquiry that began or was cancelled: what an earlier one still has to tell is not told.
+        self._inquiry_number = 0
         self._set_defaults()
         self._handlers: dict[int, Callable[[int, bytes, float], None]] = {
             Op.RESET: self._reset,
@@ -125,7 +127,6 @@ class Controller:
         self.name = b"lab".ljust(248, b"\0")
         self.simple_pairing = 0
         self._page_timeout = 0x2000 * SLOT
-        self._inquiry_number = 0
 
     def new_handle(self) -> int:
         """A handle that no link of ours has."""
@@ -229,8 +230,9 @@ class Controller:
         self._complete(op)
 
     def switch_off(self, now: float) -> None:
-        """Links, pages and settings are gone."""
+        """Links, pages, inquiries and settings are gone."""
         self._air.forget(self, now)
+        self._inquiry_number += 1
         self.paging.clear()
         self.asked.clear()
         self._set_defaults()
@@ -380,8 +382,18 @@ class Controller:
             self._status(op, Status.UNKNOWN_CONNECTION)
             return
         self._status(op)
-        simple = bool(self.simple_pairing and peer.simple_pairing)
-        link.pairing = Pairing(self.address, peer.address, simple, self._air.new_key)
+        link.wanting.append(self.address)
+        self._begin_pairing(link)
+
+    def _begin_pairing(self, link: Link) -> None:
+        """Begin the next authentication of a link. Where both hosts ask at once, the link managers have one wait for
+        the other, and each host hears how its own ended."""
+        if not link.wanting or (link.pairing is not None and link.pairing.status is None):
+            return
+        initiator = link.wanting.popleft()
+        ends = self._air.find(initiator), self._air.find(link.peer(initiator))
+        simple = all(each is not None and each.simple_pairing for each in ends)
+        link.pairing = Pairing(initiator, link.peer(initiator), simple, self._air.new_key)
         link.pairing.start()
         self._tell(link, link.pairing)
 
@@ -400,6 +412,7 @@ class Controller:
         if pairing.status is not None and pairing.initiator not in link.gone:
             body = struct.pack("<BH", pairing.status, link.ends[pairing.initiator])
             self._air.send(pairing.initiator, hci.event(Ev.AUTHENTICATION_COMPLETE, body))
+        self._begin_pairing(link)
 
     def _encrypt(self, op: int, parameters: bytes, now: float) -> None:
         link = self.links.get(int.from_bytes(parameters[:2], "little"))

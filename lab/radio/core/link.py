@@ -22,7 +22,9 @@ class Link:
     gone: set[str] = field(default_factory=set)
     """Sides that do not have the link any more."""
     pairing: Pairing | None = None
-    """An authentication under way."""
+    """The authentication under way, or the last one."""
+    wanting: deque[str] = field(default_factory=deque)
+    """Sides whose hosts want another authentication after that."""
     authenticated: bool = False
     """Whether both sides have shown that they have the same key: encryption needs it."""
     encrypted: bool = False

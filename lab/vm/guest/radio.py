@@ -46,10 +46,9 @@ def main() -> None:
         ready, _, _ = select.select([serial, vhci], [], [])
         if vhci in ready:
             packet = os.read(vhci, 4096)
-            while packet and packet[0] != VENDOR:
-                packet = packet[os.write(serial, packet) :]
-                if not packet:
-                    break
+            if packet and packet[0] != VENDOR:
+                while packet:  # the serial line takes a part where it has no room for all
+                    packet = packet[os.write(serial, packet) :]
         if serial in ready:
             data = os.read(serial, 65536)
             if not data:

@@ -80,6 +80,10 @@ class Pipe:
         self._over = not data
         return data
 
+    def nudge(self) -> None:
+        """Have the kernel send what waits to be sent, where it may not do so by itself after another connection has
+        ended."""
+
     # -- the writers' side, under the mesh's lock ------------------------------------------------------------
 
     def offer(self, data: bytes) -> None:

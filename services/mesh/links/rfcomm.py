@@ -5,13 +5,14 @@ calls is known by its Bluetooth address, so a caller must be the robot that has 
 the check keeps honest robots apart, the key keeps strangers out.
 """
 
+import contextlib
 import errno
 import socket
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from services.mesh.core.callers import Caller
+from services.mesh.core.callers import UNKNOWN, Caller
 from services.mesh.links import stream
 from services.mesh.links.pipe import Pipe, describe
 from swarm.errors import LocalError
@@ -28,6 +29,10 @@ SECURITY_MEDIUM = 2
 
 _SECURITY = struct.Struct("BB")
 """struct bt_security: level, key size (0 = the kernel's choice)."""
+
+ECHO_REQUEST = struct.pack("<BBH", 0x08, 200, 0)
+"""L2CAP Echo Request without data (Core specification, vol 3 part A, 4.8). The kernel leaves identifiers from 200 on to
+programs."""
 
 Open = Callable[[], socket.socket]
 
@@ -67,6 +72,35 @@ def open_socket() -> socket.socket:
     return socket.socket(socket.AF_BLUETOOTH, socket.SOCK_STREAM, socket.BTPROTO_RFCOMM)
 
 
+def open_l2cap_socket() -> socket.socket:
+    """A new raw L2CAP socket; OSError where this process may not have one."""
+    return socket.socket(socket.AF_BLUETOOTH, socket.SOCK_RAW, socket.BTPROTO_L2CAP)
+
+
+class RfcommPipe(Pipe):
+    """A connection over an RFCOMM socket."""
+
+    def __init__(self, sock: socket.socket, own: str, peer: str, caller: Caller = UNKNOWN) -> None:
+        """`own` and `peer`: the Bluetooth addresses of both ends."""
+        super().__init__(sock, caller)
+        self._own, self._peer = own, peer
+
+    def nudge(self) -> None:
+        """Send an L2CAP echo request to the other end.
+
+        All connections of an adapter share its controller's buffers. When one that was silent ends, Linux 6.12 gives
+        its buffers back but sends nothing on by itself (hci_conn_del). An RFCOMM connection that has used up its
+        credits writes nothing either, until its close times out after 40 s. An echo needs no credits, and has the
+        kernel look at all that waits. It takes CAP_NET_RAW; without it a link may be lost in such a case, and comes
+        back.
+        """
+        with contextlib.suppress(OSError), contextlib.closing(open_l2cap_socket()) as raw:
+            raw.setblocking(False)
+            raw.bind((self._own, 0))
+            raw.connect((self._peer, 0))  # at once: the connection below is there
+            raw.send(ECHO_REQUEST)
+
+
 def dial(radio: Radio, address: str, *, open_socket: Open = open_socket) -> Pipe:
     """Connect to the robot with that Bluetooth address; raises OSError whose text says what it means."""
     sock = None
@@ -81,7 +115,7 @@ def dial(radio: Radio, address: str, *, open_socket: Open = open_socket) -> Pipe
         if sock is not None:
             sock.close()
         raise explained(error) from None
-    return Pipe(sock)
+    return RfcommPipe(sock, radio.adapter, address)
 
 
 class Listener(stream.Listener):
@@ -90,6 +124,7 @@ class Listener(stream.Listener):
     def __init__(self, radio: Radio, robots: Mapping[str, str], *, open_socket: Open = open_socket) -> None:
         """`robots` has the name of the robot of each known Bluetooth address."""
         self._robots = {address.upper(): name for address, name in robots.items()}
+        self._adapter = radio.adapter
         sock = None
         try:
             sock = open_socket()
@@ -106,7 +141,7 @@ class Listener(stream.Listener):
 
     def _adopt(self, sock: socket.socket, address: Any) -> Pipe:
         who = str(address[0]).upper()
-        return Pipe(sock, Caller(who, robot=self._robots.get(who, "")))
+        return RfcommPipe(sock, self._adapter, who, Caller(who, robot=self._robots.get(who, "")))
 
 
 def _prepare(sock: socket.socket, radio: Radio) -> None:
