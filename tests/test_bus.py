@@ -12,9 +12,9 @@ import pytest
 from conftest import Processes, wait_until
 
 from swarm.bus import Bus, Outlet, Router
-from swarm.codec import MAX_BINARY
+from swarm.codec import MAX_BINARY, MAX_PAYLOAD
 from swarm.errors import BusError, LocalError
-from swarm.messages import Leds, read
+from swarm.messages import Gathered, Leds, read
 from swarm.paths import bus_endpoint
 
 Open = Callable[[], Bus]
@@ -344,7 +344,7 @@ def test_a_callback_may_publish_ask_and_declare(open_bus: Open) -> None:
 
 
 @pytest.mark.usefixtures("bus_service")
-def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
+def test_the_bus_refuses_an_oversized_key(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()
     bob.subscribe("swarm/**", samples)
@@ -353,7 +353,6 @@ def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
     nothing = Samples()
     for attempt in (
         lambda: alice.publish(long, b""),
-        lambda: alice.publish("swarm/r0/test/x", bytes(MAX_BINARY + 1)),
         lambda: alice.subscribe(long, nothing),
         lambda: alice.ask(long, nothing),
         lambda: alice.serve(long, lambda *_: None),
@@ -363,6 +362,25 @@ def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
         with pytest.raises(LocalError):
             attempt()
     talk(alice, "swarm/r0/test/" + "x" * 200, samples, bytes(MAX_BINARY))
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_the_bus_drops_and_counts_an_oversized_message_and_logs_it_once(
+    open_bus: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    large = Gathered((bytes(MAX_PAYLOAD),))
+    for message in (bytes(MAX_BINARY + 1), large, large):
+        alice.publish("swarm/r0/test/x", message)
+    assert alice.counters["too_large"] == 3
+    assert [record.message for record in caplog.records if "swarm/r0/test/x" in record.message] == [
+        f"dropped, here and whenever it happens again: key=swarm/r0/test/x {MAX_BINARY + 1} bytes, "
+        f"the bus takes at most {MAX_BINARY}"
+    ]
+    talk(alice, "swarm/r0/test/x", samples, b"the next message comes")
 
 
 @pytest.mark.parametrize("key", ["", "/swarm", "swarm//x", "swarm/#", "swarm/x?y", "swarm/**/**/$", "swarm/"])
