@@ -1,6 +1,8 @@
 import importlib
 import json
 import math
+import os
+import shutil
 import subprocess
 import sys
 
@@ -28,8 +30,42 @@ def test_what_is_only_told_is_never_missed():
 
 
 @pytest.mark.parametrize("area", AREAS)
-def test_every_area_has_rows(area):
-    assert callable(importlib.import_module(f"bench.{area}").rows)
+def test_every_area_has_sizes_for_its_figures_and_for_a_smoke_run(area):
+    module = importlib.import_module(f"bench.{area}")
+    assert callable(module.rows)
+    assert isinstance(module.FULL, module.Sizes)
+    assert isinstance(module.SMOKE, module.Sizes)
+
+
+NEEDS = {"balancer": "cyclictest", "deploy": "sshd", "view": "chromium"}
+"""Programs without which an area cannot be measured. CI has them all."""
+
+
+def smoke(area):
+    """A smoke run of one area: seconds of work, so that no area is broken without being noticed."""
+    program = NEEDS.get(area)
+    path = f"{os.environ['PATH']}:/usr/sbin:/sbin"
+    missing = program is not None and not os.environ.get("CI") and shutil.which(program, path=path) is None
+    # A machine of the lab takes minutes to build.
+    marks = [pytest.mark.lab if area == "lab" else pytest.mark.slow, pytest.mark.timeout(600)]
+    return pytest.param(area, marks=[*marks, pytest.mark.skipif(missing, reason=f"needs {program}")])
+
+
+@pytest.mark.parametrize("area", [smoke(area) for area in AREAS])
+def test_a_smoke_run_of_an_area_measures_something(area):
+    command = [sys.executable, "-m", "bench", area, "--smoke", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert rows
+    assert all(row["goal"] is None for row in rows)
+
+
+def test_an_option_that_an_area_does_not_have_is_refused():
+    command = [sys.executable, "-m", "bench", "session", "--seed", "3"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "session has no --seed" in done.stderr
 
 
 def test_what_was_not_measured_is_never_good():
