@@ -34,9 +34,14 @@ from services.sim import footprint
 from services.sim.processes import Child, Processes
 from swarm import clock
 from swarm.bus import Bus
+from swarm.codec import decode
 from swarm.errors import LocalError
+from swarm.messages import BalancerState
 
 PERIOD_S = 0.01
+START_S = 120.0
+"""s after which a robot that does not balance is given up."""
+
 SETTLE_S = 0.5
 """s after a load began that do not count: what starting its processes costs is not its own."""
 
@@ -87,8 +92,8 @@ class Sizes:
     phase_s: float = 5.0
     """Of each load."""
 
-    stand_s: float = 6.0
-    """Until the simulated robot balances quietly."""
+    stand_s: float = 4.0
+    """Until a robot that has begun to balance does so quietly."""
 
     restart_s: float = 60.0
     """In which services are killed and started again."""
@@ -99,7 +104,7 @@ class Sizes:
 
 
 FULL = Sizes()
-SMOKE = Sizes(1, 1.0, 3.0, 1.0, 1, 1.0)
+SMOKE = Sizes(1, 1.0, 1.0, 1.0, 1, 1.0)
 
 
 @dataclass
@@ -144,6 +149,20 @@ class Robot:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+    def stand(self, seconds: float) -> None:
+        """Wait until it balances, and so long beyond that."""
+        began = threading.Event()
+
+        def told(key: str, payload: bytes) -> None:
+            if decode(BalancerState, payload, key).mode == "balancing":
+                began.set()
+
+        subscription = self.bus.subscribe("swarm/r0/balancer/state", told)
+        if not began.wait(START_S):
+            raise LocalError(f"bench balancer: the robot does not balance within {START_S:g} s")
+        subscription.close()
+        time.sleep(seconds)
 
     def child(self, service: str) -> Child:
         """One of r0's services."""
@@ -237,7 +256,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     phases: list[Phase] = []
     for repeat in range(sizes.repeats):
         with Robot() as robot:
-            time.sleep(sizes.stand_s)
+            robot.stand(sizes.stand_s)
             began_cpu, began = _cpu(robot), clock.now()
             found = [phase for load in SHORT for phase in _pair(robot, load, sizes)]
             if repeat == sizes.repeats - 1:
@@ -270,7 +289,7 @@ def _beside_one_process(sizes: Sizes) -> Iterator[Row]:
 def _turn(sizes: Sizes, *, in_process: bool) -> dict[str, float]:
     """99th percentile of a robot's lateness by load, s."""
     with Robot(in_process=in_process) as robot:
-        time.sleep(sizes.stand_s)
+        robot.stand(sizes.stand_s)
         found = [_loaded(robot, load, sizes.turn_s) for load in IN_PROCESS]
         return {phase.load: _p(phase.ticks, 99) for phase in _ended(robot, found)}
 
