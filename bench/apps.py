@@ -12,6 +12,7 @@ import os
 import random
 import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,22 +59,44 @@ SCENES = ((3, "line"), (6, "line"), (6, "loop"), (6, "thesis-d"), (6, "full"))
 BEST_TUNED = (31, 51, 48, 62, 47)
 """Rounds to 1 cm of the thesis' iteration with the best step for each of `SCENES`: what the others are held against."""
 
-DRAWS = 20
+STUDIES = ((3, "line", 0.04), (6, "line", 0.025), (6, "thesis-d", 0.025))
+"""Robots, shape, and step of the thesis' iteration."""
+
+REPLAYED = (("test_2", 0.04), ("test_3", 0.04), ("test_5", 0.005))
+"""Recordings of the thesis with its step."""
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    columns: int = len(TABLE_4_1)
+    """So many of each table's columns, shapes, scenes, studies and recordings are measured."""
+
+    shapes: int = len(SHAPES)
+    scenes: int = len(SCENES)
+    studies: int = len(STUDIES)
+    recordings: int = len(REPLAYED)
+    draws: int = 20
+
+
+FULL = Sizes()
+SMOKE = Sizes(1, 1, 1, 1, 1, 1)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
-    yield from table_4_1()
-    yield from consensus_rounds()
-    yield from localization_rounds()
-    yield from study()
-    yield from recorded()
+    yield from table_4_1(sizes.columns)
+    yield from consensus_rounds(sizes.shapes)
+    yield from localization_rounds(sizes.scenes)
+    yield from study(sizes)
+    yield from recorded(sizes.recordings)
     yield from lines()
 
 
-def table_4_1() -> Iterator[Row]:
+def table_4_1(columns: int) -> Iterator[Row]:
     """Thesis rule and links of today beside what its robots needed."""
-    for column, (robots, shape, start, iteration, end, iterations, seconds) in TABLE_4_1.items():
+    for column, (robots, shape, start, iteration, end, iterations, seconds) in list(TABLE_4_1.items())[:columns]:
         arguments = ("consensus", "--robots", str(robots), "--topology", shape, "--algorithm", "thesis", *LINKS)
         real = simulate(*arguments, "--iterations", "5")
         yield Row(f"table 4.1 {column} {shape} {robots}: start", number(real, "started_s"), "s", start, 1.0)
@@ -89,22 +112,22 @@ def table_4_1() -> Iterator[Row]:
         yield Row("  convergence time", reached - began, "s", seconds, 1.0)
 
 
-def consensus_rounds() -> Iterator[Row]:
+def consensus_rounds(shapes: int) -> Iterator[Row]:
     """All algorithms on the graphs of six."""
     for algorithm, known in KNOWN_ROUNDS.items():
-        for shape, most in zip(SHAPES, known, strict=True):
+        for shape, most in list(zip(SHAPES, known, strict=True))[:shapes]:
             swarm = consensus(algorithm, 6, shape, 130)
             limit = 2.5625 if algorithm == "thesis" and shape in ("line", "thesis-d") else 15.5 / 6
             yield Row(f"rounds to 1e-2, {shape} 6: {algorithm}", rounds_to(swarm, limit, 1e-2), "", most, 1.0)
-    for shape in SHAPES:
+    for shape in SHAPES[:shapes]:
         swarm = consensus("metropolis", 6, shape, 200)
         error = max(abs(value(swarm, name, -1) - 15.5 / 6) for name in swarm.names)
         yield Row(f"metropolis, {shape} 6: distance from the mean", error, "", 1e-6, 1.0)
 
 
-def localization_rounds() -> Iterator[Row]:
+def localization_rounds(scenes: int) -> Iterator[Row]:
     """To 1 cm at all robots, exact ranges; the example of an author's own method among them."""
-    for (count, shape), best in zip(SCENES, BEST_TUNED, strict=True):
+    for (count, shape), best in list(zip(SCENES, BEST_TUNED, strict=True))[:scenes]:
         for algorithm in ("info", "flood", "nids", "diging", "thesis"):
             step = 0.04 if count == 3 else 0.025
             parameters = {"step_size": step} if algorithm in ("diging", "thesis") else {}
@@ -118,18 +141,18 @@ def localization_rounds() -> Iterator[Row]:
         yield Row("  examples/find_target.py", rounds_to_place(swarm, TARGET), "", best, None)
 
 
-def study() -> Iterator[Row]:
+def study(sizes: Sizes) -> Iterator[Row]:
     """The thesis' noise model: root mean square errors beside least squares of the same biased ranges, in cm."""
-    for count, shape, step in ((3, "line", 0.04), (6, "line", 0.025), (6, "thesis-d", 0.025)):
-        best, found = _study(count, shape, step)
+    for count, shape, step in STUDIES[: sizes.studies]:
+        best, found = _study(count, shape, step, sizes.draws)
         for algorithm, errors in found.items():
             yield Row(f"--noise thesis, {shape} {count}: {algorithm}, rms", errors, "cm", best, None)
 
 
-def _study(count: int, shape: str, step: float) -> tuple[float, dict[str, float]]:
+def _study(count: int, shape: str, step: float, draws: int) -> tuple[float, dict[str, float]]:
     best: list[float] = []
     found: dict[str, list[float]] = {"info": [], "nids": [], "flood": [], "diging": [], "thesis": []}
-    for seed in range(DRAWS):
+    for seed in range(draws):
         measure, seen = biased("thesis", count, 160, seed)
         best.append(math.dist(refine(seen, TARGET), TARGET) ** 2)
         for algorithm, errors in found.items():
@@ -143,9 +166,9 @@ def _study(count: int, shape: str, step: float) -> tuple[float, dict[str, float]
     return rms(best), {algorithm: rms(errors) for algorithm, errors in found.items()}
 
 
-def recorded() -> Iterator[Row]:
+def recorded(count: int) -> Iterator[Row]:
     """The thesis' recordings, where they are."""
-    for test, step in (("test_2", 0.04), ("test_3", 0.04), ("test_5", 0.005)):
+    for test, step in REPLAYED[:count]:
         folder = RECORDINGS / "localization" / test
         if not folder.is_dir():
             continue

@@ -5,9 +5,7 @@ import socket
 import threading
 from pathlib import Path
 
-import msgpack
-
-from services.sim.door import WORLD_SOCKET
+from services.sim.world import SOCKET, BodyReport, read_report
 
 FALLEN = math.radians(45.0)
 """rad of tilt."""
@@ -21,7 +19,7 @@ class World:
         """Time and true tilt, rad."""
         self.falls = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(run_dir / WORLD_SOCKET))
+        self._socket.bind(str(run_dir / SOCKET))
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
 
@@ -34,9 +32,9 @@ class World:
     def _listen(self) -> None:
         fallen = False
         while data := self._socket.recv(1024):
-            pose = msgpack.unpackb(data)
-            if "t" not in pose:
-                continue  # the body's question where it had been before
-            self.tilts.append((pose["t"], pose["tilt"]))
-            before, fallen = fallen, abs(pose["tilt"]) > FALLEN
+            report = read_report(data)
+            if not isinstance(report, BodyReport):
+                continue
+            self.tilts.append((report.t, report.tilt))
+            before, fallen = fallen, abs(report.tilt) > FALLEN
             self.falls += fallen and not before

@@ -13,6 +13,7 @@ real cores and links, their locksteps) are one process, `bench.peers`; what it t
 import os
 import statistics
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,20 +44,29 @@ KINDS = (
     Kind("six on two cores", ("bench.socket_sim",), NAMES),
     Kind("six on two cores, simulated links", ("swarm.cli", "sim"), NAMES),
 )
-TOPOLOGIES = ("line", "full")
-
-REPEATS = 3
-WARM_UP = 60
-ITERATIONS = 300
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    topologies: tuple[str, ...] = ("line", "full")
+    repeats: int = 3
+    warm_up: int = 60
+    iterations: int = 300
+
+
+FULL = Sizes()
+SMOKE = Sizes(("line",), 1, 5, 20)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there. Runs of all kinds take turns: the machine is not always the same."""
-    measured = [(topology, kind) for topology in TOPOLOGIES for kind in KINDS]
+    measured = [(topology, kind) for topology in sizes.topologies for kind in KINDS]
     found: dict[tuple[str, Kind], list[dict[str, float]]] = {each: [] for each in measured}
-    for _ in range(REPEATS):
+    for _ in range(sizes.repeats):
         for (topology, kind), runs in found.items():
-            runs.append(measure(topology, kind))
+            runs.append(measure(topology, kind, sizes))
     for (topology, kind), runs in found.items():
         goal = 1.0 if kind is ONE else None
         for service in SERVICES:
@@ -72,19 +82,19 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure(topology: str, kind: Kind) -> dict[str, float]:
+def measure(topology: str, kind: Kind, sizes: Sizes) -> dict[str, float]:
     """s by service, the mean of the robots that count."""
     options = ("--robots", str(len(NAMES)), "--topology", topology, "--seconds", "600")
     watched = kind.robots[0]
     with Simulation("consensus", *options, program=kind.program) as simulation:
-        simulation.wait_for(watched, WARM_UP)
+        simulation.wait_for(watched, sizes.warm_up)
         pids = {
             service: [int(pid_file(simulation.run_dir, name, service).read_text()) for name in kind.robots]
             for service in SERVICES
         }
         before = {service: sum(map(cpu_s, each)) for service, each in pids.items()}
         first = simulation.trajectory(watched).last
-        simulation.wait_for(watched, first + ITERATIONS)
+        simulation.wait_for(watched, first + sizes.iterations)
         after = {service: sum(map(cpu_s, each)) for service, each in pids.items()}
         hundreds = (simulation.trajectory(watched).last - first) / 100
         return {service: (after[service] - before[service]) / len(kind.robots) / hundreds for service in SERVICES}

@@ -4,9 +4,9 @@ import random
 import timeit
 import tracemalloc
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from bench.footprint import robot_alone
+from bench import footprint
 from bench.rows import Row
 from services.dwm.core.diagnosis import Watch
 from services.dwm.core.pipeline import Pipeline
@@ -24,9 +24,6 @@ HELD_B = 256
 """What an update may keep: over ten minutes of 6000 updates the process must not grow."""
 PEAK_KIB = 512.0
 """What it may take for the moment; 256 KiB are a buffer of msgpack, of which only the first pages are touched."""
-UPDATES = 300
-WARM_UP = 2500
-"""Updates until the filter knows its heading and the interpreter's free lists (2000 tuples of a length) are full."""
 PREDICTIONS = 3
 """Odometry messages between two reports: they come at 25 Hz."""
 LEG = 50
@@ -41,16 +38,33 @@ ANCHORS = (
 )
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    updates: int = 300
+    warm_up: int = 2500
+    """Updates until the filter knows its heading and the interpreter's free lists (2000 tuples of a length) are
+    full."""
+
+    settle_s: float = footprint.FULL.settle_s
+
+
+FULL = Sizes()
+SMOKE = Sizes(10, 20, footprint.SMOKE.settle_s)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
-    yield Row("dwm process, proportional memory", _memory(), "MiB", MEMORY_MIB, 1.0)
+    yield Row("dwm process, proportional memory", _memory(sizes.settle_s), "MiB", MEMORY_MIB, 1.0)
     for kind in ("ekf", "multilateration", "average"):
         update = _updates(kind)
-        for _ in range(WARM_UP):
+        for _ in range(sizes.warm_up):
             update()
-        seconds = min(timeit.repeat(update, number=UPDATES // 5, repeat=5)) / (UPDATES // 5)
+        batch = sizes.updates // 5
+        seconds = min(timeit.repeat(update, number=batch, repeat=5)) / batch
         yield Row(f"one 10 Hz update with four anchors, {kind}", seconds, "s", UPDATE_S, 1.0)
-        held, peak = _allocated(update)
+        held, peak = _allocated(update, sizes.updates)
         yield Row(f"held after an update, {kind}", held, "B", HELD_B, 1.0)
         yield Row(f"peak of an update, {kind}", peak / 1024, "KiB", PEAK_KIB, 1.0)
 
@@ -86,23 +100,24 @@ def _updates(kind: str) -> Callable[[], None]:
     return update
 
 
-def _allocated(update: Callable[[], None]) -> tuple[float, float]:
+def _allocated(update: Callable[[], None], updates: int) -> tuple[float, float]:
     """Bytes that stay after an update (mean of many), and the most that one takes meanwhile."""
     tracemalloc.start()
     update()
     before, _ = tracemalloc.get_traced_memory()
     peak = 0
-    for _ in range(UPDATES):
+    for _ in range(updates):
         tracemalloc.reset_peak()
         start, _ = tracemalloc.get_traced_memory()
         update()
         peak = max(peak, tracemalloc.get_traced_memory()[1] - start)
     held = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    return max(0.0, held / UPDATES), float(peak)
+    return max(0.0, held / updates), float(peak)
 
 
-def _memory() -> float:
+def _memory(settle_s: float) -> float:
     """Proportional set size of the service at a simulated module, one robot alone, MiB."""
-    with robot_alone({service: SERVICE_MODULES[service] for service in ("bus", "balancer", "dwm")}) as memory:
+    services = {service: SERVICE_MODULES[service] for service in ("bus", "balancer", "dwm")}
+    with footprint.robot_alone(services, settle_s) as memory:
         return memory["dwm"]

@@ -3,6 +3,7 @@
 import contextlib
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
@@ -19,12 +20,21 @@ LIMIT_MIB = 130.0
 SHARE_MIB = LIMIT_MIB / (len(SERVICE_MODULES) + 1)
 """What one service may take where all take the same."""
 
-SETTLE_S = 5.0
-"""After it all services are up and have done their work some dozen times."""
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    settle_s: float = 5.0
+    """After it all services are up and have done their work some dozen times."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(2.0)
 
 
 @contextlib.contextmanager
-def robot_alone(services: Mapping[str, str]) -> Iterator[dict[str, float]]:
+def robot_alone(services: Mapping[str, str], settle_s: float) -> Iterator[dict[str, float]]:
     """One robot with these services (module and first argument by name), settled: proportional memory of each, MiB.
 
     Without the simulation's own process, which would share its pages.
@@ -42,15 +52,16 @@ def robot_alone(services: Mapping[str, str]) -> Iterator[dict[str, float]]:
         stack.callback(processes.stop)
         for service, command in services.items():
             processes.add(robot, service, command.split(), run_dir / robot)
-        settled = clock.now() + SETTLE_S
+        settled = clock.now() + settle_s
         while clock.now() < settled:
             modules.poll(0.05)
         yield {child.service: footprint.proportional_mib(child) for child in processes.children}
 
 
-def rows() -> Iterator[Row]:
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """All services and an app."""
-    with robot_alone(SERVICE_MODULES | {"app/localization": f"{APP_SERVICE} localization"}) as memory:
+    services = SERVICE_MODULES | {"app/localization": f"{APP_SERVICE} localization"}
+    with robot_alone(services, sizes.settle_s) as memory:
         for service, mib in memory.items():
             yield Row(f"{service}, proportional memory", mib, "MiB", SHARE_MIB, 1.5)
         yield Row("one robot alone, proportional memory", sum(memory.values()), "MiB", LIMIT_MIB, 1.0)

@@ -10,6 +10,7 @@ import random
 import statistics
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from bench.rows import Row
 from services.balancer import realtime
@@ -29,13 +30,27 @@ from swarm.messages import MeasureI2C, ModuleRequest
 LIMIT_MS = 4.0
 """Of bus time for the control step."""
 PERIOD_MS = 10.0
-TICKS = 400
 RATE_SIZE = 8
 """Bytes; what Pololu measured with, and the thesis found the same."""
 THESIS_READ_MS = 8 * RATE_SIZE / 21.0
 THESIS_WRITE_MS = 8 * RATE_SIZE / 53.0
 """Milliseconds a transfer at 21 and 53 kbit/s (thesis 2.2.5)."""
 _SPIN_S = 0.3e-3
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    ticks: int = 400
+    """A multiple of 100: then the last request to the module is done, and the mailbox takes what is written."""
+
+    transfers: int = 100
+    """Of each rate."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(100, 10)
 
 
 class TimedBus(SimulatedBus):
@@ -85,7 +100,7 @@ def _wait_until(end: float) -> None:
         pass
 
 
-def rows() -> Iterator[Row]:
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Let it stand for some seconds with everything going on, and look at each tick."""
     realtime.enter(logging.getLogger("bench"))
     model, noise = body_model("zero2w", Body()), random.Random(1)
@@ -96,7 +111,7 @@ def rows() -> Iterator[Row]:
     while balancer.mode != "balancing":
         _tick(balancer, chores)
     steps, ticks, wires = [], [], []
-    for number in range(TICKS):
+    for number in range(sizes.ticks):
         if number % 100 == 0:
             chores.obey(ModuleRequest(f"{number}", b"\x99\xfd" + bytes(253)), clock.now())
             chores.obey(ScreenText(tuple(f"line {n} of {number}" for n in range(7))), clock.now())
@@ -108,7 +123,7 @@ def rows() -> Iterator[Row]:
     yield Row("control step, with waits and computation, p50", statistics.median(steps), "ms", LIMIT_MS, 1.0)
     yield Row("the same, p99", sorted(steps)[len(steps) * 99 // 100], "ms", LIMIT_MS, 1.0)
     yield Row("tick with all chores, p99", sorted(ticks)[len(ticks) * 99 // 100], "ms", PERIOD_MS, 0.9)
-    found = measure(bus, Balboa(bus, clock.now, bus.pause), MeasureI2C("bench", RATE_SIZE, 100))
+    found = measure(bus, Balboa(bus, clock.now, bus.pause), MeasureI2C("bench", RATE_SIZE, sizes.transfers))
     assert found.read is not None
     assert found.write is not None
     yield Row("8 bytes read, as the thesis' rate", 8e3 * RATE_SIZE / found.read, "ms", THESIS_READ_MS, 1.0)

@@ -7,6 +7,7 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
@@ -19,7 +20,15 @@ from swarm.keyfile import new_key_file
 GOAL = 1.5
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """What the machine measures is decided in it (tests/lab/inside_pace.py)."""
+
+
+FULL = SMOKE = Sizes()
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Boot, measure; six robots in line."""
     with (
         tempfile.TemporaryDirectory() as folder,

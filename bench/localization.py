@@ -9,6 +9,7 @@ import sys
 import time
 import tracemalloc
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
@@ -36,10 +37,23 @@ ALLOCATION_BUDGET = 8 * 1024
 """Bytes that one period may hold more at its peak than at its start."""
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    seeds: int = SEEDS
+    periods: int = 500
+    """Of 100 ms, whose cost is measured."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(1, 20)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     for name, speed, hidden, limit in SCENARIOS:
-        outcomes = [run(speed, hidden, seed) for seed in range(SEEDS)]
+        outcomes = [run(speed, hidden, seed) for seed in range(sizes.seeds)]
         ours = _rms(outcomes, "EKF")
         yield Row(f"{name}: EKF, rms", ours, "m", limit, 1.0)
         for rival in RIVALS:
@@ -49,10 +63,10 @@ def rows() -> Iterator[Row]:
             yield Row("  lag", lag(outcomes, "EKF"), "s", LAG_LIMIT_S, 1.0)
         yield Row("  innovations out of their 95 % band", outside(outcomes), "", 0.05, 1.0)
         yield Row("  mean innovation, normalized", abs(math.log(nis(outcomes))), "log", math.log(1.5), 1.0)
-    seconds, peak = cost()
+    seconds, peak = cost(sizes.periods)
     yield Row("EKF, 100 ms: odometry at 25 Hz, 4 ranges", seconds, "s", UPDATE_BUDGET_S, 1.0)
     yield Row("the same, memory held at its peak", peak, "B", ALLOCATION_BUDGET, 1.0)
-    yield Row("the same with 100 Hz predictions, 9 states", full_rate_cost(), "s", UPDATE_BUDGET_S, 1.0)
+    yield Row("the same with 100 Hz predictions, 9 states", full_rate_cost(sizes.periods), "s", UPDATE_BUDGET_S, 1.0)
 
 
 def outside(outcomes: Sequence[Outcome]) -> float:
@@ -67,7 +81,7 @@ def nis(outcomes: Sequence[Outcome]) -> float:
     return math.fsum(item.error**2 / item.variance for item in told) / len(told)
 
 
-def cost(periods: int = 500) -> tuple[float, int]:
+def cost(periods: int) -> tuple[float, int]:
     """CPU time (s) and memory held at its peak (bytes) of one period of 100 ms of a tracker that knows its heading:
     odometry at 25 Hz, a report of four ranges, the estimate."""
     tracker = _running()
@@ -85,7 +99,7 @@ def cost(periods: int = 500) -> tuple[float, int]:
     return seconds, peak
 
 
-def full_rate_cost(periods: int = 300) -> float:
+def full_rate_cost(periods: int) -> float:
     """CPU time (s) of ten predictions and four updates of the bare filter."""
 
     ekf = Ekf(tuple(ANCHORS.values()), 0.0, (1.0, 1.0), 0.0, 0.3, Noise())

@@ -12,6 +12,7 @@ import statistics
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from bench import lockstep_model, talking_sim
 from bench.rows import Row, number
@@ -32,22 +33,11 @@ NAMES = tuple(f"r{index}" for index in range(6))
 TOPOLOGIES = ("line", "loop", "thesis-d", "full")
 GOAL = 1.15
 JITTER_GOAL = 1.1
-JITTER_RUNS = 3
-"""Of so many the median counts: what a host in a bad half minute adds is more than this goal leaves."""
-
-ITERATIONS = 300
-
-COUNTED = (50, 250)
-"""Iterations whose messages are counted."""
-
 STARTING = 3
 """Messages for each link and direction that a start may take: x(0) again, as the first went nowhere before the link was
 up, with the question for the other's x(0), and the answer to the other's question."""
 
 _HEAD = struct.Struct("<BI")  # of a frame: kind, iteration (docs/lockstep.md)
-
-MODEL_ITERATIONS = 3000
-"""Enough for the model's median to settle within 0.2 %."""
 
 ZERO_GOAL_S = 2.5e-3
 """Budget of an iteration where the links take no time: what bus, mesh and app cost themselves."""
@@ -55,47 +45,73 @@ ZERO_GOAL_S = 2.5e-3
 START_LIMIT_S = 6.0
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    topologies: tuple[str, ...] = TOPOLOGIES
+    iterations: int = 300
+    counted: tuple[int, int] = (50, 250)
+    """The messages of these iterations are counted."""
+
+    jitter_runs: int = 3
+    """The median of so many runs counts: what a host in a bad half minute adds is more than this goal leaves."""
+
+    model_iterations: int = 3000
+    """Enough for the model's median to settle within 0.2 %."""
+
+    zero_iterations: int = 2000
+
+
+FULL = Sizes()
+SMOKE = Sizes(("line",), 40, (5, 15), 1, 100, 60)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
-    for topology in TOPOLOGIES:
-        run = _consensus(topology, talking_sim.PROGRAM)
+    for topology in sizes.topologies:
+        run = _consensus(topology, talking_sim.PROGRAM, sizes.iterations)
         yield Row(f"lockstep {topology} 6, 30 ms links", number(run, "iteration_s_median"), "s", LATENCY_S, GOAL)
-        yield from _messages(topology)
-    for topology in TOPOLOGIES:
-        runs = [_consensus(topology, talking_sim.PROGRAM, jitter=True) for _ in range(JITTER_RUNS)]
-        found, limit = statistics.median(number(run, "iteration_s_median") for run in runs), jitter_limit(topology)
+        yield from _messages(topology, sizes)
+    for topology in sizes.topologies:
+        # Twice as many iterations, for the median to settle.
+        runs = [
+            _consensus(topology, talking_sim.PROGRAM, 2 * sizes.iterations, jitter=True)
+            for _ in range(sizes.jitter_runs)
+        ]
+        found = statistics.median(number(run, "iteration_s_median") for run in runs)
+        limit = jitter_limit(topology, sizes.model_iterations)
         yield Row(f"lockstep {topology} 6, 30 +- 10 ms links", found, "s", limit, JITTER_GOAL)
-    options = ("--robots", "3", "--latency", "0ms", "--iterations", "2000")
+    options = ("--robots", "3", "--latency", "0ms", "--iterations", str(sizes.zero_iterations))
     run = simulate("consensus", *options, program=talking_sim.PROGRAM)
     yield Row("lockstep line 3, 0 ms links", number(run, "iteration_s_median"), "s", ZERO_GOAL_S, 1.0)
     starts = []
-    for topology in TOPOLOGIES:
-        run = _consensus(topology, SWARM_SIM)
+    for topology in sizes.topologies:
+        run = _consensus(topology, SWARM_SIM, sizes.iterations)
         name = f"lockstep {topology} 6, 30 ms links, all processes"
         yield Row(name, number(run, "iteration_s_median"), "s", LATENCY_S, None)
         starts.append(number(run, "started_s"))
     yield Row("start of 6 robots, command to first iteration", max(starts), "s", START_LIMIT_S, 1.0)
 
 
-def _consensus(topology: str, program: Sequence[str], *, jitter: bool = False) -> dict[str, object]:
-    """Six robots; with jitter twice as long, for the median to settle."""
+def _consensus(topology: str, program: Sequence[str], iterations: int, *, jitter: bool = False) -> dict[str, object]:
+    """Run six robots; return the simulation's report."""
     air = ("--latency", f"{LATENCY_S}s", *(("--jitter", f"{JITTER_S}s") if jitter else ()))
-    iterations = str(2 * ITERATIONS if jitter else ITERATIONS)
-    options = ("--robots", "6", "--topology", topology, *air, "--iterations", iterations)
+    options = ("--robots", "6", "--topology", topology, *air, "--iterations", str(iterations))
     return simulate("consensus", *options, program=program)
 
 
-def jitter_limit(topology: str) -> float:
+def jitter_limit(topology: str, iterations: int = FULL.model_iterations) -> float:
     """s an iteration on links with jitter, by the discrete-event model, as a median over windows as in a real run."""
     graph = Graph.of_shape(topology, NAMES)
-    times = lockstep_model.run(graph, AirModel(LATENCY_S, JITTER_S, seed=1), MODEL_ITERATIONS)
+    times = lockstep_model.run(graph, AirModel(LATENCY_S, JITTER_S, seed=1), iterations)
     windows = trajectory.iteration_times({name: Trajectory((), path, {}) for name, path in times.items()})
     median = trajectory.median(windows)
     assert median is not None
     return median
 
 
-def _messages(topology: str) -> Iterator[Row]:
+def _messages(topology: str, sizes: Sizes) -> Iterator[Row]:
     """Frames that reach each robot's bus from its neighbours, counted in a run of its own: watching takes CPU time."""
     ways = 2 * len(Graph.of_shape(topology, NAMES).edges)
     counts: Counter[int] = Counter()
@@ -104,15 +120,15 @@ def _messages(topology: str) -> Iterator[Row]:
         if key.split("/")[1] != robot:
             counts[_HEAD.unpack_from(payload)[1]] += 1
 
-    options = ("--robots", "6", "--topology", topology, "--latency", "5ms", "--iterations", str(ITERATIONS))
+    options = ("--robots", "6", "--topology", topology, "--latency", "5ms", "--iterations", str(sizes.iterations))
     program = talking_sim.PROGRAM
     with Simulation("consensus", *options, program=program) as simulation, contextlib.ExitStack() as stack:
         for name in NAMES:
             bus = stack.enter_context(Bus.of(simulation.run_dir / name))
             bus.subscribe("swarm/*/app/consensus/sync/**", functools.partial(arrived, name))
         run = simulation.finish()
-    first, last = COUNTED
+    first, last = sizes.counted
     counted = sum(counts[k] for k in range(first, last)) / (last - first)
     yield Row(f"messages an iteration, {topology} 6 (2E)", counted, "", ways, 1.0)
-    beyond = number(run, "messages") - ways * (ITERATIONS + 1)
+    beyond = number(run, "messages") - ways * (sizes.iterations + 1)
     yield Row(f"messages beyond 2E at the start, {topology} 6", beyond, "", STARTING * ways, 1.0)

@@ -8,6 +8,7 @@ warm-up of as long as is measured, an hour at most, goes before: interpreter and
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
@@ -17,8 +18,6 @@ from swarm.simulations import pid_file
 ROBOTS = ("r0", "r1")
 APP = "app/localization"
 SERVICES = ("bus", "mesh", "balancer", "dwm", APP)
-SECONDS = 3600.0
-"""Measured unless told otherwise."""
 LONGEST_WARM_UP_S = 3600.0
 FIRST_ITERATION = 10
 LIMIT_MB_H = 0.2
@@ -30,9 +29,22 @@ Samples = dict[str, list[tuple[float, float]]]
 """By process: time in h, memory in MB."""
 
 
-def rows(seconds: float = SECONDS) -> Iterator[Row]:
-    """`seconds`: how long is measured, after a warm-up of the same length or of an hour. A router's heap is given
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    seconds: float = 3600.0
+    """How long is measured."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(15.0)
+
+
+def rows(sizes: Sizes) -> Iterator[Row]:
+    """Measure after a warm-up of the same length, an hour at most. A router's heap is given
     beside its whole memory: what that grows by is Zenoh's own, Python's objects lie elsewhere."""
+    seconds = sizes.seconds
     warm_up = min(seconds, LONGEST_WARM_UP_S)
     lasts = warm_up + seconds + 600.0
     with Simulation("localization", "--robots", str(len(ROBOTS)), "--seconds", f"{lasts:.0f}") as simulation:

@@ -8,6 +8,7 @@ import statistics
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,10 +25,6 @@ LATENCY_S = 0.03
 """One way, as the thesis' radio at small payloads."""
 
 GOAL = 1.15
-REPEATS = 40
-FLOODS = 1000
-"""Floods in a row that must all be complete, most of them several at a time."""
-
 AT_ONCE = 16
 CLOSED_LIMIT_S = 0.3
 SILENT_LIMIT_S = 3.5
@@ -37,6 +34,19 @@ PERIOD_S = 0.02
 WAIT_S = 30.0
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    repeats: int = 40
+    floods: int = 1000
+    """Floods in a row that must all be complete, most of them several at a time."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(3, 16)
 
 
 class Swarm:
@@ -139,26 +149,26 @@ def loop(count: int) -> list[tuple[int, int]]:
     return [*line(count), (count - 1, 0)]
 
 
-def rows() -> Iterator[Row]:
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     with Swarm(line(6)) as swarm:
-        yield from _floods(swarm)
+        yield from _floods(swarm, sizes)
     with Swarm(line(4)) as swarm:
-        yield from _messages(swarm)
+        yield from _messages(swarm, sizes.repeats)
     with Swarm(loop(6)) as swarm:
         yield _rerouted(swarm, "socket closed", CLOSED_LIMIT_S, lambda: swarm.kill("r1"))
     with Swarm(loop(6)) as swarm:
         yield _rerouted(swarm, "silence", SILENT_LIMIT_S, lambda: swarm.cut("r0", "r1", 10.0))
 
 
-def _floods(swarm: Swarm) -> Iterator[Row]:
+def _floods(swarm: Swarm, sizes: Sizes) -> Iterator[Row]:
     arrivals: queue.SimpleQueue[float] = queue.SimpleQueue()
     swarm.overlays["r5"].on_flood(lambda origin, payload: arrivals.put(clock.now()))
     swarm.overlays["r0"].flood(b"warm up").result(WAIT_S)
     arrivals.get(timeout=WAIT_S)
     before = swarm.counters().get("wave_sent", 0)
     reach, confirmed = [], []
-    for _ in range(REPEATS):
+    for _ in range(sizes.repeats):
         began = clock.now()
         handle = swarm.overlays["r0"].flood(b"hello", priority="sync")
         handle.result(WAIT_S)
@@ -167,9 +177,9 @@ def _floods(swarm: Swarm) -> Iterator[Row]:
     sent = swarm.counters().get("wave_sent", 0) - before
     yield Row("flood line 6 from one end, reach", statistics.median(reach), "s", 5 * LATENCY_S, GOAL)
     yield Row("flood line 6 from one end, confirmed", statistics.median(confirmed), "s", 10 * LATENCY_S, GOAL)
-    yield Row("messages of a confirmed flood, line 6 (2E)", sent / REPEATS, "", 10.0, 1.0)
+    yield Row("messages of a confirmed flood, line 6 (2E)", sent / sizes.repeats, "", 10.0, 1.0)
     complete, done = 0, 0
-    while done < FLOODS:
+    while done < sizes.floods:
         handles = [swarm.overlays[name].flood(b"x") for name in (swarm.names * AT_ONCE)[:AT_ONCE]]
         for handle in handles:
             answer = handle.result(WAIT_S)
@@ -179,13 +189,13 @@ def _floods(swarm: Swarm) -> Iterator[Row]:
     yield Row(f"floods not complete, of {done}", done - complete, "", 1.0, 0.0)
 
 
-def _messages(swarm: Swarm) -> Iterator[Row]:
+def _messages(swarm: Swarm, repeats: int) -> Iterator[Row]:
     arrivals: queue.SimpleQueue[float] = queue.SimpleQueue()
     swarm.overlays["r3"].on_message(lambda sender, payload: arrivals.put(clock.now()))
     swarm.overlays["r0"].send("r3", b"warm up").result(WAIT_S)
     arrivals.get(timeout=WAIT_S)
     arrived, confirmed = [], []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         began = clock.now()
         swarm.overlays["r0"].send("r3", b"hello", priority="sync").result(WAIT_S)
         confirmed.append(clock.now() - began)

@@ -12,6 +12,7 @@ from pathlib import Path
 from bench import socket_sim
 from services.sim import __main__ as sim
 from services.sim import run
+from services.sim.core import patience
 from services.sim.monitor import Monitor
 from services.sim.run import Run
 from swarm import service
@@ -47,7 +48,7 @@ def main() -> int:
     """Like `bench.socket_sim`. For the simulation the swarm never starts, since most robots have no bus."""
     sim.Run = OneRobot  # type: ignore[attr-defined]
     run.Monitor = Away  # type: ignore[attr-defined]
-    run.START_LIMIT_S = math.inf
+    patience.START_LIMIT_S = math.inf
     return socket_sim.main()
 
 

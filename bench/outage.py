@@ -8,6 +8,7 @@ import math
 import random
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench import lockstep_model, talking_sim
@@ -30,14 +31,6 @@ PERIOD_S = 21.0
 SEED = 4
 """One whose cuts cost the model what they cost it on average."""
 
-ITERATIONS = 1200
-
-RUNS = 3
-"""Of so many the median counts. Where the host stands still for a second, all links are cut."""
-
-WHOLE = "loop"
-"""The graph whose limit asks for most is run once with all processes, too."""
-
 MODELS = (
     ("waits until they end", None, None),
     ("goes around them", WANT_AFTER + max(SILENT_AFTER_RTTS * 2 * LATENCY_S, SILENT_AFTER), JITTER_GOAL),
@@ -51,34 +44,51 @@ each: with ours the same model gives 48.9, 52.9, 65.1 and 89.9 ms, the mean of 2
 1.6 and 3 ms)."""
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    topologies: tuple[str, ...] = TOPOLOGIES
+    iterations: int = 1200
+    runs: int = 3
+    """The median of so many runs counts. Where the host stands still for a second, all links are cut."""
+
+    whole: str = "loop"
+    """The graph whose limit asks for most is run once with all processes, too."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(("line",), 40, 1, "line")
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
-    for topology in TOPOLOGIES:
+    for topology in sizes.topologies:
         graph = Graph.of_shape(topology, NAMES)
-        undisturbed = virtual(*_swarm(topology), rows=True)[1].trajectories
-        cuts = outages(graph)
-        runs = [_run(topology, talking_sim.PROGRAM, _options(cuts)) for _ in range(RUNS)]
+        undisturbed = virtual(*_swarm(topology, sizes.iterations), rows=True)[1].trajectories
+        cuts = outages(graph, sizes.iterations)
+        runs = [_run(topology, sizes.iterations, talking_sim.PROGRAM, _options(cuts)) for _ in range(sizes.runs)]
         # A value that stands twice with different bits is an error of `read` already.
-        differ = sum(differing(undisturbed, paths) for paths in runs)
+        differ = sum(differing(undisturbed, paths, sizes.iterations) for paths in runs)
         yield Row(f"values that differ, {topology} 6", differ, "", 1.0, 0.0)
         mean, stated = statistics.median(map(_mean, runs)), TAGGED_AND_RESUME_S[topology]
         yield Row(f"mean iteration, {topology} 6, 1 s cuts", mean, "s", stated, 1.0)
         for what, around_after, goal in MODELS:
             air = AirModel(LATENCY_S, JITTER_S, seed=SEED)
-            model = lockstep_model.run(graph, air, ITERATIONS, cuts, around_after=around_after)
+            model = lockstep_model.run(graph, air, sizes.iterations, cuts, around_after=around_after)
             limit = lockstep_model.mean_iteration(model, first=WARM_UP)
             yield Row(f"the same beside a model with the same cuts that {what}", mean, "s", limit, goal)
-        if topology == WHOLE:
-            paths = _run(topology, SWARM_SIM, _options(cuts))
-            differ = differing(undisturbed, paths)
+        if topology == sizes.whole:
+            paths = _run(topology, sizes.iterations, SWARM_SIM, _options(cuts))
+            differ = differing(undisturbed, paths, sizes.iterations)
             yield Row(f"values that differ, {topology} 6, all processes", differ, "", 1.0, 0.0)
             yield Row(f"mean iteration, {topology} 6, 1 s cuts, all processes", _mean(paths), "s", stated, None)
 
 
-def outages(graph: Graph) -> list[Outage]:
+def outages(graph: Graph, iterations: int) -> list[Outage]:
     """The cuts of all links, for longer than the run lasts."""
     draw = random.Random(SEED)
-    periods = math.ceil(ITERATIONS * 0.15 / PERIOD_S)
+    periods = math.ceil(iterations * 0.15 / PERIOD_S)
     return [
         Outage(link, PERIOD_S * period + draw.uniform(0.0, PERIOD_S - CUT_S), CUT_S)
         for link in graph.edges
@@ -86,9 +96,9 @@ def outages(graph: Graph) -> list[Outage]:
     ]
 
 
-def differing(expected: Mapping[str, Trajectory], found: Mapping[str, Trajectory]) -> float:
+def differing(expected: Mapping[str, Trajectory], found: Mapping[str, Trajectory], iterations: int) -> float:
     """How many values of all robots and iterations are not equal to the bit; nan for a run that stopped short."""
-    if any(sorted(path.rows) != list(range(ITERATIONS + 1)) for path in (*expected.values(), *found.values())):
+    if any(sorted(path.rows) != list(range(iterations + 1)) for path in (*expected.values(), *found.values())):
         return math.nan
     return float(sum(path.rows[k] != found[name].rows[k] for name, path in expected.items() for k in path.rows))
 
@@ -100,14 +110,14 @@ def _options(cuts: Sequence[Outage]) -> list[str]:
     return options
 
 
-def _swarm(topology: str) -> list[str]:
+def _swarm(topology: str, iterations: int) -> list[str]:
     """The arguments that every run has."""
-    swarm = ("--robots", "6", "--topology", topology, "--iterations", str(ITERATIONS), "--seed", str(SEED))
+    swarm = ("--robots", "6", "--topology", topology, "--iterations", str(iterations), "--seed", str(SEED))
     return [str(APP), *swarm]
 
 
-def _run(topology: str, program: Sequence[str], options: Sequence[str]) -> dict[str, Trajectory]:
-    with Simulation(*_swarm(topology), *options, program=program) as simulation:
+def _run(topology: str, iterations: int, program: Sequence[str], options: Sequence[str]) -> dict[str, Trajectory]:
+    with Simulation(*_swarm(topology, iterations), *options, program=program) as simulation:
         simulation.finish(600.0)
         return {name: simulation.trajectory(name, APP.stem) for name in NAMES}
 

@@ -8,23 +8,21 @@ value must be equal to these to the bit.
 """
 
 import math
-import os
 import random
-import signal
 import statistics
 import sys
 import time
-from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
 from bench import restless_rule
+from bench.fault_player import BACK_WITHIN_S, Player
 from bench.rows import Row
-from bench.simulation import Simulation, SimulationError
+from bench.simulation import Simulation
 from swarm import clock, power
-from swarm.air import silence
 from swarm.core.graph import Graph
 from swarm.recording.reader import SUFFIX
 from swarm.recording.trajectory import Trajectory
@@ -54,14 +52,6 @@ LENGTH_S = (0.2, 2.5)
 WARM_UP = 40
 START_S = 300.0
 """Until all robots have done so many iterations, on a machine that others use as well."""
-BACK_WITHIN_S = 120.0
-"""All robots have gone on by then, after the last fault."""
-AT_ONCE = 5
-"""So many faults at most come while a robot stands still: a busy machine starts services more slowly than faults come,
-and what is always down can show nothing."""
-AT_MOST = 3
-AGAIN_S = 11.0
-"""A service that ends five times within 10 s is given up, by the simulation as by systemd: none is killed so often."""
 
 LONGEST_PAUSE_S = 8.0
 """Budget: a link that is lost without a word (3 s) behind the longest stop, and the way back."""
@@ -73,6 +63,20 @@ DESCRIPTORS_GROWTH = 2.0
 LOST_S = 1.0
 UNKNOWN = 0.01
 """Share of the values whose neighbours' were lost in a reboot."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area does."""
+
+    count: int = 1000
+    """Faults, the second half with reboots."""
+
+    seed: int = 1
+
+
+FULL = Sizes()
+SMOKE = Sizes(6)
 
 
 @dataclass
@@ -92,8 +96,9 @@ class Done:
     """By robot."""
 
 
-def rows(count: int, seed: int) -> Iterator[Row]:
-    """Run `count` faults drawn from `seed`, the second half with reboots."""
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
+    """Run the faults, then compare."""
+    count, seed = sizes.count, sizes.seed
     phases = [part for index, name in enumerate(NAMES) for part in ("--set", f"{name}.phase={index}")]
     starts = [part for name, value in STARTS.items() for part in ("--set", f"{name}.value={value}")]
     command = (str(APP_FILE), "--robots", "6", "--topology", "loop", "--seconds", "100000", *phases, *starts)
@@ -150,21 +155,10 @@ def _wait_for_all(simulation: Simulation) -> None:
 
 def _faults(simulation: Simulation, draw: random.Random, done: Done, until: int, *, reboots: float) -> None:
     """Do them, up to the number `until` (a process may just be away)."""
-    ends = list[tuple[float, str, str]]()
-    kills: dict[tuple[str, str], deque[float]] = {}
-    away: dict[str, float] = {}
-    recent_faults: deque[float] = deque(maxlen=AT_ONCE)
-    count = done.count
+    player, away = Player(simulation, NAMES, APP), dict[str, float]()
     while done.count < until:
-        if done.count > count:
-            count = done.count
-            recent_faults.append(clock.now())
-        due = time.monotonic() + draw.uniform(*PAUSE_S)
-        while (now := time.monotonic()) < due or _stands_still(simulation, recent_faults):
-            for end in [end for end in ends if end[0] <= now]:
-                ends.remove(end)
-                _signal(simulation, end[1], end[2], "CONT")
-            time.sleep(0.02 if now < due else 0.2)
+        player.pause(draw.uniform(*PAUSE_S))
+        now = time.monotonic()
         kind = REBOOT if draw.random() < reboots else draw.choice(KINDS)
         robot, service = draw.choice(NAMES), draw.choice(SERVICES)
         if kind == REBOOT:
@@ -172,57 +166,18 @@ def _faults(simulation: Simulation, draw: random.Random, done: Done, until: int,
                 off = draw.uniform(*OFF_S)
                 power.reboot(simulation.run_dir, robot, off)
                 away[robot] = now + off
-                ends = [end for end in ends if end[1] != robot]
+                player.forget(robot)
                 done.reboots[robot] += 1
                 done.count += 1
         elif now < away.get(robot, 0.0):
             continue  # nothing is there to be spoilt
         elif kind == "cut":
-            one, other = draw.choice(EDGES)
-            length = draw.uniform(*LENGTH_S)
-            done.count += _cut(simulation, one, other, length)
+            done.count += player.cut(*draw.choice(EDGES), draw.uniform(*LENGTH_S))
         elif kind == "stop":
-            if not any(end[1:] == (robot, service) for end in ends) and _signal(simulation, robot, service, "STOP"):
-                ends.append((now + draw.uniform(*LENGTH_S), robot, service))
-                done.count += 1
+            done.count += player.stop(robot, service, draw.uniform(*LENGTH_S))
         else:
-            recent = kills.setdefault((robot, service), deque())
-            while recent and recent[0] < now - AGAIN_S:
-                recent.popleft()
-            stopped = any(end[1:] == (robot, service) for end in ends)
-            if len(recent) < AT_MOST and not stopped:
-                recent.append(now)
-                done.count += _signal(simulation, robot, service, "KILL" if kind == "kill" else "TERM")
-    for _, robot, service in ends:
-        _signal(simulation, robot, service, "CONT")
-
-
-def _stands_still(simulation: Simulation, faults: Sequence[float]) -> bool:
-    """Whether a robot has done nothing since the first of the newest `AT_ONCE` faults."""
-    if len(faults) < AT_ONCE:
-        return False
-    still = [name for name in NAMES if simulation.trajectory(name, APP).newest <= faults[0]]
-    if still and (simulation.process.poll() is not None or clock.now() > faults[-1] + BACK_WITHIN_S):
-        raise SimulationError(f"{', '.join(still)} did not go on: {simulation.said()}")
-    return bool(still)
-
-
-def _signal(simulation: Simulation, robot: str, service: str, name: str) -> bool:
-    """By its pid file, without the second that a command takes to start."""
-    try:
-        os.kill(int(pid_file(simulation.run_dir, robot, service).read_text()), getattr(signal, f"SIG{name}"))
-    except (OSError, ValueError):
-        return False
-    return True
-
-
-def _cut(simulation: Simulation, one: str, other: str, seconds: float) -> bool:
-    try:
-        silence(simulation.run_dir, one, other, seconds)
-        silence(simulation.run_dir, other, one, seconds)
-    except OSError:
-        return False  # a mesh that was killed has no ear at this moment
-    return True
+            done.count += player.kill(robot, service, "KILL" if kind == "kill" else "TERM")
+    player.finish()
 
 
 def _wait_for_all_services(simulation: Simulation) -> None:

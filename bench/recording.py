@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
@@ -16,7 +17,6 @@ from services.apps.recorder import Recorder
 from swarm.recording import trajectory
 from swarm.recording.file import RecordingFile
 
-STATES = 20_000
 RATE_HZ = 1000.0
 LIMIT_S = 50e-6
 """CPU time of a state: 5 % of a lockstep iteration of 1 ms, the fastest that links of no latency allow."""
@@ -28,27 +28,41 @@ IMPORTS = "import swarm.service, swarm.overlays, services.apps.runner"
 RESIDENT = "open('/proc/self/statm').read().split()[1]"
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    states: int = 20_000
+    before_kill: int = 200
+    """States on the disk when the process is killed."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(500, 20)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
+    states = sizes.states
     with tempfile.TemporaryDirectory() as place:
         path, journal = Path(place) / "r0.x.mcap", Path(place) / "journal"
         file = RecordingFile(path, Counter(), append=False, journal=journal)
         began = _cpu_s()
-        _record(file, 0, STATES)
+        _record(file, states)
         file.close()
-        yield Row("a state, CPU time", (_cpu_s() - began) / STATES, "s", LIMIT_S, 1.0)
-        yield Row("a state, on the disk", path.stat().st_size / STATES, "bytes", LIMIT_BYTES, 1.0)
+        yield Row("a state, CPU time", (_cpu_s() - began) / states, "s", LIMIT_S, 1.0)
+        yield Row("a state, on the disk", path.stat().st_size / states, "bytes", LIMIT_BYTES, 1.0)
         began = _cpu_s()
         found = trajectory.read(path)
-        yield Row("reading a state, CPU time", (_cpu_s() - began) / STATES, "s", LIMIT_S, 1.0)
-        yield Row("states that are missing", float(STATES - len(found.rows)), "", 1.0, 0.0)
+        yield Row("reading a state, CPU time", (_cpu_s() - began) / states, "s", LIMIT_S, 1.0)
+        yield Row("states that are missing", float(states - len(found.rows)), "", 1.0, 0.0)
     yield Row("its modules, resident", _resident_kib(), "KiB", LIMIT_KIB, 1.0)
-    yield Row("lost by a kill -9, without a restart", _lost_s(), "s", LOST_S, 1.0)
+    yield Row("lost by a kill -9, without a restart", _lost_s(sizes.before_kill), "s", LOST_S, 1.0)
 
 
-def _record(file: RecordingFile, first: int, last: int) -> None:
+def _record(file: RecordingFile, states: int) -> None:
     recorder = Recorder(file, "r0", "x")
-    for k in range(first, last):
+    for k in range(states):
         recorder.state(k, k / RATE_HZ, {"value": k / 3}, {"value": k / 3})
         if k % 500 == 499:
             file.flush()
@@ -66,7 +80,7 @@ def _resident_kib() -> float:
     return float(done.stdout) * resource.getpagesize() / 1024
 
 
-def _lost_s() -> float:
+def _lost_s(before: int) -> float:
     """Between the last state in the file and the last one that was recorded, when the process is killed."""
     program = (
         "import sys, time\nfrom collections import Counter\nfrom pathlib import Path\n"
@@ -77,7 +91,7 @@ def _lost_s() -> float:
     with tempfile.TemporaryDirectory() as place, contextlib.ExitStack() as stack:
         path = Path(place) / "r0.x.mcap"
         process = stack.enter_context(subprocess.Popen([sys.executable, "-c", program, path]))
-        while not path.exists() or trajectory.read(path).last < 200:
+        while not path.exists() or trajectory.read(path).last < before:
             time.sleep(0.05)
         process.send_signal(signal.SIGKILL)
         killed = time.monotonic()

@@ -6,6 +6,7 @@ import struct
 import timeit
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from bench.rows import Row
 from services.mesh.core import frames
@@ -26,7 +27,19 @@ HANDSHAKE_BUDGET_S = 1e-3
 """Both ends of a connection; a robot that starts makes seven at most."""
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    calls: int = 5000
+    handshakes: int = 200
+
+
+FULL = Sizes()
+SMOKE = Sizes(50, 5)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     yield Row("header of an authenticated lockstep message", _header(), "B", HEADER_LIMIT, 1.0)
     message = frames.encode_data(frames.SYNC, 3, LOCKSTEP + bytes(16))
@@ -38,13 +51,14 @@ def rows() -> Iterator[Row]:
         mac.update(message)
         return mac.digest()[: frames.TAG_SIZE]
 
-    yield Row("tag of a lockstep frame, beside HMAC-SHA256", _best(lambda: tagger(message)), "s", _best(by_hmac), 1.0)
-    plain, sealed = _hop({}), _hop(KEYS)
+    tag = _best(lambda: tagger(message), sizes.calls)
+    yield Row("tag of a lockstep frame, beside HMAC-SHA256", tag, "s", _best(by_hmac, sizes.calls), 1.0)
+    plain, sealed = _hop({}, sizes.calls), _hop(KEYS, sizes.calls)
     yield Row("session hop, both ends, beside an insecure one", sealed, "s", plain, 2.5)
-    yield Row("handshake, both ends", _best(lambda: _connect(KEYS), 200), "s", HANDSHAKE_BUDGET_S, 1.0)
+    yield Row("handshake, both ends", _best(lambda: _connect(KEYS), sizes.handshakes), "s", HANDSHAKE_BUDGET_S, 1.0)
 
 
-def _best(call: Callable[[], object], number: int = 5000) -> float:
+def _best(call: Callable[[], object], number: int) -> float:
     """s of one call, the best of several batches: what the machine's other work adds is no property of ours."""
     return min(timeit.repeat(call, number=number, repeat=9)) / number
 
@@ -76,7 +90,7 @@ def _header() -> int:
     return size
 
 
-def _hop(keys: dict[int, bytes]) -> float:
+def _hop(keys: dict[int, bytes], calls: int) -> float:
     """One message: queued, made into a frame, taken apart and handed over."""
     one, other = _connect(keys)
     key, payload = KEY.format("r0"), LOCKSTEP + bytes(16)
@@ -88,4 +102,4 @@ def _hop(keys: dict[int, bytes]) -> float:
         if answer := other.data_to_send(0.0, 4096):  # an acknowledgement now and then, or the window fills
             one.receive(answer, 0.0)
 
-    return _best(hop)
+    return _best(hop, calls)

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from bench.rows import Row
 from bench.stop_estop import NewerStop
 from bench.stop_robots import RobotsOnALine
-from bench.transfer import SIZE
+from bench.transfer import FULL as TRANSFER
 from swarm import clock
 from swarm.cli import halt_ssh
 from swarm.codec import encode
@@ -131,7 +131,7 @@ def _transfer(robots: RobotsOnALine) -> Iterator[None]:
     def run() -> None:
         while not ended.is_set():
             with contextlib.suppress(LocalError, TimeoutError):
-                handle = overlays.send("r0", bytes(SIZE), timeout=60.0)
+                handle = overlays.send("r0", bytes(TRANSFER.size), timeout=60.0)
                 while not handle.done and not ended.wait(0.05):
                     pass
 
@@ -184,9 +184,21 @@ class Cell:
     lost: int = 0
 
 
-def rows(*, smoke: bool = False) -> Iterator[Row]:
-    """Measure; yields rows as they are there. `smoke`: one stop a cell, and nothing is judged but that none is lost."""
-    count, goal = (1, None) if smoke else (COUNT, 1.0)
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    count: int = COUNT
+    """Stops in each cell of ways and conditions."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(1)
+
+
+def rows(sizes: Sizes) -> Iterator[Row]:
+    """Measure; yields rows as they are there."""
+    count, goal = sizes.count, 1.0
     quiet: dict[str, float] = {}
     lost = 0
     with RobotsOnALine() as robots:

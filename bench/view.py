@@ -29,14 +29,6 @@ from swarm.view import chromium
 
 NAMES = tuple(f"r{index}" for index in range(6))
 SIZE = (1400, 1000)
-TURNS = 3
-TURN_S = 10.0
-SETTLE_S = 3.0
-"""For the page to load, and for the swarm to be alone again."""
-
-CROWD = 200
-CROWD_S = 12.0
-
 FRAME_S = 1 / 50
 CROWD_FRAME_S = 1 / 20
 BROWSER = 0.20
@@ -73,6 +65,24 @@ FRAMES = """new Promise((resolve) => {
 })"""
 
 
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    turns: int = 3
+    turn_s: float = 10.0
+    settle_s: float = 3.0
+    """For the page to load, and for the swarm to be alone again."""
+
+    warm_up: int = 60
+    crowd: int = 200
+    crowd_s: float = 12.0
+
+
+FULL = Sizes()
+SMOKE = Sizes(1, 2.0, 1.0, 5, 20, 2.0)
+
+
 @dataclass
 class Seen:
     """What the turns with a page found."""
@@ -88,11 +98,11 @@ class Seen:
     """s from a sample to the screen."""
 
 
-def rows() -> Iterator[Row]:
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
     seen = Seen()
     middle = statistics.median
-    pairs = _pairs("watched", seen)
+    pairs = _pairs("watched", seen, sizes)
     yield Row("6 robots, a frame of the page", 1 / middle(seen.frames), "s", FRAME_S, 1.0)
     yield Row("6 robots, frames that had to be drawn", middle(seen.drawn), "1/s", 60.0, None)
     yield Row("6 robots, browser", middle(seen.browser), "cores", BROWSER, 1.0)
@@ -102,19 +112,20 @@ def rows() -> Iterator[Row]:
     yield from pairs
     cores = sorted(os.sched_getaffinity(0))
     if len(cores) > 1:
-        yield from _pairs("watched from a core of its own", Seen(), (cores[0], cores[-1]))
+        yield from _pairs("watched from a core of its own", Seen(), sizes, (cores[0], cores[-1]))
     with tempfile.TemporaryDirectory(prefix="swarm-") as folder:
-        options = ["--virtual", "--robots", str(CROWD), "--seconds", str(CROWD_S + 2 * SETTLE_S), "--record", folder]
+        seconds = sizes.crowd_s + 2 * sizes.settle_s
+        options = ["--virtual", "--robots", str(sizes.crowd), "--seconds", str(seconds), "--record", folder]
         command = [sys.executable, "-m", "swarm.cli", "sim", "consensus", *options]
         subprocess.run(command, check=True, capture_output=True)
         crowd = Seen()
-        _turn([folder], CROWD_S, crowd)
-    yield Row(f"{CROWD} robots of a recording, a frame", 1 / crowd.frames[0], "s", CROWD_FRAME_S, 1.0)
-    yield Row(f"{CROWD} robots of a recording, browser", crowd.browser[0], "cores", 1.0, None)
-    yield Row(f"{CROWD} robots of a recording, server", crowd.server[0], "cores", SERVER, None)
+        _turn([folder], sizes.crowd_s, sizes.settle_s, crowd)
+    yield Row(f"{sizes.crowd} robots of a recording, a frame", 1 / crowd.frames[0], "s", CROWD_FRAME_S, 1.0)
+    yield Row(f"{sizes.crowd} robots of a recording, browser", crowd.browser[0], "cores", 1.0, None)
+    yield Row(f"{sizes.crowd} robots of a recording, server", crowd.server[0], "cores", SERVER, None)
 
 
-def _pairs(how: str, seen: Seen, cores: tuple[int, int] | None = None) -> list[Row]:
+def _pairs(how: str, seen: Seen, sizes: Sizes, cores: tuple[int, int] | None = None) -> list[Row]:
     """Six robots, watched and left alone by turns. With `cores` the robots have the first, who watches the second."""
     alone, watched = list[tuple[float, float]](), list[tuple[float, float]]()
     free = os.sched_getaffinity(0)
@@ -124,13 +135,14 @@ def _pairs(how: str, seen: Seen, cores: tuple[int, int] | None = None) -> list[R
         with Simulation("consensus", "--robots", "6", "--seconds", "3600") as simulation:
             if cores is not None:
                 os.sched_setaffinity(0, cores[1:])
-            simulation.wait_for("r0", 60, timeout_s=120.0)
-            for _ in range(TURNS):
-                asyncio.run(asyncio.sleep(SETTLE_S))
+            simulation.wait_for("r0", sizes.warm_up, timeout_s=120.0)
+            for _ in range(sizes.turns):
+                asyncio.run(asyncio.sleep(sizes.settle_s))
                 begin = clock.now()
-                asyncio.run(asyncio.sleep(TURN_S))
+                asyncio.run(asyncio.sleep(sizes.turn_s))
                 alone.append((begin, clock.now()))
-                watched.append(_turn(["--run-dir", str(simulation.run_dir)], TURN_S, seen))
+                where = ["--run-dir", str(simulation.run_dir)]
+                watched.append(_turn(where, sizes.turn_s, sizes.settle_s, seen))
             iterations = [_iterations(simulation.records, windows) for windows in (alone, watched)]
             lateness = [_lateness(simulation.records, windows) for windows in (alone, watched)]
     finally:
@@ -143,22 +155,22 @@ def _pairs(how: str, seen: Seen, cores: tuple[int, int] | None = None) -> list[R
     return rows
 
 
-def _turn(arguments: list[str], seconds: float, seen: Seen) -> tuple[float, float]:
+def _turn(arguments: list[str], seconds: float, settle_s: float, seen: Seen) -> tuple[float, float]:
     """Watch with a page for a while; from when to when."""
     command = [sys.executable, "-m", "swarm.cli", "view", "--no-open", *arguments]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert server.stdout is not None
-        return asyncio.run(_watch(server.stdout.readline().strip(), server.pid, seconds, seen))
+        return asyncio.run(_watch(server.stdout.readline().strip(), server.pid, seconds, settle_s, seen))
     finally:
         server.terminate()
         server.communicate()
 
 
-async def _watch(address: str, server: int, seconds: float, seen: Seen) -> tuple[float, float]:
+async def _watch(address: str, server: int, seconds: float, settle_s: float, seen: Seen) -> tuple[float, float]:
     async with chromium.opened(address, SIZE) as page:
         await page.until("Boolean(window.swarmView?.store.swarm)")
-        await asyncio.sleep(SETTLE_S)
+        await asyncio.sleep(settle_s)
         # The page's clock beside ours, as the question that was answered soonest tells it.
         asked = [(clock.now(), await page.evaluate("performance.now() / 1000"), clock.now()) for _ in range(20)]
         before, there, after = min(asked, key=lambda times: times[2] - times[0])

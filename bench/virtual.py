@@ -10,6 +10,7 @@ import multiprocessing
 import statistics
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from bench.rows import Row
 from services.sim.options import parse
@@ -18,24 +19,48 @@ from services.sim.virtual.run import PLACE, Run
 
 SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 60.0, 120.0
 FLAT = 1.3
-TURNS = 3
-ITERATIONS = 100
 
 
-def rows() -> Iterator[Row]:
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    six: int = 1000
+    """Iterations of six robots."""
+
+    few: int = 100
+    """Robots of a turn's small swarm; `many` and `most` are those of larger ones."""
+
+    many: int = 1000
+    most: int = 10_000
+    iterations: int = 100
+    turns: int = 3
+
+
+FULL = Sizes()
+SMOKE = Sizes(20, 10, 20, 40, 5, 1)
+
+
+def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     """Measure; yields rows as they are there."""
-    yield Row("6 robots, 1000 iterations, whole mesh", _alone(6, "loop", 1000), "s", SIX_S, 1.0)
-    settled = "random:1", ITERATIONS, "--mesh", "settled"
-    turns = [(sum(_alone(100, *settled) for _ in range(10)) / 10, _alone(1000, *settled)) for _ in range(TURNS)]
-    hundred, thousand = (statistics.median(each) for each in zip(*turns, strict=True))
-    yield Row("100 robots, 100 iterations, settled mesh", hundred, "s", hundred, None)
-    yield Row("1000 robots, 100 iterations, settled mesh", thousand, "s", THOUSAND_S, 1.0)
-    ratio = statistics.median(large / small / 10 for small, large in turns)
-    yield Row("a robot's iteration, 1000 beside 100", ratio, "", 1.0, FLAT)
-    yield Row("the same, least of the turns", min(large / small / 10 for small, large in turns), "", 1.0, None)
-    yield Row("the same, most of the turns", max(large / small / 10 for small, large in turns), "", 1.0, None)
-    ten_thousand = _alone(10_000, "random:1", ITERATIONS, "--mesh", "delay")
-    yield Row("10 000 robots, 100 iterations, delays", ten_thousand, "s", TEN_THOUSAND_S, 1.0)
+    yield Row(f"6 robots, {sizes.six} iterations, whole mesh", _alone(6, "loop", sizes.six), "s", SIX_S, 1.0)
+    iterations = sizes.iterations
+    settled = "random:1", iterations, "--mesh", "settled"
+    # As many iterations and starts of robots on both sides of a turn.
+    times = sizes.many // sizes.few
+    turns = [
+        (sum(_alone(sizes.few, *settled) for _ in range(times)) / times, _alone(sizes.many, *settled))
+        for _ in range(sizes.turns)
+    ]
+    few, many = (statistics.median(each) for each in zip(*turns, strict=True))
+    yield Row(f"{sizes.few} robots, {iterations} iterations, settled mesh", few, "s", few, None)
+    yield Row(f"{sizes.many} robots, {iterations} iterations, settled mesh", many, "s", THOUSAND_S, 1.0)
+    ratio = statistics.median(large / small / times for small, large in turns)
+    yield Row(f"a robot's iteration, {sizes.many} beside {sizes.few}", ratio, "", 1.0, FLAT)
+    yield Row("the same, least of the turns", min(large / small / times for small, large in turns), "", 1.0, None)
+    yield Row("the same, most of the turns", max(large / small / times for small, large in turns), "", 1.0, None)
+    most = _alone(sizes.most, "random:1", iterations, "--mesh", "delay")
+    yield Row(f"{sizes.most} robots, {iterations} iterations, delays", most, "s", TEN_THOUSAND_S, 1.0)
 
 
 def _alone(*run: object) -> float:

@@ -13,16 +13,16 @@ import ctypes
 import logging
 import os
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from swarm import clock
 from swarm.bus_config import client_config, router_config
-from swarm.codec import MAX_BINARY, encode
 from swarm.errors import BusError, LocalError
 from swarm.keys import MAX_KEY_LENGTH, STOP
-from swarm.messages.service import stop_payload
+from swarm.packer import Packer
 from swarm.paths import ENDPOINT_PROTOCOL, bus_endpoint
 
 # One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round
@@ -189,6 +189,9 @@ class Bus:
     def __init__(self, endpoint: str) -> None:
         """`endpoint` as of `swarm.paths.bus_endpoint`; raises `BusError` where it is none."""
         self._endpoint = _checked_endpoint(endpoint)
+        self.counters: Counter[str] = Counter()
+        """What was dropped, by name."""
+        self._packer = Packer(self.counters)
         self._session: zenoh.Session | None = None
         self._lock = threading.Lock()
         self._pending: list[Callable[[zenoh.Session], object]] = []
@@ -227,9 +230,9 @@ class Bus:
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
         """Send a message dataclass (as msgpack) or raw bytes; silently lost while the router is away.
 
-        `urgent` puts it ahead of the queue that a flood of other messages fills; a stop is ahead of both. Raises
-        `LocalError` only for a key or message that the bus does not take at all, router or not, and never for a stop. A
-        message that nobody hears is not looked at.
+        `urgent` puts it ahead of the queue that a flood of other messages fills; a stop is ahead of both. A message
+        that nobody hears is not looked at. A message that is too large for the bus is dropped, counted and logged; a stop
+        never is. Raises `LocalError` only for a key that the bus does not take at all.
         """
         if len(key) > MAX_KEY_LENGTH:
             raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
@@ -238,16 +241,9 @@ class Bus:
             outlet = None if session is None else self._outlet(session, key, urgent)
             if outlet is not None and not outlet.heard():
                 return
-            if key == STOP:
-                payload, encoding = stop_payload(message), MSGPACK
-            elif isinstance(message, bytes | bytearray):
-                payload, encoding = bytes(message), BINARY
-                if len(payload) > MAX_BINARY:
-                    raise LocalError(f"{key}: {len(payload)} bytes, the bus takes at most {MAX_BINARY}")
-            else:
-                payload, encoding = encode(message), MSGPACK
-            if outlet is not None:
-                outlet.put(payload, encoding)
+            payload = self._packer.pack(key, message)
+            if outlet is not None and payload is not None:
+                outlet.put(payload, BINARY if isinstance(message, bytes | bytearray) else MSGPACK)
         except zenoh.ZError as error:
             if not self._closed:
                 _log.warning("put failed key=%s error=%s", key, _text(error))

@@ -49,12 +49,12 @@ class Service:
         self.robot: str = who_am_i(self.config)
         self.runtime: Path = runtime_dir()
         self.stopping = threading.Event()
-        self.counters: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._state, self._reason, self._since = "starting", "", clock.now()
         self._watch_signals()
         self._status_key = key(self.robot, name, "status")
         self.bus = Bus.of(self.runtime)
+        self.counters: Counter[str] = self.bus.counters
         self.bus.announce(key(self.robot, name, "alive"))
         self.bus.serve(self._status_key, lambda *_: encode(self.status()))
         self.bus.on_change(self._bus_changed)

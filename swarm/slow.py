@@ -6,6 +6,7 @@ Waking up is most of what a message costs its sender, the bus and its receiver. 
 
 from swarm.bus_protocol import BusLike
 from swarm.codec import encode
+from swarm.errors import LocalError
 from swarm.messages import Gathered
 
 SLOW, GATHERED = "slow", "gathered"
@@ -16,6 +17,13 @@ APP_STATE_S = 0.5
 
 GATHERED_S = 0.4
 """s whose messages come together. The last ones of a key that falls silent come late, with the next one."""
+
+GATHERED_BYTES = 32 * 1024
+"""Packed messages that come together at most, in bytes: a replay on a fast computer has more than the bus takes in
+`GATHERED_S`."""
+
+_BIN_HEAD = 5
+"""Bytes that msgpack puts before each of them at most."""
 
 
 class Slow:
@@ -40,20 +48,29 @@ class Slow:
 
 
 class Gathering:
-    """The gathered copy of one key: messages of a while in one."""
+    """The gathered copy of one key: the messages of `GATHERED_S` in one, or of less time where they are large."""
 
     def __init__(self, bus: BusLike, key: str) -> None:
         self._bus = bus
         self._key = f"{key}/{GATHERED}"
         self._waiting: list[bytes] = []
+        self._size = 0
         self._due = float("-inf")
 
     def add(self, message: object, t: float) -> None:
         """Take a message of time `t`, and publish all that wait where that is due."""
         if not self._bus.wanted(self._key):
-            self._waiting.clear()
+            self._clear()
             return
-        self._waiting.append(encode(message))
+        try:
+            packed = encode(message)
+        except LocalError:
+            return  # the bus drops, counts and logs the message itself
+        size = len(packed) + _BIN_HEAD
+        if self._size + size > GATHERED_BYTES:
+            self.flush()
+        self._waiting.append(packed)
+        self._size += size
         if t >= self._due:
             self._due = t + GATHERED_S
             self.flush()
@@ -62,4 +79,8 @@ class Gathering:
         """Publish what waits."""
         if self._waiting:
             self._bus.publish(self._key, Gathered(tuple(self._waiting)))
-            self._waiting.clear()
+            self._clear()
+
+    def _clear(self) -> None:
+        self._waiting.clear()
+        self._size = 0

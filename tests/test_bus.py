@@ -12,16 +12,17 @@ import pytest
 from conftest import Processes, wait_until
 
 from swarm.bus import Bus, Outlet, Router
-from swarm.codec import MAX_BINARY
+from swarm.codec import MAX_BINARY, MAX_PAYLOAD
 from swarm.errors import BusError, LocalError
-from swarm.messages import Leds, Stop, read
+from swarm.messages import Gathered, Leds, Stop, read
 from swarm.messages.service import MAX_STOP_TEXT
 from swarm.paths import bus_endpoint
 
 Open = Callable[[], Bus]
 
 HELD_UP = 4.0
-"""s that a call takes which waits for Zenoh; else it takes as long as a busy machine lets it, which is far less."""
+"""s that a call takes which waits for Zenoh. A busy machine may hold up one call for as long, but not one after the
+other, as Zenoh does."""
 
 
 @pytest.fixture
@@ -274,16 +275,16 @@ def test_a_stopped_subscriber_does_not_hold_up_the_others(open_bus: Open, proces
     talk(alice, "swarm/r0/test/x", samples)
     stopped.send_signal(signal.SIGSTOP)
     block = bytes(4096)
-    slowest = 0.0
+    held_up = 0
     for number in range(1000):  # 4 MB: more than its socket and the router's queue for it hold
         started = time.monotonic()
         alice.publish("swarm/r0/test/y", block)
-        slowest = max(slowest, time.monotonic() - started)
+        held_up += time.monotonic() - started > HELD_UP
+        assert held_up < 3
         if number % 100 == 0:
             talk(alice, "swarm/r0/test/x", samples, str(number).encode())
     talk(alice, "swarm/r0/test/x", samples, b"last")
-    # Blocking congestion control holds a publisher for 5 s and more here.
-    assert slowest < HELD_UP
+    # Blocking congestion control holds a publisher for 5 s and more here, again and again.
     stopped.send_signal(signal.SIGCONT)
     _, errors = stopped.communicate(timeout=60)
     assert (stopped.returncode, errors) == (0, "")
@@ -295,20 +296,21 @@ def test_a_stopped_router_does_not_hold_up_a_publisher(open_bus: Open, bus_servi
     bob.subscribe("swarm/**", samples)
     talk(alice, "swarm/r0/test/x", samples)
     bus_service.send_signal(signal.SIGSTOP)
+    held_up = 0
     for _ in range(300):
         started = time.monotonic()
         alice.publish("swarm/r0/test/y", bytes(60000))
-        assert time.monotonic() - started < HELD_UP
+        held_up += time.monotonic() - started > HELD_UP
+        assert held_up < 3
     bus_service.send_signal(signal.SIGCONT)
     talk(alice, "swarm/r0/test/x", samples, b"again")
 
 
 def test_close_without_a_router(runtime: Path) -> None:
+    # It would wait without end for one: the suite's time-out tells.
     with Bus.of(runtime) as bus:
         bus.subscribe("swarm/**", lambda *_: None)
-        started = time.monotonic()
     bus.close()
-    assert time.monotonic() - started < HELD_UP
     bus.publish("swarm/r0/test/x", b"after the end")
     bus.ask("swarm/r0/test/x", lambda *_: None)
 
@@ -360,7 +362,7 @@ def test_a_callback_may_publish_ask_and_declare(open_bus: Open) -> None:
 
 
 @pytest.mark.usefixtures("bus_service")
-def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
+def test_the_bus_refuses_an_oversized_key(open_bus: Open) -> None:
     alice, bob = open_bus(), open_bus()
     samples = Samples()
     bob.subscribe("swarm/**", samples)
@@ -369,7 +371,6 @@ def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
     nothing = Samples()
     for attempt in (
         lambda: alice.publish(long, b""),
-        lambda: alice.publish("swarm/r0/test/x", bytes(MAX_BINARY + 1)),
         lambda: alice.subscribe(long, nothing),
         lambda: alice.ask(long, nothing),
         lambda: alice.serve(long, lambda *_: None),
@@ -379,6 +380,25 @@ def test_oversized_keys_and_payloads_are_refused(open_bus: Open) -> None:
         with pytest.raises(LocalError):
             attempt()
     talk(alice, "swarm/r0/test/" + "x" * 200, samples, bytes(MAX_BINARY))
+
+
+@pytest.mark.usefixtures("bus_service")
+def test_the_bus_drops_and_counts_an_oversized_message_and_logs_it_once(
+    open_bus: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    alice, bob = open_bus(), open_bus()
+    samples = Samples()
+    bob.subscribe("swarm/**", samples)
+    talk(alice, "swarm/r0/test/x", samples)
+    large = Gathered((bytes(MAX_PAYLOAD),))
+    for message in (bytes(MAX_BINARY + 1), large, large):
+        alice.publish("swarm/r0/test/x", message)
+    assert alice.counters["too_large"] == 3
+    assert [record.message for record in caplog.records if "swarm/r0/test/x" in record.message] == [
+        f"dropped, here and whenever it happens again: key=swarm/r0/test/x {MAX_BINARY + 1} bytes, "
+        f"the bus takes at most {MAX_BINARY}"
+    ]
+    talk(alice, "swarm/r0/test/x", samples, b"the next message comes")
 
 
 @pytest.mark.parametrize("key", ["", "/swarm", "swarm//x", "swarm/#", "swarm/x?y", "swarm/**/**/$", "swarm/"])
@@ -451,8 +471,9 @@ def test_few_threads(processes: Processes, bus_service: subprocess.Popen[str], r
     client = processes.start("-c", SUBSCRIBER, bus_endpoint(runtime))
     assert client.stdout is not None
     assert client.stdout.readline() == "listening\n"
-    assert len(list(Path(f"/proc/{client.pid}/task").iterdir())) <= 4
-    assert len(list(Path(f"/proc/{bus_service.pid}/task").iterdir())) <= 5
+    # The thread that opens a session ends when the session is there.
+    wait_until(lambda: len(list(Path(f"/proc/{client.pid}/task").iterdir())) <= 4, what="four threads of a client")
+    wait_until(lambda: len(list(Path(f"/proc/{bus_service.pid}/task").iterdir())) <= 5, what="five of the bus")
 
 
 def test_importing_the_bus_pulls_in_nothing_heavy() -> None:

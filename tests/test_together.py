@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.codec import encode
+from swarm.codec import MAX_PAYLOAD, encode
 from swarm.core import together
 from swarm.errors import PayloadError
 from swarm.messages import Clock, Gathered, Pose
 from swarm.recording.watch import Watch
-from swarm.slow import GATHERED_S, Gathering, Slow
+from swarm.slow import GATHERED_BYTES, GATHERED_S, Gathering, Slow
 
 keys = st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=255)
 
@@ -120,6 +120,28 @@ def test_what_is_gathered_is_recorded_one_by_one() -> None:
     poses.flush()
     watch.drain()
     assert sink.taken[9:] == [("swarm/r0/dwm/pose", 1.0, sent[10])]
+
+
+@given(st.lists(st.integers(0, 20_000), max_size=40), st.floats(0.0, 0.1))
+def test_a_gathered_message_is_bounded_in_size_and_loses_nothing(sizes: list[int], gap: float) -> None:
+    bus = Wire()
+    bus.subscribe(["k/gathered"], lambda *_: None)
+    gathering = Gathering(bus, "k")  # type: ignore[arg-type]
+    sent = [Gathered((bytes(size),)) for size in sizes]
+    for index, message in enumerate(sent):
+        gathering.add(message, gap * index)
+    gathering.flush()
+    told = [message for _, message in bus.told]
+    assert all(len(encode(message)) <= GATHERED_BYTES + 100 for message in told)
+    assert [part for message in told for part in message.messages] == list(map(encode, sent))
+
+
+def test_a_message_that_cannot_be_packed_is_not_gathered() -> None:
+    bus = Wire()
+    bus.subscribe(["k/gathered"], lambda *_: None)
+    gathering = Gathering(bus, "k")  # type: ignore[arg-type]
+    gathering.add(Gathered((bytes(MAX_PAYLOAD),)), 0.0)
+    assert bus.told == []
 
 
 def test_what_was_not_gathered_is_not_recorded() -> None:

@@ -25,7 +25,6 @@ from services.mesh.network import Network
 from services.mesh.runner import Runner
 from services.mesh.tell import Tell
 from swarm import clock, service
-from swarm.codec import MAX_BINARY
 from swarm.config import Config
 from swarm.core import together
 from swarm.core.lockstep_actions import address_of
@@ -82,7 +81,6 @@ class _Mesh(Runner):
         )
         self._service = service
         self._bus = service.bus
-        self._counters = service.counters
         self._heard = heard
         self._frames_key = key(service.robot, "mesh", "frames")
         self._links_key = key(service.robot, "mesh", "links")
@@ -119,10 +117,7 @@ class _Mesh(Runner):
             if not frames_wanted and address_of(each.key) is not None:
                 continue
             self._heard(each.key, each.payload)
-            if len(each.payload) <= MAX_BINARY:
-                self._bus.publish(each.key, each.payload, urgent=each.priority < BULK)
-            else:
-                self._counters["too_large"] += 1
+            self._bus.publish(each.key, each.payload, urgent=each.priority < BULK)
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TextIO
 
 from services.sim import footprint, scene
+from services.sim.core.patience import START_LIMIT_S, Patience
 from services.sim.monitor import Monitor, Seen
 from services.sim.options import PRESS_S, Options
 from services.sim.orders import Orders
@@ -37,9 +38,6 @@ SERVICE_MODULES = {
 }
 """Every robot's services and the modules that run them; the balancer gets a simulated body. An app comes on top."""
 APP_SERVICE = "services.apps"
-
-START_LIMIT_S = 60.0
-"""A swarm that has not done its first iteration by then is given up, with what is missing named."""
 
 ASK_S, ASK_AGAIN_S = 1.0, 5.0
 """s between two questions to all services for how they are, until the swarm has started, and then. They say so
@@ -103,7 +101,7 @@ class Run:
         started: float | None = None
         cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
         presses = sorted(self._options.presses, key=lambda press: press.at)
-        asked = 0.0
+        asked, patience = 0.0, Patience(self._commanded)
         while not self._stop:
             now = clock.now()
             self._power.look(now)
@@ -134,8 +132,9 @@ class Run:
                 elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
                     self._problems += faults
                     break
-                elif now - self._commanded > START_LIMIT_S:
-                    self._problems.append(f"no first iteration within {START_LIMIT_S:g} s: {_obstacles(seen, missing)}")
+                elif patience.lost(_ready(seen, missing), now):
+                    found = _obstacles(seen, missing)
+                    self._problems.append(f"no first iteration, and nothing new for {START_LIMIT_S:g} s: {found}")
                     break
             else:
                 while cuts and now - started >= cuts[0].at:
@@ -312,6 +311,13 @@ def _messages(seen: Mapping[str, Seen]) -> int | None:
     """App frames sent by all meshes, as they count them in their status."""
     counts = [robot.status["mesh"].counters.get("sent_sync", 0) for robot in seen.values() if "mesh" in robot.status]
     return sum(counts) if counts else None
+
+
+def _ready(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> int:
+    """How much of a starting swarm is there: services that are ready, links that are up, apps that say something."""
+    services = sum(len(robot.status.keys() - set(missing[name])) for name, robot in seen.items())
+    links = sum(link.state == "up" for robot in seen.values() if robot.links for link in robot.links.links)
+    return services + links + sum(robot.progress is not None for robot in seen.values())
 
 
 def _obstacles(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> str:

@@ -65,6 +65,19 @@ class LedReport:
     green: bool
 
 
+Report = BodyReport | LedReport | BodyHello
+"""All that simulated bodies send."""
+
+
+def read_report(data: bytes) -> Report | None:
+    """Decode a datagram of a simulated body; None where it is none of theirs."""
+    kinds: tuple[type[Report], ...] = (BodyReport, LedReport, BodyHello)
+    for kind in kinds:
+        with contextlib.suppress(PayloadError):
+            return decode(kind, data, SOCKET)
+    return None
+
+
 class World:
     """Owns the true poses; works in a thread of its own until closed."""
 
@@ -122,34 +135,24 @@ class World:
     def _take_reports(self) -> None:
         with contextlib.suppress(BlockingIOError):
             while True:
-                data = self._socket.recv(MAX_PAYLOAD)
-                try:
-                    report = decode(BodyReport, data, SOCKET)
-                except PayloadError:
-                    self._answer(data)
-                    continue
-                if report.robot in self._publish_at:
+                report = read_report(self._socket.recv(MAX_PAYLOAD))
+                if report is None or report.robot not in self._publish_at:
+                    continue  # only our own bodies write here; a torn datagram cannot happen
+                if isinstance(report, BodyReport):
                     self._place(report)
+                elif isinstance(report, LedReport):
+                    self._show(report)
+                else:
+                    self._answer(report.robot)
 
-    def _answer(self, data: bytes) -> None:
-        """Pass on what LEDs show, or tell a body that starts where it had been: it fell over there when its process
-        ended."""
-        try:
-            leds = decode(LedReport, data, SOCKET)
-        except PayloadError:
-            pass
-        else:
-            if leds.robot in self._publish_at:
-                with self._seeing:
-                    self._witness.leds(leds.robot, leds.t, yellow=leds.yellow)
-                self._publish(leds.robot, LedChange(leds.t, leds.red, leds.yellow, leds.green))
-            return
-        try:
-            robot = decode(BodyHello, data, SOCKET).robot
-        except PayloadError:
-            return  # only our own bodies write here; a torn datagram cannot happen
-        if robot not in self._publish_at:
-            return
+    def _show(self, leds: LedReport) -> None:
+        """Pass on what a robot's LEDs show."""
+        with self._seeing:
+            self._witness.leds(leds.robot, leds.t, yellow=leds.yellow)
+        self._publish(leds.robot, LedChange(leds.t, leds.red, leds.yellow, leds.green))
+
+    def _answer(self, robot: str) -> None:
+        """Tell a body that starts where it had been: it fell over there when its process ended."""
         last = self._last.get(robot)
         start = self._starts.get(robot, (0.0, 0.0, 0.0))
         place = Place(*start, 0.0, True) if last is None else Place(last.x, last.y, last.heading, last.tilt, last.held)

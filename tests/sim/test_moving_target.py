@@ -1,25 +1,29 @@
 """A target that moves, in both simulations: from the first iteration on, seen by modules, and told in the report."""
 
 import math
+import statistics
 
+import numpy as np
 import pytest
 
-from bench.simulation import simulate as real
+from bench.simulation import Simulation
 from services.sim.options import parse
 from services.sim.virtual.run import simulate
-from swarm.config.types import Simulation
+from swarm.config.types import Simulation as World
 from swarm.errors import ConfigError
+from swarm.recording.reader import SUFFIX, Reader
+from swarm.recording.trajectory import is_state
 
 MOVING = ("--target-velocity", "0.1,0.05")
 SIX = ("localization", "--robots", "6", "--iterations", "300")
 
 
 def test_it_stands_until_all_have_begun_and_goes_straight_on():
-    simulation = Simulation(target=(0.5, 1.0), target_velocity=(0.1, -0.2))
+    simulation = World(target=(0.5, 1.0), target_velocity=(0.1, -0.2))
     assert simulation.moving
     assert simulation.target_after(-math.inf) == simulation.target_after(0.0) == (0.5, 1.0)
     assert simulation.target_after(2.0) == pytest.approx((0.7, 0.6))
-    assert not Simulation().moving
+    assert not World().moving
 
 
 def test_it_is_followed_where_one_for_standing_targets_lags_behind():
@@ -32,11 +36,27 @@ def test_it_is_followed_where_one_for_standing_targets_lags_behind():
     assert follows["error_cm"] < 3.0 < lags["error_cm"]
 
 
+def errors(path):
+    """Distance (m) of each of a robot's estimates from where the target truly was at that time, by its recording."""
+    samples = list(Reader(path).samples())
+    targets = [(s.message["t"], s.message["x"], s.message["y"]) for s in samples if s.topic.endswith("/sim/target")]
+    times, xs, ys = zip(*targets, strict=True)
+    found = []
+    for sample in samples:
+        if is_state(sample.topic):
+            t, place = sample.message["t"], sample.message["result"]
+            found.append(math.dist((place["x"], place["y"]), (np.interp(t, times, xs), np.interp(t, times, ys))))
+    return found
+
+
 @pytest.mark.slow
 def test_processes_follow_it_too():
-    report = real("localization", "--iterations", "200", "--algorithm", "moving", *MOVING)
+    """The median counts: where a busy host stands still for a second, the target moves on without being measured."""
+    with Simulation("localization", "--iterations", "200", "--algorithm", "moving", *MOVING) as simulation:
+        report = simulation.finish()
+        found = errors(simulation.records / f"r0.localization{SUFFIX}")
     assert report["problems"] == []
-    assert report["error_cm"] < 8.0
+    assert statistics.median(found[100:]) < 0.08
 
 
 @pytest.mark.parametrize("other", [("--noise", "none"), ("--replay", "somewhere"), ("--clock-skew", "20ppm")])

@@ -17,7 +17,7 @@ from swarm.messages import AppEpoch, AppState
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_fifty_random_faults(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = list(random_faults.rows(50, seed=20))
+    rows = list(random_faults.rows(random_faults.Sizes(50, seed=20)))
     with capsys.disabled():
         print("", *(row.text() for row in rows), sep="\n")  # noqa: T201 - figures of this machine
     # How long a pause is depends on the machine, which has two cores for thirty processes here.

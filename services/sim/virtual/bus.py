@@ -4,16 +4,16 @@ A message reaches the callbacks of other sessions at the same moment of virtual 
 as on the real bus nobody is called from within his own publishing. Nothing is lost, the router never goes away.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from services.mesh.core.relay import matches
 from services.sim.virtual.events import EventQueue
-from swarm.codec import MAX_BINARY, encode
 from swarm.errors import LocalError
-from swarm.keys import MAX_KEY_LENGTH, STOP
-from swarm.messages.service import stop_payload
+from swarm.keys import MAX_KEY_LENGTH
+from swarm.packer import Packer
 
 OnSample = Callable[[str, bytes], None]
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
@@ -68,8 +68,10 @@ class VirtualBus:
 
     __slots__ = (
         "_closed",
+        "_packer",
         "_router",
         "_time",
+        "counters",
         "targets",
     )
 
@@ -79,6 +81,9 @@ class VirtualBus:
         self._router = router
         self._time = router.time
         self._closed = False
+        self.counters: Counter[str] = Counter()
+        """What was dropped, by name."""
+        self._packer = Packer(self.counters)
         self.targets: dict[str, tuple[OnSample, ...]] = {}
         """Who gets what this session publishes, by key, as far as it was asked for."""
         router.sessions.append(self)
@@ -104,7 +109,7 @@ class VirtualBus:
         self._router.waiting.append(call)
 
     def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
-        """To all other sessions that subscribe to it; raises `LocalError` as the real bus does."""
+        """Send to all other sessions that subscribe to it; drop what the real bus drops, raise what it raises."""
         if len(key) > MAX_KEY_LENGTH:
             raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
         targets = self.targets.get(key)
@@ -112,14 +117,9 @@ class VirtualBus:
             targets = self._targets(key)
         if not targets:
             return
-        if key == STOP:
-            payload = stop_payload(message)
-        elif isinstance(message, bytes | bytearray):
-            payload = bytes(message)
-            if len(payload) > MAX_BINARY:
-                raise LocalError(f"{key}: {len(payload)} bytes, the bus takes at most {MAX_BINARY}")
-        else:
-            payload = encode(message)
+        payload = self._packer.pack(key, message)
+        if payload is None:
+            return
         soon = self._time.soon
         for callback in targets:
             soon(callback, key, payload)

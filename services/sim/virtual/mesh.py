@@ -22,7 +22,6 @@ from services.mesh.door import Door
 from services.sim.virtual.air import Air, End
 from services.sim.virtual.bus import VirtualBus
 from services.sim.virtual.events import Time
-from swarm.codec import MAX_BINARY
 from swarm.config import Config
 from swarm.keys import key
 from swarm.messages import Clock, EchoRequest, HoldLink, Links
@@ -93,7 +92,7 @@ class VirtualMesh:
         """`incarnation` goes up with every start of the robot."""
         self.robot = robot
         self.running = True
-        self.counters: Counter[str] = Counter()
+        self.counters: Counter[str] = bus.counters
         self._time = time
         self._air = air
         self._bus = bus
@@ -250,10 +249,7 @@ class VirtualMesh:
                 self._air.flush(end)
         for action in node.actions():
             if type(action) is Received:
-                if len(action.payload) <= MAX_BINARY:
-                    self._bus.publish(action.key, action.payload)
-                else:
-                    self.counters["too_large"] += 1
+                self._bus.publish(action.key, action.payload)
             elif type(action) is LinksChanged:
                 self._tell_links()
             elif type(action) is Dial:
