@@ -231,8 +231,8 @@ class Bus:
         """Send a message dataclass (as msgpack) or raw bytes; silently lost while the router is away.
 
         `urgent` puts it ahead of the queue that a flood of other messages fills; a stop is ahead of both. A message
-        that nobody hears is not looked at. A message that is too large for the bus is dropped, counted and logged; a stop
-        never is. Raises `LocalError` only for a key that the bus does not take at all.
+        that nobody hears is not looked at. A message that is too large for the bus is dropped, counted and logged; a
+        stop never is. Raises `LocalError` only for a key that the bus does not take at all.
         """
         if len(key) > MAX_KEY_LENGTH:
             raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
