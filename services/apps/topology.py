@@ -18,9 +18,11 @@ from swarm.config import Config
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
+from swarm.files import atomic_write
 from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.messages import AppProgress, Topology
+from swarm.paths import VOLATILE
 from swarm.service import Service
 
 CONFIGURED = 0
@@ -104,10 +106,8 @@ def lacking(config: Config, topology: Topology, now: float) -> str:
 def save(runtime: Path, app: str, run: int, links: Links) -> None:
     """Keep the links for the later processes of the run; `LocalError` where that cannot be."""
     path = _path(runtime, app)
-    new = path.with_suffix(".new")
     try:
-        new.write_bytes(encode(_Kept(run, links.config.edges)))
-        new.replace(path)
+        atomic_write(path, encode(_Kept(run, links.config.edges)), unsynced=VOLATILE)
     except OSError as error:
         raise LocalError(f"{path}: {error.strerror}") from None
 

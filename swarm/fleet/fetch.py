@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from swarm.errors import RemoteError
+from swarm.files import atomic_write, sync_folder
 from swarm.fleet import collect
 from swarm.fleet.collect import Data, End, File, Stream
 from swarm.fleet.everyone import Tell
@@ -160,9 +161,7 @@ class Fetch:
                 # What has come stays, whatever happened: the next time goes on behind it.
                 file.flush()
                 os.fsync(file.fileno())
-                new = place.with_suffix(".new")
-                new.write_text(Mark(file.tell(), cursor).text)
-                new.replace(place)
+                atomic_write(place, Mark(file.tell(), cursor).text.encode())
         if done.code != 0:
             raise HostError(last_words(done.err) or f"journalctl: exit code {done.code}")
         return count
@@ -203,6 +202,7 @@ class _Sink:
                 self._file = None
                 file.flush()
                 os.fsync(file.fileno())
+            sync_folder(self._path.parent)  # the robot may be told to delete its own copy now
 
     def _open(self, file: File) -> BinaryIO:
         if self._file is None:
