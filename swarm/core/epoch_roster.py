@@ -39,12 +39,13 @@ class Roster:
         return {name: note for name, note in self.of_members().items() if note.promised == ballot}
 
     def newcomers(self, now: float, *added: str) -> dict[str, Note]:
-        """Robots that are there and know that they have no part in this epoch; `added`: whom the operator lets in."""
+        """Robots that are there and know that they have no part in this epoch, or that have lost their vote; `added`:
+        whom the operator lets in."""
         away = set(self.mine.epoch.away) - set(added)
         return {
             name: note
             for name, note in self.notes.items()
-            if note.well and name not in away and self.is_there(name, now) and self._outside(note)
+            if note.well and name not in away and self.is_there(name, now) and (note.lost or self._outside(note))
         }
 
     def _outside(self, note: Note) -> bool:
