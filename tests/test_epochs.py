@@ -282,6 +282,7 @@ def test_where_too_few_have_their_votes_the_operator_goes_on():
     damaged(world, "r1")
     world.run(20.0)
     assert set(counters(world).values()) == {0}
+    assert world.moving()  # nobody stops for an election that cannot be won
     world.processes["r0"].take(lambda p: p.strand.order(Order(force=True), world.now))
     assert world.run(6.0, until=lambda: set(counters(world).values()) == {1})
     assert not world.processes["r1"].strand.epochs.lost

@@ -424,8 +424,8 @@ class Epochs:
         mine = self._mine
         if not self.member or not self.well or not self._settled:
             return False
-        if mine.lost:
-            return self._order is not None and self._order.force
+        if mine.lost and not (self._order is not None and self._order.force):
+            return False
         if mine.promised != NONE:
             return self._roster.orphaned(now)
         if self._order is not None:
@@ -438,7 +438,7 @@ class Epochs:
             return False
         members = self._roster.of_members()
         lost = any(not note.well or note.k < 0 for name, note in members.items() if name != self.me)
-        return lost or bool(self._roster.newcomers(now))
+        return lost or self._roster.waited_for(now)
 
     def _tell(self, now: float) -> None:
         mine = self._mine
