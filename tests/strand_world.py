@@ -347,8 +347,9 @@ class World:
         return graph.distances(a)[b]
 
     def together(self):
-        """Whether all robots are in one epoch, with all robots in it."""
-        newest = max(self.epochs.values(), key=lambda epoch: (epoch.counter, epoch.number))
+        """Whether all robots are in one epoch, the newest that any of them knows, with all robots in it."""
+        known = [process.strand.epochs.epoch for process in self.processes.values()]
+        newest = max(known, key=lambda epoch: (epoch.counter, epoch.number), default=self.epochs[0])
         return newest.members == tuple(self.names) and all(
             name in self.processes
             and self.processes[name].strand.channel.epoch == newest.number
