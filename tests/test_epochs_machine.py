@@ -115,7 +115,8 @@ class Swarm(RuleBasedStateMachine):
         self.world.heal()
         if not self.gets_on() and any(process.strand.epochs.lost for process in self.world.processes.values()):
             # Too few robots have their vote: the operator answers for the next epoch.
-            newest = max(self.world.processes.values(), key=lambda process: process.strand.epochs.epoch.counter)
+            members = [process for process in self.world.processes.values() if process.strand.epochs.member]
+            newest = max(members, key=lambda process: process.strand.epochs.epoch.counter)
             newest.take(lambda process: process.strand.order(Order(force=True), self.world.now))
         assert self.gets_on()
 

@@ -119,7 +119,10 @@ class Changes:
         path, run = self._file
         try:
             kept = decode(_Kept, path.read_bytes(), str(path))
-        except (OSError, PayloadError):
+        except FileNotFoundError:
+            return {}
+        except (OSError, PayloadError) as error:
+            _log.warning("%s; what was changed while the app ran is forgotten", error)
             return {}
         return kept.parameters if kept.run == run else {}
 

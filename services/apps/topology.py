@@ -5,6 +5,7 @@ run's epoch, and with it part of the channel: hosts that began on different link
 that is started anew in mid-run goes on with the links that its run began with, whatever holds then.
 """
 
+import logging
 import threading
 import zlib
 from collections.abc import Callable
@@ -36,6 +37,8 @@ TELL_EVERY = 1.0
 
 SETTLED = 5.0
 """s for which an automatic topology must have stayed the same: hosts that start together then have the same one."""
+
+_log = logging.getLogger("topology")
 
 
 class Links(NamedTuple):
@@ -169,7 +172,10 @@ def _path(runtime: Path, app: str) -> Path:
 def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
     try:
         kept = decode(_Kept, path.read_bytes(), str(path))
-    except (OSError, PayloadError):
+    except FileNotFoundError:
+        return None
+    except (OSError, PayloadError) as error:
+        _log.warning("%s; the links in force hold", error)
         return None
     return kept.edges if kept.run == run else None
 

@@ -138,7 +138,7 @@ class Fetch:
         folder = self._folder / JOURNAL
         folder.mkdir(parents=True, exist_ok=True)
         text, place = folder / f"{self._host.robot}.log", folder / f"{self._host.robot}.mark"
-        mark = Mark.of(place.read_text()) if place.exists() else Mark()
+        mark = Mark.of(place.read_text(errors="replace")) if place.exists() else Mark()
         count = 0
         with text.open("ab") as file:
             if file.tell() < mark.size:

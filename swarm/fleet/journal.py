@@ -31,6 +31,8 @@ class Mark:
     def of(cls, text: str) -> "Mark":
         """From what was kept; a mark that cannot be read is the beginning."""
         size, _, cursor = text.strip().partition(" ")
+        if not text.endswith("\n"):
+            return cls()
         return cls(int(size), cursor) if size.isascii() and size.isdecimal() and cursor else cls()
 
 
