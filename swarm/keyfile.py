@@ -8,12 +8,12 @@ the higher of two ids is the newer key; it is no secret, the mesh says it in the
 member of the swarm: the file must be its owner's alone.
 """
 
-import contextlib
 import os
 import re
 from pathlib import Path
 
 from swarm.errors import LocalError
+from swarm.files import atomic_write
 
 KEY_SIZE = 32
 """Bytes of a key."""
@@ -73,9 +73,9 @@ def new_key_file(path: Path, now: float) -> int:
     """Make a file with a new key; returns its id. Never touches a file that is there. `now` in s since 1970."""
     key_id = int(now) & 0xFFFFFFFF
     try:
-        _create(path, {key_id: os.urandom(KEY_SIZE)})
-    except FileExistsError:
-        raise LocalError(f"{path}: is there already and is left alone (`swarm key rotate` replaces a key)") from None
+        if os.path.lexists(path):
+            raise LocalError(f"{path}: is there already and is left alone (`swarm key rotate` replaces a key)")
+        atomic_write(path, _text({key_id: os.urandom(KEY_SIZE)}), mode=0o600)
     except OSError as error:
         raise LocalError(f"{path}: cannot be made: {error.strerror}") from None
     return key_id
@@ -109,30 +109,11 @@ def _text(keys: dict[int, bytes]) -> bytes:
     return (_HEADER + "".join(f"{key_id:08x} {key.hex()}\n" for key_id, key in keys.items())).encode()
 
 
-def _create(path: Path, keys: dict[int, bytes], owner: os.stat_result | None = None) -> None:
-    """Write a file that must not be there yet; it is never readable to others, not even for a moment."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(file.fileno(), 0o600)
-            if owner is not None and (owner.st_uid, owner.st_gid) != (os.geteuid(), os.getegid()):
-                os.fchown(file.fileno(), owner.st_uid, owner.st_gid)
-            file.write(_text(keys))
-            file.flush()
-            os.fsync(file.fileno())
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
-
-
 def _replace(path: Path, keys: dict[int, bytes]) -> None:
-    """Write the file anew, whole or not at all, for the same owner."""
+    """Write the file anew, whole or not at all, for the same owner; others cannot read it."""
     path = path.resolve()
-    beside = path.with_name(path.name + ".new")
     try:
-        with contextlib.suppress(FileNotFoundError):
-            beside.unlink()
-        _create(beside, keys, path.stat())
-        beside.replace(path)
+        there = path.stat()
+        atomic_write(path, _text(keys), mode=0o600, owner=(there.st_uid, there.st_gid))
     except OSError as error:
         raise LocalError(f"{path}: cannot be replaced: {error.strerror}") from None

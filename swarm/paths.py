@@ -17,6 +17,9 @@ MAX_SOCKET_PATH = 107
 
 BUS_SOCKET = "bus.sock"
 
+VOLATILE = "a boot clears the runtime directory"
+"""Why files in the runtime directory need not be on a disk (`swarm.files.atomic_write`)."""
+
 ENDPOINT_PROTOCOL = "unixsock-stream"
 """Zenoh's name for a Unix socket."""
 

@@ -15,7 +15,7 @@ from lockstep_world import way_around
 from services.apps.core.strand import Renew, Strand
 from services.apps.core.terms import Terms
 from swarm.core.epoch_actions import Keep, Switch, Tell
-from swarm.core.epoch_notes import first
+from swarm.core.epoch_notes import LOST, first
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
 
@@ -77,7 +77,8 @@ class Process:
         self.program.own, self.program.private = first_state(robot)
         names, kept = frozenset(world.names), world.kept.get(robot)
         births = world.births[robot]
-        self.strand = Strand(robot, names, world.terms, begin, begin.graph, births, self.program, kept)
+        lost = world.random.randrange(1, LOST) if robot in world.damaged else 0
+        self.strand = Strand(robot, names, world.terms, begin, begin.graph, births, self.program, kept, lost)
         self.strand.epochs.take_links(world.in_force)
         self.alive = True
         self.deadline = None
@@ -111,6 +112,7 @@ class Process:
                 world.enters(robot, strand.channel.epoch, strand._history[-1])
             case Keep(kept):
                 world.kept[robot] = kept
+                world.damaged.discard(robot)
             case Tell(data):
                 world.broadcast(robot, lambda other: other.strand.receive_note(robot, data, world.now))
             case Send(data, to, around):
@@ -185,6 +187,8 @@ class World:
         self.truth = {}
         self.progress = dict.fromkeys(self.names, (0, -1))
         self.rebooted = set()
+        self.damaged = set()
+        """Robots whose file of votes is damaged."""
         self._order = count()
         self._events = []
         self._arrival = {}
@@ -242,6 +246,12 @@ class World:
         self.kill(robot)
         self.pages[robot].clear()
         self.rebooted.add(robot)
+
+    def damage(self, robot):
+        """The file with a robot's votes is damaged while its process is away."""
+        self.kill(robot)
+        if self.kept.pop(robot, None) is not None:
+            self.damaged.add(robot)
 
     # Network
 
@@ -337,8 +347,9 @@ class World:
         return graph.distances(a)[b]
 
     def together(self):
-        """Whether all robots are in one epoch, with all robots in it."""
-        newest = max(self.epochs.values(), key=lambda epoch: (epoch.counter, epoch.number))
+        """Whether all robots are in one epoch, the newest that any of them knows, with all robots in it."""
+        known = [process.strand.epochs.epoch for process in self.processes.values()]
+        newest = max(known, key=lambda epoch: (epoch.counter, epoch.number), default=self.epochs[0])
         return newest.members == tuple(self.names) and all(
             name in self.processes
             and self.processes[name].strand.channel.epoch == newest.number
@@ -348,8 +359,12 @@ class World:
 
     def moving(self, rounds=5):
         """Whether all robots get on, within some seconds."""
-        before = {name: self.processes[name].strand.k for name in self.names}
-        return self.run(10.0, until=lambda: all(self.processes[n].strand.k >= before[n] + rounds for n in self.names))
+        return self.moving_of(*self.names, rounds=rounds)
+
+    def moving_of(self, *names, rounds=5):
+        """Whether these robots get on, within some seconds."""
+        before = {name: self.processes[name].strand.k for name in names}
+        return self.run(10.0, until=lambda: all(self.processes[n].strand.k >= before[n] + rounds for n in names))
 
 
 def line(n):

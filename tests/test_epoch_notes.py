@@ -7,23 +7,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.core.epoch_notes import NONE, Ballot, Note, Offer, Vote, first, following
+from swarm.core.epoch_notes import LOST, NONE, Ballot, Note, Offer, Vote, first, following
 from swarm.core.graph import Graph
 from swarm.core.stopping import Rule, Stopping
 from swarm.errors import LocalError, PayloadError
 
 BEGIN = first(("r2", "r0", "r1"), (("r0", "r1"), ("r1", "r2")), 0)
-NEXT = following(BEGIN, "r1", 7, ("r0", "r1"), ("r0", "r1"), (("r0", "r1"),), ("r2",), forced=False)
-NOTE = Note("r0", 3, 9, BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), NEXT), None)
+NEXT = following(BEGIN, "r1", 7, ("r0", "r1"), ("r0", "r1"), (("r0", "r1"),), ("r2",), (77,), forced=False)
+NOTE = Note("r0", 3, 9, BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), NEXT), None, 0)
 
 
 def test_the_bytes_of_a_note() -> None:
-    small = Note("r0", 1, 2, first(("r0",), (), 0), 3, True, (), NONE, None, None)
+    small = Note("r0", 1, 2, first(("r0",), (), 0), 3, True, (), NONE, None, None, 5)
     assert small.encode().hex() == (
-        "8aa5726f626f74a27230a5626972746801a776657273696f6e02a565706f63688aa66e756d62657200a7636f756e74657200a870726f"
+        "8ba5726f626f74a27230a5626972746801a776657273696f6e02a565706f63688ba66e756d62657200a7636f756e74657200a870726f"
         "706f736572a0a66265666f726500a16b00a76d656d6265727391a27230a76361727269656490a5656467657390a461776179" + ""
-        "90a6666f72636564c2a16b03a477656c6cc3a46465616690a870726f6d6973656482a5726f756e6400a5726f626f74a0a8616363657074"
-        "6564c0a56f66666572c0"
+        "90a8726573746f72656490a6666f72636564c2a16b03a477656c6cc3a46465616690a870726f6d6973656482a5726f756e6400a5726f626f74a0a8616363657074"
+        "6564c0a56f66666572c0a46c6f737405"
     )
 
 
@@ -32,6 +32,12 @@ def test_the_bytes_of_a_note() -> None:
 )
 def test_a_note_comes_back(note: Note) -> None:
     assert Note.decode(note.encode()) == note
+
+
+@pytest.mark.parametrize("lost", [-1, LOST, (1 << 64) - 1])
+def test_a_number_of_a_lost_vote_that_is_out_of_range_is_refused(lost: int) -> None:
+    with pytest.raises(PayloadError, match="epoch note of r0: lost: expected a number below"):
+        Note.decode(dataclasses.replace(NOTE, lost=lost).encode())
 
 
 @given(st.binary(max_size=80), st.integers(0, 400), st.integers(0, 80))
@@ -52,6 +58,8 @@ def test_no_bytes_do_harm(garbage: bytes, at: int, cut: int) -> None:
         {"edges": (("r0", "r0"),)},
         {"k": 8},
         {"number": 5},
+        {"restored": (78,)},
+        {"restored": (0,)},
     ],
 )
 def test_an_epoch_that_contradicts_itself_is_refused(change: dict[str, object]) -> None:
@@ -61,7 +69,7 @@ def test_an_epoch_that_contradicts_itself_is_refused(change: dict[str, object]) 
 
 
 def test_which_epoch_wins() -> None:
-    other = following(BEGIN, "r2", 7, ("r2",), ("r2",), (), (), forced=True)
+    other = following(BEGIN, "r2", 7, ("r2",), ("r2",), (), (), (), forced=True)
     assert NEXT.supersedes(BEGIN)
     assert not BEGIN.supersedes(NEXT)
     assert NEXT.supersedes(other) != other.supersedes(NEXT)

@@ -203,3 +203,97 @@ def test_a_killed_robot_remembers_that_it_has_stopped():
     world.run(1.0)
     assert world.processes["r1"].finished == k is not None
     assert world.processes["r1"].strand.phase == "done"
+
+
+def damaged(world, robot, *, reboots=False):
+    """Have a robot come back without its votes, after a reboot without all else, too."""
+    world.damage(robot)
+    if reboots:
+        world.reboot(robot)
+        world.births[robot] = 0
+    world.start(robot)
+
+
+def test_a_robot_whose_votes_are_damaged_goes_on_and_votes_again_from_the_next_epoch_on():
+    world = running(loop(4))
+    damaged(world, "r1")
+    process = world.processes["r1"]
+    assert process.strand.epochs.lost
+    assert process.strand.begun  # its snapshots are of the epoch that it knows
+    assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
+    assert not process.strand.epochs.lost
+    epoch = process.strand.epochs.epoch
+    assert len(epoch.restored) == 1
+    assert epoch.carried == ("r0", "r2", "r3")
+    assert world.moving()
+    world.kill("r3")
+    assert world.run(8.0, until=lambda: counters(world) == {"r0": 2, "r1": 2, "r2": 2})
+    assert world.processes["r1"].strand.epochs.epoch.restored == ()
+
+
+def test_a_robot_that_reboots_and_finds_its_votes_damaged_does_not_begin_the_epoch_anew():
+    world = running(loop(4))
+    damaged(world, "r1", reboots=True)
+    strand = world.processes["r1"].strand
+    assert not strand.begun
+    assert strand.obstacle == "r1 has lost its state and waits for the next epoch"
+    assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
+    assert world.moving()
+
+
+def test_a_robot_without_its_votes_does_not_answer_a_ballot_that_it_may_have_answered():
+    """r1 votes with r0 for an epoch without r2, and loses that vote. r2 and r1 must not make another one."""
+    world = running(full(3), drop=False)
+    world.cut |= {("r0", "r2"), ("r1", "r2")}
+    world.processes["r0"].take(lambda p: p.strand.order(Order(drop=("r2",)), world.now))
+    assert world.run(5.0, until=lambda: counters(world)["r0"] == 1)
+    world.kill("r0")
+    damaged(world, "r1", reboots=True)
+    world.cut.clear()
+    world.cut |= {("r0", "r1"), ("r0", "r2")}
+    world.processes["r2"].take(lambda p: p.strand.order(Order(drop=("r0",)), world.now))
+    world.run(20.0)
+    assert counters(world) == {"r1": 0, "r2": 0}
+    world.cut.clear()
+    world.start("r0")
+    assert world.run(10.0, until=lambda: all(counter >= 1 for counter in counters(world).values()))
+
+
+def test_a_robot_without_its_votes_enters_no_epoch_that_it_may_have_been_in():
+    """What it sent in that epoch it does not know any more, so it waits for the one after it."""
+    world = running(full(4), drop=False)
+    world.kill("r3")
+    world.processes["r0"].take(lambda p: p.strand.order(Order(drop=("r3",)), world.now))
+    assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 1})
+    world.run(2.0)
+    damaged(world, "r1", reboots=True)
+    world.run(20.0)
+    strand = world.processes["r1"].strand
+    assert counters(world)["r1"] == 1
+    assert not strand.begun
+    world.processes["r0"].take(lambda p: p.strand.order(Order(), world.now))
+    assert world.run(6.0, until=lambda: counters(world) == {"r0": 2, "r1": 2, "r2": 2})
+    assert not strand.epochs.lost
+    assert world.moving_of("r0", "r1", "r2")
+
+
+def test_where_too_few_have_their_votes_the_operator_goes_on():
+    world = running(line(2))
+    damaged(world, "r1")
+    world.run(20.0)
+    assert set(counters(world).values()) == {0}
+    assert world.moving()  # nobody stops for an election that cannot be won
+    world.processes["r0"].take(lambda p: p.strand.order(Order(force=True), world.now))
+    assert world.run(6.0, until=lambda: set(counters(world).values()) == {1})
+    assert not world.processes["r1"].strand.epochs.lost
+    assert world.moving()
+
+
+def test_a_lost_vote_stays_lost_through_further_restarts():
+    world = running(loop(4), drop=False)
+    damaged(world, "r1")
+    world.run(2.0)
+    number = world.processes["r1"].strand.epochs.kept.note.lost
+    world.kill("r1")
+    world.start("r1")
+    assert world.processes["r1"].strand.epochs.kept.note.lost == number != 0

@@ -87,6 +87,16 @@ class Swarm(RuleBasedStateMachine):
         self.world.start(self.robot(pick))
         self.world.run(pause)
 
+    @rule(pick=picks, reboots=st.booleans(), pause=pauses)
+    def finds_its_votes_damaged(self, pick, reboots, pause):
+        robot = self.robot(pick)
+        self.world.damage(robot)
+        if reboots:
+            self.world.reboot(robot)
+            self.world.births[robot] = 0  # the count of its processes is in the runtime directory
+        self.world.start(robot)
+        self.world.run(pause)
+
     @rule(pick=picks, pause=pauses)
     def comes_back(self, pick, pause):
         self.world.start(self.robot(pick))
@@ -103,9 +113,19 @@ class Swarm(RuleBasedStateMachine):
         if self.world is None:
             return
         self.world.heal()
-        assert self.world.run(60.0, until=self.world.together), "not all came together"
+        if not self.gets_on() and any(process.strand.epochs.lost for process in self.world.processes.values()):
+            # Too few robots have their vote: the operator answers for the next epoch.
+            members = [process for process in self.world.processes.values() if process.strand.epochs.member]
+            newest = max(members, key=lambda process: process.strand.epochs.epoch.counter)
+            newest.take(lambda process: process.strand.order(Order(force=True), self.world.now))
+        assert self.gets_on()
+
+    def gets_on(self):
+        """Whether all robots come together, and are done or move."""
+        if not self.world.run(60.0, until=self.world.together):
+            return False
         done = all(process.strand.k == 2000 for process in self.world.processes.values())
-        assert done or self.world.moving()
+        return done or self.world.moving()
 
 
 EXAMPLES = settings(

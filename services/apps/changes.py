@@ -13,9 +13,11 @@ from swarm.app import App
 from swarm.bus_protocol import BusLike, Clock
 from swarm.codec import Value, decode, encode
 from swarm.errors import AppError, PayloadError
+from swarm.files import atomic_write
 from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
+from swarm.paths import VOLATILE
 
 
 class Refuse(Protocol):
@@ -106,10 +108,8 @@ class Changes:
         if self._file is None:
             return
         path, run = self._file
-        new = path.with_suffix(".new")
         try:
-            new.write_bytes(encode(_Kept(run, self._kept)))
-            new.replace(path)
+            atomic_write(path, encode(_Kept(run, self._kept)), unsynced=VOLATILE)
         except OSError as error:
             _log.warning("%s: %s; a restart will not know what was changed", path, error.strerror)
 
@@ -119,7 +119,10 @@ class Changes:
         path, run = self._file
         try:
             kept = decode(_Kept, path.read_bytes(), str(path))
-        except (OSError, PayloadError):
+        except FileNotFoundError:
+            return {}
+        except (OSError, PayloadError) as error:
+            _log.warning("%s; what was changed while the app ran is forgotten", error)
             return {}
         return kept.parameters if kept.run == run else {}
 

@@ -26,6 +26,8 @@ class Claim:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             text = os.pread(self._file, _DIGITS, 0)
+            if len(text) not in (0, _DIGITS):
+                raise ValueError(f"the incarnation is cut short: {text!r}")  # noqa: TRY301 - the clause below names the file
             self.incarnation = int(text or b"0") + 1
             os.pwrite(self._file, b"%0*d" % (_DIGITS, self.incarnation), 0)
         except BlockingIOError:

@@ -30,6 +30,8 @@ class Recording:
     ) -> None:
         """`place`: the run's folder. A file of this run that an earlier process has left is gone on with. `settings`
         were above the configuration."""
+        self._service = service
+        self._told = ""
         entries = folder.describe(app.name, run, seed, app.digest)
         if settings:
             entries["set"] = " ".join(setting.text for setting in settings)
@@ -57,6 +59,7 @@ class Recording:
         self.watch = Watch(service.bus, service.robot, app.name, self._file, clock.now)
         """What the robot's other services say meanwhile."""
         self._file.feed = self.watch.drain
+        self._file.watched = self._tell
         if place.parent == folder.root():  # in a folder that somebody has named others' files are not ours
             budget = Budget(place.parent, service.config.recordings.budget, time.time)
             budget.keep()
@@ -65,6 +68,16 @@ class Recording:
     def close(self) -> None:
         """End the file."""
         self._file.close()
+
+    def _tell(self, problem: str) -> None:
+        """Say in the service's status that nothing is recorded, and later that it is. A fault of the app stays."""
+        status = self._service.status()
+        told = f"nothing is recorded: {problem}; the run goes on"
+        if problem and status.state == "ready":
+            self._told = told
+            self._service.degraded(told)
+        elif not problem and status.state == "degraded" and status.reason == self._told:
+            self._service.ready()
 
 
 def place_of(app: str, run: int, *, wanted: bool) -> Path | None:

@@ -5,6 +5,7 @@ run's epoch, and with it part of the channel: hosts that began on different link
 that is started anew in mid-run goes on with the links that its run began with, whatever holds then.
 """
 
+import logging
 import threading
 import zlib
 from collections.abc import Callable
@@ -18,9 +19,11 @@ from swarm.config import Config
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
+from swarm.files import atomic_write
 from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.messages import AppProgress, Topology
+from swarm.paths import VOLATILE
 from swarm.service import Service
 
 CONFIGURED = 0
@@ -34,6 +37,8 @@ TELL_EVERY = 1.0
 
 SETTLED = 5.0
 """s for which an automatic topology must have stayed the same: hosts that start together then have the same one."""
+
+_log = logging.getLogger("topology")
 
 
 class Links(NamedTuple):
@@ -104,10 +109,8 @@ def lacking(config: Config, topology: Topology, now: float) -> str:
 def save(runtime: Path, app: str, run: int, links: Links) -> None:
     """Keep the links for the later processes of the run; `LocalError` where that cannot be."""
     path = _path(runtime, app)
-    new = path.with_suffix(".new")
     try:
-        new.write_bytes(encode(_Kept(run, links.config.edges)))
-        new.replace(path)
+        atomic_write(path, encode(_Kept(run, links.config.edges)), unsynced=VOLATILE)
     except OSError as error:
         raise LocalError(f"{path}: {error.strerror}") from None
 
@@ -169,7 +172,10 @@ def _path(runtime: Path, app: str) -> Path:
 def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
     try:
         kept = decode(_Kept, path.read_bytes(), str(path))
-    except (OSError, PayloadError):
+    except FileNotFoundError:
+        return None
+    except (OSError, PayloadError) as error:
+        _log.warning("%s; the links in force hold", error)
         return None
     return kept.edges if kept.run == run else None
 

@@ -1,5 +1,6 @@
 """Files, thread and keys of one strand of an app: a lockstep with its snapshot, recording, state and progress."""
 
+import secrets
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
@@ -16,7 +17,7 @@ from swarm import clock
 from swarm.codec import Value, encode
 from swarm.core import together
 from swarm.core.epoch_actions import Keep, Order, Switch, Tell
-from swarm.core.epoch_notes import first
+from swarm.core.epoch_notes import LOST, first
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Save, Send
 from swarm.errors import AppError, SwarmError
 from swarm.frozen import frozen
@@ -94,7 +95,12 @@ class Worker:
         self._ballots = BallotFile(self._file)
         begin = first(names, links.config.edges, links.epoch)
         kept, graph = self._ballots.read(), links.config.graph
-        self._strand = Strand(service.robot, frozenset(names), terms, begin, graph, incarnation, runner, kept)
+        vote_lost = 0
+        if self._ballots.lost:
+            vote_lost = 1 + secrets.randbelow(LOST - 1)
+            service.log.warning("the file with this robot's votes is damaged: it votes again from the next epoch on")
+        names_of = frozenset(names)
+        self._strand = Strand(service.robot, names_of, terms, begin, graph, incarnation, runner, kept, vote_lost)
         self._prefix = key(service.robot, f"app/{app}", "sync")
         self._notes = f"{self._prefix}/{terms.notes}"
         self._channel = self._strand.channel
@@ -168,6 +174,7 @@ class Worker:
             self._service.log.warning("the step of iteration %d does not end", self._strand.k)
             return False
         self._snapshots.close()
+        self._ballots.close()
         return True
 
     # On Zenoh's thread

@@ -9,6 +9,8 @@ import math
 from pathlib import Path
 
 from services.balancer.core.gyro import Zero
+from swarm.files import atomic_write
+from swarm.paths import VOLATILE
 
 NAME = "balancer.zero"
 USED_S = 10.0
@@ -49,9 +51,8 @@ class ZeroFile:
         if zero != self._zero:
             self._zero, self._measured = zero, now
         try:
-            new = self._path.with_suffix(".new")
-            new.write_text(" ".join(map(repr, (*zero, self._measured, now))))
-            new.replace(self._path)
+            text = " ".join(map(repr, (*zero, self._measured, now)))
+            atomic_write(self._path, text.encode(), unsynced=VOLATILE)
         except OSError as error:
             if not self._failed:
                 _log.warning("the gyro's zero cannot be kept for a restart: %s", error)

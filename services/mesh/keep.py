@@ -1,15 +1,14 @@
 """The topology in force, kept in the robot's state directory: a mesh that is started anew goes on with it.
 
-A whole new file is put in the place of the old one, on disk before it has that name: whenever the power fails, there is
-the old one or the new one. Its checksum tells a damaged one, which counts for nothing.
+Its checksum tells a damaged file, which counts for nothing.
 """
 
 import logging
-import os
 from pathlib import Path
 
 from services.mesh.core.topology import Ground, Topology
 from swarm.errors import FrameError
+from swarm.files import atomic_write, make_folder
 
 NAME = "topology"
 
@@ -33,16 +32,5 @@ def load(directory: Path, ground: Ground) -> Topology | None:
 
 def save(directory: Path, data: bytes) -> None:
     """Keep it; raises OSError."""
-    directory.mkdir(parents=True, exist_ok=True)
-    path = directory / NAME
-    new = path.with_suffix(".new")
-    with new.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    make_folder(directory)
+    atomic_write(directory / NAME, data)

@@ -9,6 +9,7 @@ from typing import Any
 
 from swarm.config import Config, load, parse
 from swarm.errors import ConfigError, LocalError
+from swarm.files import atomic_write
 from swarm.fleet import everyone
 from swarm.fleet.core.pairing import check, edges, with_addresses
 from swarm.fleet.everyone import Outcome, Tell
@@ -92,10 +93,7 @@ def _complete(config: Config, addresses: dict[str, str], quiet: bool) -> Config:
         new = config
     if any(new.robot(name).bluetooth != address for name, address in missing.items()):
         raise LocalError(f"{config.path}: cannot be edited safely; write into it yourself:{rows}")
-    beside = config.path.with_name(config.path.name + ".new")
-    beside.write_text(text, encoding="utf-8")
-    beside.chmod(config.path.stat().st_mode & 0o777)
-    beside.replace(config.path)
+    atomic_write(config.path, text.encode())
     if not quiet:
         sys.stdout.write(f"{config.path}: written:{rows}\n")
     return new

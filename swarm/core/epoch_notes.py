@@ -20,6 +20,9 @@ class Ballot:
 
 NONE = Ballot(0, "")
 
+LOST = 1 << 62
+"""Numbers of lost votes are smaller."""
+
 
 @frozen
 class Epoch:
@@ -43,6 +46,8 @@ class Epoch:
     """Links among the members."""
     away: tuple[str, ...]
     """Robots that only the operator lets in again."""
+    restored: tuple[int, ...]
+    """The numbers of lost votes (`Note.lost`) of members: from this epoch on these robots vote again. Sorted."""
     forced: bool
     """Ordered by the operator without a majority."""
 
@@ -62,7 +67,7 @@ class Epoch:
 def first(members: tuple[str, ...], edges: tuple[tuple[str, ...], ...], number: int) -> Epoch:
     """The epoch that a run begins with: nobody has agreed on it, `number` stands for the links."""
     names = tuple(sorted(members))
-    return Epoch(number, 0, "", 0, 0, names, (), edges, (), forced=False)
+    return Epoch(number, 0, "", 0, 0, names, (), edges, (), (), forced=False)
 
 
 def following(
@@ -73,11 +78,12 @@ def following(
     carried: tuple[str, ...],
     edges: tuple[tuple[str, ...], ...],
     away: tuple[str, ...],
+    restored: tuple[int, ...],
     *,
     forced: bool,
 ) -> Epoch:
     """The epoch after `before`."""
-    body = (before.counter + 1, proposer, before.number, k, members, carried, edges, away, forced)
+    body = (before.counter + 1, proposer, before.number, k, members, carried, edges, away, restored, forced)
     return Epoch(_number(body), *body)
 
 
@@ -123,6 +129,8 @@ class Note:
     """It takes part in no earlier ballot."""
     accepted: Vote | None
     offer: Offer | None
+    lost: int
+    """0; of a robot that has found the file with its votes damaged: a random number that it has drawn then."""
 
     @property
     def age(self) -> tuple[int, int]:
@@ -140,6 +148,8 @@ class Note:
         for holder in (note, note.accepted, note.offer):
             if holder is not None and holder.epoch is not None:
                 _check(holder.epoch)
+        if not 0 <= note.lost < LOST:
+            raise PayloadError(f"epoch note of {note.robot}: lost: expected a number below 2^62, got {note.lost}")
         return note
 
 
@@ -163,7 +173,8 @@ def _check(epoch: Epoch) -> None:
         and len({frozenset(edge) for edge in epoch.edges}) == len(epoch.edges)
         and 0 <= epoch.k < 1 << 32
         and 0 <= epoch.number < 1 << 32
+        and all(0 < number < LOST for number in epoch.restored)
     )
     body = (epoch.counter, epoch.proposer, epoch.before, epoch.k, epoch.members, epoch.carried, epoch.edges, epoch.away)
-    if not whole or (epoch.counter > 0 and epoch.number != _number((*body, epoch.forced))):
+    if not whole or (epoch.counter > 0 and epoch.number != _number((*body, epoch.restored, epoch.forced))):
         raise PayloadError(f"epoch {epoch.counter} of {epoch.proposer or 'nobody'}: it contradicts itself")

@@ -39,13 +39,22 @@ class Roster:
         return {name: note for name, note in self.of_members().items() if note.promised == ballot}
 
     def newcomers(self, now: float, *added: str) -> dict[str, Note]:
-        """Robots that are there and know that they have no part in this epoch; `added`: whom the operator lets in."""
+        """Robots that are there and know that they have no part in this epoch, or that have lost their vote; `added`:
+        whom the operator lets in."""
         away = set(self.mine.epoch.away) - set(added)
         return {
             name: note
             for name, note in self.notes.items()
-            if note.well and name not in away and self.is_there(name, now) and self._outside(note)
+            if note.well and name not in away and self.is_there(name, now) and (note.lost or self._outside(note))
         }
+
+    def waited_for(self, now: float) -> bool:
+        """Whether there are robots that a further epoch would take in or give their vote back. A member that has lost
+        its vote and goes on without it is no reason to stop where the others are too few to decide."""
+        members = self.mine.epoch.members
+        lost = sum(1 for name in members if name in self.notes and self.notes[name].lost)
+        enough = 2 * (len(members) - lost) > len(members)
+        return any(enough or self._outside(note) for note in self.newcomers(now).values())
 
     def _outside(self, note: Note) -> bool:
         """Whether a robot is in no epoch, or in one of its own. Who has not heard of this one yet will: no matter."""

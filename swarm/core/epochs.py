@@ -12,6 +12,9 @@ has had: neighbours are at most one iteration apart, so nobody goes back by more
 - Who has promised does not compute on before there is a decision: K stays within what all can go back to.
 - Robots that left, that lost their state in a reboot, or that come late are heard of by their notes, and are taken in
   by the next epoch, with a value of their own.
+- A robot whose file of votes is damaged may have voted for anything. It draws a random number and says so. Until an
+  epoch names that number it votes for nothing and enters no epoch but the one that its snapshots are of: an epoch that
+  names it was chosen after the loss, so the robot cannot have voted in it before.
 - The operator may order a change; with `force` it is made by those who answer, be they a minority.
 
 What a robot has to say is one note, newer ones replace older ones, and notes are passed on by everybody who had not
@@ -89,9 +92,11 @@ class Epochs:
         kept: Kept | None,
         *,
         auto: bool,
+        lost: int = 0,
     ) -> None:
         """`names`: all robots there may be. `of`: run and schema. `begin`: the epoch of a run of which nothing was
-        `kept`. `auto`: make ballots when robots are lost, come (back) or links change; otherwise only when ordered."""
+        `kept`. `auto`: make ballots when robots are lost, come (back) or links change; otherwise only when ordered.
+        `lost`: where what was kept is damaged, a random number, 1 to 2^62 - 1."""
         self.me = me
         self.auto = auto
         self.counters: Counter[str] = Counter()
@@ -102,7 +107,7 @@ class Epochs:
         if kept is not None and (kept.run, kept.schema) == of:
             mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
         else:
-            mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None)
+            mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None, lost)
         self._roster = Roster(me, mine)
         self._mine = mine
         self._become()
@@ -138,6 +143,11 @@ class Epochs:
         return Kept(*self._of, self._mine)
 
     @property
+    def lost(self) -> bool:
+        """Whether this robot has lost its vote, and no epoch has given it another."""
+        return self._mine.lost != 0
+
+    @property
     def deaf(self) -> tuple[str, ...]:
         """The neighbours that it was told cannot be heard."""
         return self._deaf
@@ -150,6 +160,8 @@ class Epochs:
     @property
     def reason(self) -> str:
         """Why it does not go on, as far as that is a matter of membership; else empty."""
+        if self.lost and self.k < 0:
+            return f"{self.me} has lost its vote and waits for the next epoch"
         if not self.member:
             how = "only the operator lets it in again" if self.me in self.epoch.away else "waits to be let in"
             return f"{self.me} is not in epoch {self.epoch.counter}: {how}"
@@ -165,7 +177,7 @@ class Epochs:
 
     def next_deadline(self, now: float) -> float | None:
         """When `handle_timer` wants to be called; None: no timer runs."""
-        if not (self.auto or self.frozen or self.k < 0 or self._order is not None or self._offers):
+        if not (self.auto or self.frozen or self.k < 0 or self._order is not None or self._offers or self._mine.lost):
             return None  # asked after each message, and nearly always so
         times = [self._tell_at] if self._busy else []
         if self._mine.offer is not None and self._mine.offer.epoch is None and now < self._collected_at:
@@ -230,7 +242,7 @@ class Epochs:
             self.counters["malformed note"] += 1
             return
         if note.robot == self.me:
-            if note.birth > self._mine.birth:  # of a process whose files are lost: the others listen to it alone
+            if note.age > self._mine.age:  # of a process whose files are lost: the others listen to it alone
                 self._become(birth=note.birth + 1, version=0)
                 self._tell(now)
             return
@@ -239,7 +251,8 @@ class Epochs:
             self.counters["unknown robot"] += 1
             return
         if known is not None and note.age <= known.age:
-            if note.birth < known.birth and now >= self._reminded_at + TELL_AGAIN:
+            other = note.birth < known.birth or (note.birth == known.birth and note.lost != known.lost)
+            if other and now >= self._reminded_at + TELL_AGAIN:
                 # It lost its files, and does not know that it has to count on from there.
                 self._reminded_at = now
                 self._actions.append(Tell(known.encode()))
@@ -279,7 +292,7 @@ class Epochs:
     def _busy(self) -> bool:
         """Whether this robot wants something of the others."""
         wanting = not self.well or self._deaf or self.stalled
-        return self.frozen or self.k < 0 or self._order is not None or bool(self.auto and wanting)
+        return self.frozen or self.lost or self.k < 0 or self._order is not None or bool(self.auto and wanting)
 
     @property
     def _collected_at(self) -> float:
@@ -300,8 +313,10 @@ class Epochs:
         self._decide(now)
 
     def _answer(self, offer: Offer, now: float) -> None:
-        """As an acceptor: promise, or accept."""
+        """As an acceptor: promise, or accept. Without a vote only what the operator has forced, who answers for it."""
         mine = self._mine
+        if mine.lost and not offer.forced:
+            return
         if offer.epoch is None:
             if offer.ballot > mine.promised:
                 self._stop(offer.ballot, mine.accepted, now)
@@ -318,11 +333,11 @@ class Epochs:
         self._tell(now)
 
     def _propose(self, now: float) -> None:
-        if not self.member or not self.well or not self._settled:
+        forced = self._order is not None and self._order.force
+        if not self.member or not self.well or not self._settled or (self.lost and not forced):
             return
         self._round += 1
         ballot = Ballot(self._round, self.me)
-        forced = self._order is not None and self._order.force
         self._become(offer=Offer(ballot, None, forced))
         self._offered_at = self._answered_at = now
         self._answers = frozenset()
@@ -370,7 +385,8 @@ class Epochs:
         carried = tuple(n for n in chosen if n in notes and notes[n].k >= 0)
         k = min((notes[n].k for n in carried), default=self.epoch.k)
         links = tuple(sorted(tuple(sorted(edge)) for edge in edges if edge[0] in chosen))
-        return following(self.epoch, self.me, k, chosen, carried, links, away, forced=offer.forced)
+        restored = tuple(sorted({there[n].lost for n in chosen if there[n].lost}))
+        return following(self.epoch, self.me, k, chosen, carried, links, away, restored, forced=offer.forced)
 
     def _decide(self, now: float) -> None:
         """As everybody: see whether an epoch has votes enough."""
@@ -390,21 +406,25 @@ class Epochs:
                 return
 
     def _adopt(self, epoch: Epoch, now: float) -> None:
-        self._become(epoch=epoch, promised=NONE, accepted=None, offer=None)
-        self.k = epoch.k
-        self._settled = False
+        lost = 0 if self._mine.lost in epoch.restored else self._mine.lost
+        self._become(epoch=epoch, promised=NONE, accepted=None, offer=None, lost=lost)
+        self.k = -1 if lost else epoch.k
+        self._settled = bool(lost)
         if self._order is None or not set(self._order.drop) & set(epoch.members) or not self.member:
             self._order = None
         self._relink = False
         self._deaf = ()
         self._cause_at = None
         self._tell(now)
-        self._actions.append(Switch(epoch))
+        if not lost:  # else it may have been in this epoch, and must not begin it a second time
+            self._actions.append(Switch(epoch))
 
     def _cause(self, now: float) -> bool:
         """Whether this robot should make a ballot."""
         mine = self._mine
         if not self.member or not self.well or not self._settled:
+            return False
+        if mine.lost and not (self._order is not None and self._order.force):
             return False
         if mine.promised != NONE:
             return self._roster.orphaned(now)
@@ -418,7 +438,7 @@ class Epochs:
             return False
         members = self._roster.of_members()
         lost = any(not note.well or note.k < 0 for name, note in members.items() if name != self.me)
-        return lost or bool(self._roster.newcomers(now))
+        return lost or self._roster.waited_for(now)
 
     def _tell(self, now: float) -> None:
         mine = self._mine
@@ -426,7 +446,8 @@ class Epochs:
         self._become(version=mine.version + 1, well=self.well, deaf=self._deaf, k=k)
         self._told_at, self._tell_at = now, now + TELL_EVERY
         new = self._mine
-        bound = (new.birth, new.epoch, new.promised, new.accepted, new.k if new.promised != NONE else None)
+        stopped_at = new.k if new.promised != NONE else None
+        bound = (new.birth, new.epoch, new.promised, new.accepted, new.lost, stopped_at)
         if bound != self._bound:  # a repetition binds to nothing new: it need not wait for a disk
             self._bound = bound
             self._actions.append(Keep(self.kept))

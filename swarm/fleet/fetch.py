@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from swarm.errors import RemoteError
+from swarm.files import atomic_write, sync_folder
 from swarm.fleet import collect
 from swarm.fleet.collect import Data, End, File, Stream
 from swarm.fleet.everyone import Tell
@@ -137,7 +138,7 @@ class Fetch:
         folder = self._folder / JOURNAL
         folder.mkdir(parents=True, exist_ok=True)
         text, place = folder / f"{self._host.robot}.log", folder / f"{self._host.robot}.mark"
-        mark = Mark.of(place.read_text()) if place.exists() else Mark()
+        mark = Mark.of(place.read_text(errors="replace")) if place.exists() else Mark()
         count = 0
         with text.open("ab") as file:
             if file.tell() < mark.size:
@@ -160,9 +161,7 @@ class Fetch:
                 # What has come stays, whatever happened: the next time goes on behind it.
                 file.flush()
                 os.fsync(file.fileno())
-                new = place.with_suffix(".new")
-                new.write_text(Mark(file.tell(), cursor).text)
-                new.replace(place)
+                atomic_write(place, Mark(file.tell(), cursor).text.encode())
         if done.code != 0:
             raise HostError(last_words(done.err) or f"journalctl: exit code {done.code}")
         return count
@@ -203,6 +202,7 @@ class _Sink:
                 self._file = None
                 file.flush()
                 os.fsync(file.fileno())
+            sync_folder(self._path.parent)  # the robot may be told to delete its own copy now
 
     def _open(self, file: File) -> BinaryIO:
         if self._file is None:

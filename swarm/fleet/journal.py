@@ -35,6 +35,8 @@ class Mark:
     def of(cls, text: str) -> "Mark":
         """From what was kept; a mark that cannot be read is the beginning."""
         size, _, cursor = text.strip().partition(" ")
+        if not text.endswith("\n"):
+            return cls()
         known = size.isascii() and size.isdecimal() and len(size) <= _MAX_DIGITS and cursor
         return cls(int(size), cursor) if known else cls()
 

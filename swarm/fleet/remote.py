@@ -59,6 +59,7 @@ def program(main: str, request: object) -> bytes:
     parts = PACKAGE.split(".")
     modules: dict[str, str | None] = {".".join(parts[: n + 1]): None for n in range(len(parts))}
     modules |= {f"{PACKAGE}.{path.stem}": path.read_text() for path in _FOLDER.glob("*.py") if path.stem != "__init__"}
+    modules["swarm.files"] = (_FOLDER.parents[1] / "files.py").read_text()
     line = json.dumps({"modules": modules, "main": f"{PACKAGE}.{main}", "request": request})
     return line.encode() + b"\n"
 

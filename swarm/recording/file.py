@@ -62,7 +62,11 @@ class RecordingFile:
         self._unwritten = b""
         self._due = False
         """Whether the journal's other half still waits for the disk."""
+        self._restoring = False
+        """Whether the journal still holds what an earlier process did not write: it takes nothing else until then."""
         self._told = False
+        self.problem = ""
+        """Why nothing is written at the moment; empty while all is well."""
         self._file: int | None = None
         self._journal = self._open_journal(journal)
         left = self._journal.left() if self._journal is not None and append else []
@@ -80,11 +84,12 @@ class RecordingFile:
         """Checkpoints whose link to the next one is in the file; the process before may have left out its last."""
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         """The clock's zero in time of day, for people: nothing is computed with it."""
-        keep = self._journal.add if self._journal is not None else _forget
-        self._writer = Writer(LIBRARY, epoch_ns=self.epoch_ns, known=known, keep=keep)
+        self._writer = Writer(LIBRARY, epoch_ns=self.epoch_ns, known=known, keep=self._keep)
         self._restore(left)
         self.feed: Callable[[], None] = lambda: None
         """Called before each write to the file: puts in what waits elsewhere."""
+        self.watched: Callable[[str], None] = lambda problem: None
+        """Called with `problem` once a second."""
         self.tidy: Callable[[], object] = lambda: None
         """Called now and then (each `SYNC_S`): keeps the disk in order."""
         self._ending = threading.Event()
@@ -111,7 +116,7 @@ class RecordingFile:
             with self._lock:
                 self._writer.cut()
                 self._unwritten += self._writer.take()
-                if self._journal is not None and self._unwritten and not self._due:
+                if self._journal is not None and self._unwritten and not self._due and not self._restoring:
                     self._journal.turn(self._written + len(self._unwritten))
                     self._due = True
             self._store()
@@ -152,17 +157,27 @@ class RecordingFile:
             return None
 
     def _restore(self, left: list[tuple[int, bytes]]) -> None:
-        """Write what an earlier process had only in its journal."""
+        """Write what an earlier process had only in its journal. It stays there until it is in the file: this process
+        may be killed, too, and the next one begins where this one did."""
         if self._journal is None:
             return
-        self._journal.clear()
-        self._journal.turn(self._written)
+        self._restoring = bool(left)
         for _, records in left:
             for at, _, content in mcap.whole_records(records):
                 try:
                     self._writer.restore(records[at : at + mcap.HEAD.size + len(content)])
                 except RecordingError as error:
                     _log.warning("%s: a record of the process before cannot be put in: %s", self._path, error)
+        if left:
+            self._writer.cut()
+            self._unwritten = self._writer.take()
+            self._store()
+        else:
+            self._journal.begin(self._written)
+
+    def _keep(self, record: bytes) -> None:
+        if self._journal is not None and not self._restoring:
+            self._journal.add(record)
 
     def _found(self, limit: int | None) -> Known:
         """What an earlier process has left, up to `limit` where its journal goes on from there; a file that is none of
@@ -183,6 +198,7 @@ class RecordingFile:
         synced = 0.0
         while not self._ending.wait(FLUSH_S):
             self.flush()
+            self.watched(self.problem)
             synced += FLUSH_S
             if synced >= SYNC_S and self._file is not None:
                 synced = 0.0
@@ -211,9 +227,15 @@ class RecordingFile:
         if self._unwritten:
             self._lose("the disk is full")
             return
+        self.problem = ""
         self._link()
         if self._journal is not None:
-            self._journal.stored()
+            if self._restoring:
+                with self._lock:
+                    self._journal.begin(self._written)
+                    self._restoring = False
+            else:
+                self._journal.stored()
             self._due = False
 
     def _link(self) -> None:
@@ -229,10 +251,7 @@ class RecordingFile:
             self._linked += 1
 
     def _lose(self, reason: str) -> None:
+        self.problem = reason
         if not self._told:
             self._told = True
             _log.warning("%s cannot be recorded, the run goes on: %s", self._path, reason)
-
-
-def _forget(record: bytes) -> None:
-    """Keep a record nowhere but in the writer."""

@@ -8,6 +8,7 @@
 The names do not clash when the folders of several robots are copied into one.
 """
 
+import fcntl
 import json
 import os
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from swarm import __version__
 from swarm.errors import PayloadError, RecordingError
+from swarm.files import atomic_write, make_folder
 from swarm.paths import state_dir
 from swarm.toml_input import read_toml
 
@@ -42,13 +44,16 @@ def describe(app: str, run: int, seed: int, digest: bytes) -> dict[str, str]:
 def begin(folder: Path, run: Mapping[str, str], files: Mapping[str, bytes]) -> None:
     """Make the folder, with `run` and copies of `files` (by the name they get) in it. What is there already is the
     same: another robot of the simulation has written it. Raises `OSError`."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in run.items())  # a JSON text is one of TOML
-    for name, data in {**files, RUN_FILE: text.encode()}.items():
-        if not (folder / name).exists():
-            fresh = folder / f"{name}.{os.getpid()}"
-            fresh.write_bytes(data)
-            fresh.replace(folder / name)
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for name, data in {**files, RUN_FILE: text.encode()}.items():
+            if not (folder / name).exists():
+                atomic_write(folder / name, data)
+    finally:
+        os.close(lock)
 
 
 def read_run(folder: Path) -> dict[str, str]:

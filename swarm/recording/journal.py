@@ -2,7 +2,9 @@
 runtime directory, which is memory on a robot. A process killed by -9 loses nothing by it, and nobody waits for a disk.
 
 Two halves take turns: one grows while the other is being written to the recording. Each begins with the offset in the
-recording at which its records are due, and their length; 0 = they are there.
+recording at which its records are due, and their length; 0 = they are there. Before the halves stands a mark that says
+whether they count: one store takes both away. The file owns all its blocks from the start on: a page of a mapped file
+for which a full disk has no block ends the process with SIGBUS.
 """
 
 import mmap
@@ -10,63 +12,81 @@ import os
 import struct
 from pathlib import Path
 
+from swarm.files import open_reserved
+
 HALF = 512 * 1024
 """Bytes of records, two of these. A second at 1 kHz takes a quarter of it."""
+
+_MARK = b"BLJOUR1\n"
+_FIRST = 16
+"""Offset of the first half."""
+_SIZE = _FIRST + 2 * HALF
 
 _HEAD = struct.Struct("<QQ")
 _LENGTH = struct.Struct("<Q")
 
 
 class Journal:
-    """The file. Raises `OSError` where it cannot be made."""
+    """The file. Raises `OSError` where it cannot be made, on a full disk above all."""
 
     def __init__(self, path: Path) -> None:
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
+        file = open_reserved(path, _SIZE, 0o664)
         try:
-            os.ftruncate(file, 2 * HALF)
-            self._map = mmap.mmap(file, 2 * HALF)
+            self._map = mmap.mmap(file, _SIZE)
         finally:
             os.close(file)
-        self._half = 0
+        self._half = _FIRST
         self._length = 0
 
     def left(self) -> list[tuple[int, bytes]]:
         """Offset and records of the halves that never reached the recording, in order."""
-        found = []
-        for at in (0, HALF):
+        found: list[tuple[int, bytes]] = []
+        if self._map[: len(_MARK)] != _MARK:
+            return found
+        for at in (_FIRST, _FIRST + HALF):
             base, length = _HEAD.unpack_from(self._map, at)
             if 0 < length <= HALF - _HEAD.size:
                 found.append((base, self._map[at + _HEAD.size : at + _HEAD.size + length]))
         return sorted(found)
 
-    def clear(self) -> None:
-        """Forget what both halves hold."""
-        for at in (0, HALF):
-            _LENGTH.pack_into(self._map, at + 8, 0)
-        self._length = 0
+    def begin(self, base: int) -> None:
+        """Forget what both halves hold, which has reached the recording, and begin with records due at `base`."""
+        self._map[: len(_MARK)] = bytes(len(_MARK))
+        self._half, self._length = _FIRST, 0
+        self._map[_FIRST : _FIRST + _HEAD.size] = _HEAD.pack(base, 0)
+        self._set_length(self._other, 0)
+        self._map[: len(_MARK)] = _MARK
 
     def turn(self, base: int) -> None:
         """From now on add to the other half, whose records are due at `base`."""
-        self._half = HALF - self._half
+        self._half = self._other
         self._length = 0
-        _HEAD.pack_into(self._map, self._half, base, 0)
+        self._map[self._half : self._half + _HEAD.size] = _HEAD.pack(base, 0)
 
     def stored(self) -> None:
         """The half that is not added to has reached the recording."""
-        _LENGTH.pack_into(self._map, HALF - self._half + 8, 0)
+        self._set_length(self._other, 0)
 
     def add(self, record: bytes) -> None:
         """Keep a record; where the half is full (since the disk is), nothing in it counts any more."""
         end = self._length + len(record)
         if end > HALF - _HEAD.size:
             self._length = HALF
-            _LENGTH.pack_into(self._map, self._half + 8, 0)
+            self._set_length(self._half, 0)
             return
         start = self._half + _HEAD.size
         self._map[start + self._length : start + end] = record
         self._length = end
-        _LENGTH.pack_into(self._map, self._half + 8, end)  # last: what is counted is whole
+        self._set_length(self._half, end)  # last: what is counted is whole
 
     def close(self) -> None:
         """Let go of the file."""
         self._map.close()
+
+    @property
+    def _other(self) -> int:
+        """Offset of the half that is not added to."""
+        return 2 * _FIRST + HALF - self._half
+
+    def _set_length(self, half: int, length: int) -> None:
+        self._map[half + 8 : half + 16] = _LENGTH.pack(length)

@@ -89,5 +89,5 @@ def test_a_disk_without_space_is_found_at_the_start(tmp_path: Path, monkeypatch:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(LocalError, match=r"app\.x\.snapshot: no space for snapshots of 131072 bytes: No space left"):
+    with pytest.raises(LocalError, match=r"app\.x\.snapshot: cannot have its 131072 bytes: No space left"):
         SnapshotFile(tmp_path / "app.x.snapshot")

@@ -65,7 +65,7 @@ def test_whatever_lies_there_is_survived(tmp_path_factory: pytest.TempPathFactor
 
 
 def test_where_it_cannot_be_kept_it_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "balancer.new").mkdir()
+    (tmp_path / "balancer.zero.new").mkdir()
     file = ZeroFile(tmp_path)
     with caplog.at_level(logging.WARNING):
         file.keep(ZERO, 1.0)

@@ -1,5 +1,7 @@
 """The file of a recording: killed, gone on with, on a disk that is full."""
 
+import itertools
+import mmap
 import os
 import signal
 import subprocess
@@ -8,9 +10,11 @@ import time
 from collections import Counter
 
 import pytest
+from needs import fill, small_disk
 
 from swarm.recording import file as module
 from swarm.recording.file import RecordingFile
+from swarm.recording.journal import HALF, Journal
 from swarm.recording.reader import Reader
 
 TOPIC = "swarm/r0/x"
@@ -263,6 +267,130 @@ def test_killed_while_it_wrote_nothing_is_lost_or_doubled(open_file, tmp_path, m
     assert numbers(path)[0] == [0, 1, 2]
 
 
+class Steps:
+    """Counts what a process does to file and journal, and kills it after so many steps."""
+
+    def __init__(self, monkeypatch, left):
+        self.left, self.done = left, 0
+        steps = self
+        pwrite, ftruncate, real = os.pwrite, os.ftruncate, mmap.mmap
+
+        class Map(real):
+            def __setitem__(self, where, data):
+                steps.step()
+                super().__setitem__(where, data)
+
+        def half_written(handle, data, at):
+            steps.step(lambda: pwrite(handle, data[: len(data) // 2], at))
+            return pwrite(handle, data, at)
+
+        def truncated(handle, size):
+            steps.step()
+            return ftruncate(handle, size)
+
+        monkeypatch.setattr(mmap, "mmap", Map)
+        monkeypatch.setattr(os, "pwrite", half_written)
+        monkeypatch.setattr(os, "ftruncate", truncated)
+
+    def step(self, torn=lambda: None):
+        if self.done == self.left:
+            torn()
+            raise Killed
+        self.done += 1
+
+
+@pytest.mark.parametrize("flushed", [(), (0, 2), (0, 1, 2, 3, 4)])
+def test_a_recorder_that_is_killed_again_while_it_restores_its_journal_loses_nothing(
+    open_file, tmp_path, monkeypatch, flushed
+):
+    """At every step of the second process: each record whose `write` returned is in the file at last, once."""
+    path, journal = tmp_path / "x.mcap", tmp_path / "journal"
+    for left in itertools.count():
+        path.unlink(missing_ok=True)
+        journal.unlink(missing_ok=True)
+        first = open_file(journal=journal)
+        first.metadata("run", {"start": "1"})
+        for i in range(6):
+            first.write(TOPIC if i % 2 else "swarm/r0/y", i * 0.6, {"i": i})
+            if i in flushed:
+                first.flush()
+        killed(first)
+        said, done, second = 6, False, None
+        with monkeypatch.context() as patch:
+            Steps(patch, left)
+            try:
+                second = RecordingFile(path, Counter(), append=True, journal=journal, min_free=0)
+                for i in (6, 7):
+                    second.write(TOPIC, i * 0.6, {"i": i})
+                    said = i + 1
+                    second.flush()
+                done = True
+            except Killed:
+                pass
+            if second is not None:
+                killed(second)
+        third = open_file(journal=journal, append=True)
+        third.close()
+        found, reader = numbers(path)
+        assert found[:said] == list(range(said)), left
+        assert found in (list(range(said)), list(range(said + 1))), left
+        assert reader.damage == []
+        assert reader.metadata == [("run", {"start": "1"})]
+        if done:
+            assert left > 8
+            return
+
+
+def test_a_journal_waits_where_the_disk_has_no_room_for_what_it_holds(open_file, tmp_path):
+    path, journal = tmp_path / "x.mcap", tmp_path / "journal"
+    first = open_file(journal=journal)
+    for i in range(4):
+        first.write(TOPIC, float(i), {"i": i})
+    killed(first)
+    second = open_file(journal=journal, append=True, min_free=1 << 62)
+    assert "are free on its disk" in second.problem
+    killed(second)  # before there was room
+    third = open_file(journal=journal, append=True, min_free=1 << 62)
+    third._min_free = 0
+    third.flush()
+    assert third.problem == ""
+    third.write(TOPIC, 4.0, {"i": 4})
+    killed(third)
+    open_file(journal=journal, append=True).close()
+    assert numbers(path)[0] == [0, 1, 2, 3, 4]
+
+
+def test_a_journal_owns_its_blocks_so_that_a_full_disk_cannot_kill_the_process(tmp_path):
+    with small_disk(tmp_path / "disk", 2 * 1024 * 1024) as disk:
+        journal = Journal(disk / "journal")
+        fill(disk / "ballast")
+        journal.begin(0)
+        for half in range(2):
+            for _ in range(HALF // 1024 - 1):
+                journal.add(bytes(1024))  # without blocks: SIGBUS
+            journal.turn(half)
+        journal.close()
+        with pytest.raises(OSError, match="No space left"):
+            Journal(disk / "another")
+
+
+def test_on_a_full_disk_the_recording_says_so_and_goes_on_when_there_is_room(open_file, tmp_path):
+    with small_disk(tmp_path / "disk", 256 * 1024) as disk:
+        file = open_file(disk / "x.mcap")
+        file.write(TOPIC, 0.0, {"i": 0})
+        file.flush()
+        fill(disk / "ballast")
+        for i in range(1, 100):
+            file.write(TOPIC, float(i), {"i": i, "text": "x" * 1000})
+        file.flush()
+        assert file.problem in ("No space left on device", "the disk is full", "less than 0 MiB are free on its disk")
+        (disk / "ballast").unlink()
+        file.flush()
+        assert file.problem == ""
+        file.close()
+        assert numbers(disk / "x.mcap")[0] == list(range(100))
+
+
 def test_a_journal_that_is_too_small_for_a_full_disk_takes_nothing_back(open_file, tmp_path):
     path, journal = tmp_path / "x.mcap", tmp_path / "journal"
     file = open_file(journal=journal)
@@ -308,7 +436,8 @@ def test_a_new_run_does_not_take_the_journal_of_another(open_file, tmp_path):
 def test_a_journal_of_junk_is_left_out(open_file, tmp_path, caplog):
     journal = tmp_path / "journal"
     record = b"\x05" + (22).to_bytes(8, "little") + bytes(22)
-    journal.write_bytes((8).to_bytes(8, "little") + len(record).to_bytes(8, "little") + record)
+    head = b"BLJOUR1\n" + bytes(8)
+    journal.write_bytes(head + (8).to_bytes(8, "little") + len(record).to_bytes(8, "little") + record)
     file = open_file(journal=journal, append=True)
     file.write(TOPIC, 1.0, {"i": 1})
     file.close()

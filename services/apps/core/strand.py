@@ -85,9 +85,11 @@ class Strand:
         incarnation: int,
         program: Program,
         kept: Kept | None = None,
+        vote_lost: int = 0,
     ) -> None:
         """`names`: all robots there may be; `begin`: the epoch of a run of which nothing was `kept`; `graph`: its
-        links. Of thousands of robots in one process, all may be given the same ones."""
+        links. Of thousands of robots in one process, all may be given the same ones. `vote_lost`: a random number where
+        what was kept is damaged."""
         self.phase = "starting"
         """starting, running, done or fault."""
         self.reason = ""
@@ -99,12 +101,12 @@ class Strand:
         self.lost = False
         """Whether this robot has been in the run and its state is gone, as after a reboot."""
         of = terms.run, terms.schema
-        self.epochs = Epochs(me, names, of, incarnation, begin, kept, auto=terms.drop)
+        self.epochs = Epochs(me, names, of, incarnation, begin, kept, auto=terms.drop, lost=vote_lost)
         self.rtt = lockstep.RTT
         self._me = me
         self.terms = terms
         self._program = program
-        self._new = kept is None or (kept.run, kept.schema) != (terms.run, terms.schema)
+        self._new = not vote_lost and (kept is None or (kept.run, kept.schema) != (terms.run, terms.schema))
         self._stopping: Stopping | None = None
         self._lockstep: Lockstep | None = None
         self._channel = self._channel_of(self.epochs.epoch)
@@ -166,7 +168,10 @@ class Strand:
                 self._resume(saved[-1], epoch, now)
             else:
                 self._channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
-                self.epochs.resettle()
+                if self.epochs.lost:
+                    self.epochs.lose()
+                else:
+                    self.epochs.resettle()
         elif self._new:
             own, private = self._program.start(measurement)
             self._enter(epoch, own, private, now)

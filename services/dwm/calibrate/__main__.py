@@ -21,6 +21,7 @@ from swarm.bus import Bus
 from swarm.cli import buses
 from swarm.config import Config
 from swarm.errors import BusError, LocalError
+from swarm.files import atomic_write
 from swarm.recordings import read_recording
 from swarm.simulations import CONFIG, default_run_dir, is_live
 
@@ -100,7 +101,7 @@ def offset(options: argparse.Namespace, config: Config, robot: str) -> int:
         file = calibration_file.parse(path.read_text("utf-8"), str(path))
         if file.distance is None:
             raise LocalError(f"{path}: holds no model of ranges to add it to")
-        path.write_text(calibration_file.text_of(making.with_offset(file, learned)), encoding="utf-8")
+        atomic_write(path, calibration_file.text_of(making.with_offset(file, learned)).encode())
         print(f"added to {path}")
     return 0
 

@@ -12,6 +12,7 @@ from services.dwm.core.filters import mean
 from services.dwm.core.samples import Group, Point, Sample, Spot
 from swarm.config.types import Anchor
 from swarm.errors import LocalError, RecordingError
+from swarm.files import atomic_write, make_folder
 from swarm.frozen import frozen
 
 SLACK = 0.01
@@ -80,10 +81,8 @@ def save(part: CalibrationFile, path: Path, robot: str, anchors: Sequence[Anchor
         before = calibration_file.parse(path.read_text("utf-8"), str(path))
         if (before.robot, before.layout) == (robot, layout):
             file = before.with_parts(file)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".new")
-    temporary.write_text(calibration_file.text_of(file), encoding="utf-8")
-    temporary.replace(path)
+    make_folder(path.parent)
+    atomic_write(path, calibration_file.text_of(file).encode())
     return file
 
 

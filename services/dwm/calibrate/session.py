@@ -19,6 +19,7 @@ from services.dwm.core.guide import Guide, Press
 from services.dwm.core.samples import HEADER, write
 from swarm.bus import Bus
 from swarm.errors import BusError, LocalError, PayloadError
+from swarm.files import atomic_write
 from swarm.keys import key
 from swarm.messages import Buttons, Pose, Ranges, read
 
@@ -191,6 +192,4 @@ def _drained(messages: "queue.SimpleQueue[Message]", wait: float) -> Iterator[Me
 def _rewrite(path: Path, guide: Guide) -> None:
     """Without the samples of places that were measured anew."""
     lines = [HEADER, *map(write, guide.samples)]
-    temporary = path.with_name(path.name + ".new")
-    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    atomic_write(path, ("\n".join(lines) + "\n").encode())

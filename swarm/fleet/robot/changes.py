@@ -8,12 +8,10 @@ A change is a map with `do`:
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
+from swarm.files import atomic_write, make_folder, sync_folder
 from swarm.fleet.robot.commands import below, run
 
 
@@ -32,43 +30,20 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
     return {"step": "", "problem": ""}
 
 
-def _beside(path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_name(path.name + ".swarm-new")
-    with contextlib.suppress(FileNotFoundError):
-        new.unlink()
-    return new
-
-
 def _write(root: str, change: dict[str, Any]) -> None:
     path = below(root, change["path"])
-    new = _beside(path)
-    try:
-        descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(change["text"].encode())
-            file.flush()
-            # /boot/firmware is FAT: it has no modes, and refuses to set them.
-            with contextlib.suppress(PermissionError):
-                os.fchmod(descriptor, int(change.get("mode", "0644"), 8))
-            os.fsync(descriptor)
-        new.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            new.unlink()
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    make_folder(path.parent)
+    atomic_write(path, change["text"].encode(), mode=int(change.get("mode", "0644"), 8))
 
 
 def _link(root: str, change: dict[str, Any]) -> None:
     path = below(root, change["path"])
-    new = _beside(path)
+    make_folder(path.parent)
+    new = path.with_name(path.name + ".new")
+    new.unlink(missing_ok=True)
     new.symlink_to(change["to"])
     new.replace(path)
+    sync_folder(path.parent)
 
 
 def _run(root: str, change: dict[str, Any]) -> None:

@@ -8,7 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from swarm.files import atomic_write
 from swarm.fleet.robot.commands import run
+
+_ANEW = "each question to apt begins by writing these files"
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
@@ -22,10 +25,11 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
         path.mkdir(parents=True, exist_ok=True)
     index = request["index"].encode()
     checksum = hashlib.sha256(index).hexdigest()
-    _write(debs / "Packages", index)
+    atomic_write(debs / "Packages", index, unsynced=_ANEW)
     # apt compares the index with this; the packages are compared with the index.
-    _write(debs / "Release", f"Suite: balboa-swarm\nSHA256:\n {checksum} {len(index)} Packages\n".encode())
-    _write(folder / "sources.list", f"deb [trusted=yes] file:{debs} ./\n".encode())
+    release = f"Suite: balboa-swarm\nSHA256:\n {checksum} {len(index)} Packages\n"
+    atomic_write(debs / "Release", release.encode(), unsynced=_ANEW)
+    atomic_write(folder / "sources.list", f"deb [trusted=yes] file:{debs} ./\n".encode(), unsynced=_ANEW)
     code, out, err = run(*request["apt"], "update", seconds=120)
     if code == 0:
         code, out, err = run(*request["apt"], "--simulate", "install", *request["packages"], seconds=120)
@@ -34,12 +38,6 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
     install = re.findall(r"^Inst (\S+) (?:\[[^\]]*\] )?\((\S+) ", out, re.M)
     there = [hashlib.sha256(path.read_bytes()).hexdigest() for path in debs.glob("*.deb")]
     return {"install": install, "there": there, "problem": ""}
-
-
-def _write(path: Path, data: bytes) -> None:
-    new = path.with_name(path.name + ".new")
-    new.write_bytes(data)
-    new.replace(path)
 
 
 def _reason(said: str) -> str:

@@ -1,0 +1,225 @@
+"""What a restart makes of each file that the process before, or a power cut, has left damaged (docs/deploy.md has the
+table). The votes are in tests/apps/test_ballots.py, recordings in tests/recording, the installed release in
+tests/deploy/test_install_cut.py."""
+
+import logging
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import pytest
+
+from services.apps import topology
+from services.apps.changes import Changes
+from services.apps.claim import Claim
+from services.apps.snapshot import SnapshotFile
+from services.balancer.core.gyro import Zero
+from services.balancer.zero_file import ZeroFile
+from services.dwm.localizer import load_calibration
+from services.mesh import keep
+from services.mesh.core.topology import Ground
+from swarm.codec import encode
+from swarm.config import load
+from swarm.errors import LocalError, SwarmError
+from swarm.fleet.journal import Mark
+from swarm.keyfile import new_key_file, read_keys
+from swarm.recording import folder
+from swarm.recording.journal import Journal
+
+REFUSED = "refused, with the file's name"
+CONFIG = """network = "test"
+[topology]
+edges = [["r0", "r1"]]
+[mesh]
+insecure = true
+[[robots]]
+name = "r0"
+link = "tcp:127.0.0.1:7001"
+[[robots]]
+name = "r1"
+link = "tcp:127.0.0.1:7002"
+"""
+
+
+class Kept(NamedTuple):
+    """A file: how it is written, how it is read, and what a damaged one means."""
+
+    name: str
+    write: Callable[[Path], object]
+    read: Callable[[Path], object]
+    means: object
+
+
+def write_topology(place: Path) -> None:
+    ground = Ground(("r0", "r1"), (("r0", "r1"),), auto=False)
+    keep.save(place.parent, ground.to_file(ground.first))
+
+
+def read_topology(place: Path) -> object:
+    return keep.load(place.parent, Ground(("r0", "r1"), (("r0", "r1"),), auto=False))
+
+
+def read_claim(place: Path) -> int:
+    claim = Claim(place.parent, "x")
+    claim.close()
+    return claim.incarnation
+
+
+def write_snapshot(place: Path) -> None:
+    file = SnapshotFile(place)
+    file.write(b"state")
+    file.close()
+
+
+def read_snapshot(place: Path) -> list[bytes]:
+    file = SnapshotFile(place)
+    try:
+        return file.read()
+    finally:
+        file.close()
+
+
+def write_journal(place: Path) -> None:
+    journal = Journal(place)
+    journal.begin(0)
+    journal.add(b"record")
+    journal.close()
+
+
+def read_journal(place: Path) -> list[tuple[int, bytes]]:
+    journal = Journal(place)
+    try:
+        return journal.left()
+    finally:
+        journal.close()
+
+
+def read_parameters(place: Path) -> object:
+    changes: Any = Changes.__new__(Changes)
+    changes._file = (place, 7)
+    return changes._read()
+
+
+KEPT = [
+    Kept("swarm.toml", lambda place: place.write_text(CONFIG), load, REFUSED),
+    Kept("key", lambda place: new_key_file(place, 1e9), read_keys, REFUSED),
+    Kept("topology", write_topology, read_topology, None),
+    Kept("app.x.lock", read_claim, read_claim, REFUSED),
+    Kept("app.x.snapshot", write_snapshot, read_snapshot, []),
+    Kept("app.x.journal", write_journal, read_journal, []),
+    Kept(
+        "app.x.topology",
+        lambda place: place.write_bytes(encode(topology._Kept(7, (("r0", "r1"),)))),
+        lambda place: topology._load(place, 7),
+        None,
+    ),
+    Kept(
+        "app.x.parameters",
+        lambda place: place.write_bytes(encode({"run": 7, "parameters": {"gain": 2.0}})),
+        read_parameters,
+        {},
+    ),
+    Kept(
+        "balancer.zero",
+        lambda place: ZeroFile(place.parent).keep(Zero(0.1, 0.1, 0.1), 10.0),
+        lambda place: ZeroFile(place.parent).read(11.0),
+        None,
+    ),
+    Kept(
+        folder.RUN_FILE,
+        lambda place: folder.begin(place.parent, {"app": "x", "run": "1"}, {}),
+        lambda place: folder.read_run(place.parent),
+        REFUSED,
+    ),
+    Kept(
+        "r0.mark",
+        lambda place: place.write_text(Mark(10, "s=abc").text),
+        lambda p: Mark.of(p.read_text(errors="replace")),
+        Mark(),
+    ),
+]
+UNSEEN = {
+    ("app.x.lock", "empty"),  # as at the first start
+    (folder.RUN_FILE, "empty"),
+    (folder.RUN_FILE, "cut short"),  # a text of whole lines says nothing of those that are missing
+    ("swarm.toml", "cut short"),
+}
+"""Damage that cannot be seen in the file itself."""
+
+GARBAGE = b"\xffgarbage\x00\xfe = [" * 40
+
+
+@pytest.mark.parametrize("kept", KEPT, ids=[kept.name for kept in KEPT])
+@pytest.mark.parametrize("damage", ["garbage", "cut short", "empty"])
+def test_a_damaged_file_means_what_the_table_says(kept: Kept, damage: str, tmp_path: Path) -> None:
+    place = tmp_path / kept.name
+    kept.write(place)
+    whole = kept.read(place)
+    assert whole != kept.means
+    data = place.read_bytes()
+    place.write_bytes({"garbage": GARBAGE, "cut short": data[: len(data.rstrip(b"\0\n ")) // 2], "empty": b""}[damage])
+    found, error = outcome(kept, place)
+    if error or (kept.means == REFUSED and (kept.name, damage) not in UNSEEN):
+        assert kept.means == REFUSED
+        assert str(place) in error
+    elif kept.means != REFUSED:
+        assert found == kept.means  # nothing is guessed: a part of the file is not taken for all of it
+
+
+def outcome(kept: Kept, place: Path) -> tuple[object, str]:
+    """What is read, or else the error's text."""
+    try:
+        return kept.read(place), ""
+    except (SwarmError, OSError, UnicodeDecodeError) as error:
+        return None, str(error)
+
+
+@pytest.mark.parametrize("kept", KEPT, ids=[kept.name for kept in KEPT])
+def test_a_file_that_may_not_be_read_is_refused_or_counts_as_damaged(
+    kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one of another user: root, who runs tests, may read everything, so the calls are doubles."""
+    place = tmp_path / kept.name
+    kept.write(place)
+    real_open, real_os_open = Path.open, os.open
+
+    def refuse(*arguments: Any, **more: Any) -> Any:
+        if Path(arguments[0]) == place:
+            raise PermissionError(13, "Permission denied", str(place))
+        return (real_os_open if isinstance(arguments[1] if len(arguments) > 1 else "", int) else real_open)(
+            *arguments, **more
+        )
+
+    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr("io.open", refuse)
+    monkeypatch.setattr(os, "open", refuse)
+    found, error = outcome(kept, place)
+    assert str(place) in error if error else found == kept.means
+
+
+def test_a_calibration_that_is_damaged_is_refused_with_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "r0.toml"
+    linear = SimpleNamespace(gain=1.0, offset=0.0)
+    config: Any = SimpleNamespace(
+        dwm=SimpleNamespace(calibration="{robot}.toml", distance=linear, position=None),
+        path=tmp_path / "swarm.toml",
+        anchors=(),
+    )
+    for data in (b"", GARBAGE, b"robot = "):
+        path.write_bytes(data)
+        with pytest.raises(LocalError, match=r"r0\.toml"):
+            load_calibration(config, "r0")
+
+
+def test_what_a_run_s_own_files_lack_is_said_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for name, read in (("app.x.topology", lambda p: topology._load(p, 7)), ("app.x.parameters", read_parameters)):
+        caplog.clear()
+        place = tmp_path / name
+        assert not read(place)
+        assert not caplog.records  # there was none
+        place.write_bytes(GARBAGE)
+        with caplog.at_level(logging.WARNING):
+            assert not read(place)
+        assert name in caplog.text
