@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -91,15 +92,17 @@ def question(robot: str) -> str:
 
 
 def parse(robot: str, text: str) -> Row:
-    """The answer of a robot; what it does not say stays empty."""
+    """The answer of a robot. What it does not say, or its release says in another way than this one, stays empty."""
     parts = {part.partition("\n")[0]: part.partition("\n")[2] for part in text.split(_MARK)[1:]}
-    newest: dict[str, Any] = {}
+    newest: dict[str, dict[str, Any]] = {}
     for line in parts.get("bus", "").splitlines():
         try:
             sample = json.loads(line)
-            newest[sample["key"].removeprefix(f"swarm/{robot}/")] = sample["value"]
+            key, value = sample["key"].removeprefix(f"swarm/{robot}/"), sample["value"]
         except (ValueError, LookupError, TypeError, AttributeError):
             continue  # raw bytes of an app, or a line cut by the end of the watch
+        if isinstance(value, dict):
+            newest[key] = value
     running, failed = set(), []
     for line in parts.get("units", "").splitlines():
         name, _, state, *_ = [*line.split(), "", "", ""]
@@ -108,25 +111,45 @@ def parse(robot: str, text: str) -> Row:
         if state != "active":
             failed.append(short)
     failed += [name for name in SERVICES if name not in running]
-    body, atmega = newest.get("balancer/state", {}), newest.get("balancer/firmware", {})
-    pose = newest.get("dwm/pose", {})
+    body, atmega, pose = (newest.get(topic, {}) for topic in ("balancer/state", "balancer/firmware", "dwm/pose"))
     runs = parts.get("runs", "").partition("\t")[0]
     progress = {
-        key.split("/")[1]: value for key, value in newest.items() if key.startswith("app/") and "phase" in value
+        key.split("/")[1]: value
+        for key, value in newest.items()
+        if key.startswith("app/") and value.keys() >= {"phase", "k"}
     }
     return Row(
         release=parts.get("release", "").strip().rpartition("/")[2],
-        firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega else None,
+        firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega.keys() >= {"layout", "revision"} else None,
         failed=sorted(failed),
-        battery_v=body.get("battery"),
-        battery_left_s=body.get("battery_left"),
-        mode=body.get("mode"),
-        fault=body.get("fault") or None,
-        links={link["peer"]: link["state"] for link in newest.get("mesh/links", {}).get("links", ())},
-        pose=[pose["x"], pose["y"]] if pose.get("quality") else None,
+        battery_v=_number(body.get("battery")),
+        battery_left_s=_number(body.get("battery_left")),
+        mode=_text(body.get("mode")),
+        fault=_text(body.get("fault")),
+        links=_links(newest.get("mesh/links", {}).get("links")),
+        pose=_place(pose),
         apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
         recorded=int(runs) if runs.isdecimal() else None,
     )
+
+
+def _number(value: object) -> float | None:
+    return value if isinstance(value, int | float) else None
+
+
+def _text(value: object) -> str | None:
+    return value if value and isinstance(value, str) else None
+
+
+def _place(pose: Mapping[str, Any]) -> list[float] | None:
+    place = [number for name in ("x", "y") if (number := _number(pose.get(name))) is not None]
+    return place if pose.get("quality") and len(place) == 2 else None
+
+
+def _links(rows: object) -> dict[str, str]:
+    links = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    found = ((_text(link.get("peer")), _text(link.get("state"))) for link in links)
+    return {peer: state for peer, state in found if peer and state}
 
 
 def _time(seconds: float) -> str:

@@ -1,5 +1,6 @@
 """Messages of every service, and the one for all of them."""
 
+from swarm.codec import with_telemetry
 from swarm.frozen import frozen
 
 
@@ -37,7 +38,9 @@ class Gathered:
     """As they were packed, the oldest first."""
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("*", "status"): Status,
-}
+TOPICS = with_telemetry(
+    {
+        ("*", "status"): Status,
+    }
+)
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -3,14 +3,25 @@
 from collections.abc import Callable, Sequence
 
 from swarm.fleet.core import checks_robot, checks_system
-from swarm.fleet.core.checkup import Check, Finding, Robot
+from swarm.fleet.core.checkup import Check, Finding, Robot, warning
 
 CHECKS: tuple[Check, ...] = (*checks_system.CHECKS, *checks_robot.CHECKS)
 
 
 def examine(robot: Robot) -> dict[str, Finding]:
     """What each check says of a robot, by name."""
-    return {check.name: check.judge(robot) for check in CHECKS}
+    return {check.name: _judge(check, robot) for check in CHECKS}
+
+
+def _judge(check: Check, robot: Robot) -> Finding:
+    try:
+        return check.judge(robot)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        # Robots answer with the fields that their own release has.
+        return warning(
+            f"its answer cannot be read ({type(error).__name__}: {error})",
+            "is its release another one than here? swarm deploy the same to all",
+        )
 
 
 def compare(robots: Sequence[Robot]) -> list[str]:
@@ -36,7 +47,7 @@ def _release(robot: Robot) -> str | None:
 
 def _firmware(robot: Robot) -> str | None:
     said = robot.said("balancer/firmware")
-    return f"revision {said['revision']}" if said else None
+    return f"revision {said['revision']}" if "revision" in said else None
 
 
 def _keys(robot: Robot) -> str | None:
