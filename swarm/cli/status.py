@@ -40,6 +40,8 @@ class Row:
     fault: str | None
     links: dict[str, str]
     """State by neighbour."""
+    clashes: list[str]
+    """Names that two robots have, as its mesh knows."""
     pose: list[float] | None
     """x, y in m."""
     apps: dict[str, dict[str, Any]]
@@ -127,6 +129,7 @@ def parse(robot: str, text: str) -> Row:
         mode=_text(body.get("mode")),
         fault=_text(body.get("fault")),
         links=_links(newest.get("mesh/links", {}).get("links")),
+        clashes=_names(newest.get("mesh/links", {}).get("clashes")),
         pose=_place(pose),
         apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
         recorded=int(runs) if runs.isdecimal() else None,
@@ -152,6 +155,10 @@ def _links(rows: object) -> dict[str, str]:
     return {peer: state for peer, state in found if peer and state}
 
 
+def _names(found: object) -> list[str]:
+    return sorted(found) if isinstance(found, dict) else []
+
+
 def _time(seconds: float) -> str:
     hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
@@ -175,7 +182,7 @@ def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> str:
                 f"not running: {' '.join(row.failed)}" if row.failed else "all run",
                 "-" if row.battery_v is None else f"{row.battery_v:.1f} V{left}",
                 row.fault or row.mode or "-",
-                f"{up} of {len(row.links)}",
+                f"{up} of {len(row.links)}" + "".join(f", two robots are called {name}" for name in row.clashes),
                 "-" if row.pose is None else f"{row.pose[0]:.2f} {row.pose[1]:.2f}",
                 " ".join(f"{app}:{value['phase']}@{value['k']}" for app, value in row.apps.items()) or "-",
                 "-" if row.recorded is None else f"{shown(row.recorded)} of {shown(budget)}",

@@ -1,5 +1,7 @@
 """Messages of the mesh service."""
 
+from dataclasses import field
+
 from swarm.codec import MAX_BINARY, with_telemetry
 from swarm.frozen import frozen
 
@@ -48,6 +50,8 @@ class Links:
 
     t: float
     links: tuple[LinkState, ...]
+    clashes: dict[str, str] = field(default_factory=dict)
+    """By name that two robots have (docs/security.md): how that was noticed, in words. Empty in a well swarm."""
 
 
 @frozen

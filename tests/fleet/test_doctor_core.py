@@ -140,6 +140,9 @@ def test_a_robot_that_is_well() -> None:
         ("links", "bad", "no link to r1 (dead)", replace(WELL, bus=bus(
             mesh_links={"links": [{"peer": "r1", "state": "down", "reason": "dead"}]}
         ))),
+        ("links", "bad", "another robot is called r0, too", replace(WELL, bus=bus(mesh_links={
+            "links": [{"peer": "r1", "state": "up"}], "clashes": {"r0": "another robot is called r0, too: r1 says so"},
+        }))),
         ("body", "bad", "fell: 80 deg", replace(WELL, bus=bus(
             balancer_fault={"name": "fell", "reason": "80 deg", "recovery": "stand"}
         ))),
