@@ -432,15 +432,19 @@ class Node:
         return f"another robot is called {robot}, too: {text}"
 
     def _look_for_clashes(self, now: float) -> None:
-        """End young links with the second robot of a name, and say which names two robots have."""
+        """End young links with the second robot of a name."""
         clashes = self.overlays.clashes
         for peer, link in tuple(self._links.items()):
             session = link.session
             if session is not None and (reason := clashes.check_link(peer, session.process, link.since, now)):
                 self._end(link, session, frames.CLASH, reason, now)
                 self._tell(f"link down peer={peer} reason={reason}")
+        self._name_clashes(now)
+
+    def _name_clashes(self, now: float) -> None:
+        """Say in the log and in the link state which names two robots have."""
         self.overlays.tell_clashes(now)
-        for robot, text in clashes.named(now).items():
+        for robot, text in self.overlays.clashes.named(now).items():
             self._note(f"clash {robot}", text)
 
     def _hear(self, peer: str, said: int | None, now: float) -> None:
@@ -466,6 +470,8 @@ class Node:
             self._hear(session.dialled, said, now)
             if said != frames.CLASH:
                 self._note(f"{caller} says {said}", f"connection refused by peer={caller} reason={reason}")
+        if frames.CLASH in (code, said):
+            self._name_clashes(now)
         if session.dialled is not None:
             self.dial_failed(session.dialled, reason, now)
 
