@@ -178,6 +178,20 @@ def test_what_must_be_the_same_on_all() -> None:
     ]
 
 
+def test_keys_differ_where_two_robots_have_none_in_common() -> None:
+    def having(name: str, *ids: str) -> Robot:
+        return replace(WELL, name=name, key={**(WELL.key or {}), "ids": list(ids)})
+
+    old, both, new = having("r0", "1"), having("r1", "2", "1"), having("r2", "2")
+    assert doctor.compare([old, both]) == doctor.compare([both, new]) == []
+    assert doctor.compare([old, both, new]) == [
+        "different keys (swarm deploy --key FILE to all): 1: r0; 1 2: r1; 2: r2",
+    ]
+    assert doctor.compare([both, having("r3", "3")]) == [
+        "different keys (swarm deploy --key FILE to all): 1 2: r1; 3: r3",
+    ]
+
+
 def test_the_checklist_is_the_doctors() -> None:
     text = (Path(__file__).parents[2] / "docs/build-a-robot.md").read_text()
     rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.M)

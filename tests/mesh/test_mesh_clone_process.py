@@ -1,6 +1,5 @@
 """A second robot with the name, key and configuration of r0, as real processes over TCP."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -28,12 +27,13 @@ class Copy(Robot):
 
 
 @pytest.fixture
-def swarm(build: Build, runtime: Path) -> Iterator[Swarm]:
+def swarm(build: Build, runtime: Path) -> Swarm:
     key = runtime / "key"
     new_key_file(key, 1000.0)
-    yield build("tcp", (("r0", "r1"), ("r1", "r2")), key=key)
+    return build("tcp", (("r0", "r1"), ("r1", "r2")), key=key)
 
 
+@pytest.mark.slow
 def test_a_copy_of_a_robot_takes_no_link_and_is_named_everywhere(swarm: Swarm) -> None:
     swarm.start()
     swarm.talk("r0", "r1")

@@ -466,10 +466,13 @@ class Node:
             # own, once it is sure.
             if code != frames.CLASH:
                 self._note(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
-        elif session.dialled is not None and said in REFUSED:
-            self._hear(session.dialled, said, now)
+        elif session.peer is not None and said in REFUSED:
+            # Who calls may have told its name and then why it wants no link after all.
+            self._hear(session.peer, said, now)
+            if (link := self._links.get(session.peer)) is not None and link.session is None:
+                link.reason = reason
             if said != frames.CLASH:
-                self._note(f"{caller} says {said}", f"connection refused by peer={caller} reason={reason}")
+                self._note(f"{caller} says {said}", f"connection refused by peer={session.peer} reason={reason}")
         if frames.CLASH in (code, said):
             self._name_clashes(now)
         if session.dialled is not None:
