@@ -1,7 +1,8 @@
 """Messages as msgpack maps: typed dataclasses in, bytes out, and back with every field checked.
 
-A decoder is compiled once for each type, so that checking costs a few microseconds and an unknown, missing or
-wrong field is refused at the edge with an error that names key and field.
+A decoder is compiled once for each type, so that checking costs a few microseconds and a missing or wrong field is
+refused at the edge with an error that names key and field. A field that the type does not have is refused in a command
+and ignored in telemetry, which a robot with another release may have sent (docs/keys.md).
 """
 
 import dataclasses
@@ -32,6 +33,16 @@ _SHOWN = 60
 T = TypeVar("T")
 _Check = Callable[[object, str], Any]
 
+_TELEMETRY: set[type] = set()
+"""Message types of which unknown fields are ignored."""
+
+
+def with_telemetry(topics: dict[tuple[str, str], type]) -> dict[tuple[str, str], type]:
+    """Note the types that are telemetry among the message types by (service, topic), and return the same topics: all
+    types but those of commands, which travel under a topic with the chunk `set`. A type that is both is telemetry."""
+    _TELEMETRY.update(kind for (_, topic), kind in topics.items() if "set" not in topic.split("/"))
+    return topics
+
 
 def encode(message: object) -> bytes:
     """Pack a message dataclass into a msgpack map of its fields, nested dataclasses too."""
@@ -47,7 +58,8 @@ def encode(message: object) -> bytes:
 def decode(kind: type[T], payload: bytes, key: str) -> T:
     """Unpack `payload` into the dataclass `kind`; `PayloadError` names `key` and the field at fault."""
     try:
-        return typing.cast(T, _checker(typing.cast(Any, kind))(unpack(payload, limit_of(kind)), ""))
+        check = _checker(typing.cast(Any, kind), kind not in _TELEMETRY)
+        return typing.cast(T, check(unpack(payload, limit_of(kind)), ""))
     except PayloadError as error:
         raise PayloadError(f"{key}: {error}") from None
 
@@ -100,17 +112,18 @@ def _names(kind: type) -> tuple[str, ...]:
 
 
 @cache
-def _checker(kind: Any) -> _Check:
-    """Compile the check of one type: a function of (value, path) that returns the value or raises."""
-    origin = typing.get_origin(kind)
+def _checker(kind: Any, strict: bool) -> _Check:
+    """Compile the check of one type: a function of (value, path) that returns the value or raises. With `strict` a
+    field that the type does not have raises, else it is left out."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        return _check_union(kind)
-    if origin is tuple and typing.get_args(kind)[1:] == (...,):
-        return _check_tuple(_checker(typing.get_args(kind)[0]))
-    if origin is dict and typing.get_args(kind)[0] is str:
-        return _check_dict(_checker(typing.get_args(kind)[1]))
+        return _check_union(kind, strict)
+    if origin is tuple and arguments[1:] == (...,):
+        return _check_tuple(_checker(arguments[0], strict))
+    if origin is dict and arguments[0] is str:
+        return _check_dict(_checker(arguments[1], strict))
     if dataclasses.is_dataclass(kind):
-        return _check_dataclass(typing.cast(type, kind))
+        return _check_dataclass(typing.cast(type, kind), strict)
     if kind in _PLAIN:
         return _PLAIN[kind]
     raise LocalError(f"messages cannot hold {kind}")
@@ -176,14 +189,14 @@ _PLAIN: dict[object, _Check] = {
 }
 
 
-def _check_union(kind: Any) -> _Check:
+def _check_union(kind: Any, strict: bool) -> _Check:
     """What msgpack unpacked to decides which option is meant, so that an int stays one beside a float."""
     options: dict[type, _Check] = {}
     for option in typing.get_args(kind):
         wire = _WIRE.get(typing.get_origin(option) or option, dict)
         if wire in options:
             raise LocalError(f"messages cannot tell the options of {kind} apart")
-        options[wire] = _checker(option)
+        options[wire] = _checker(option, strict)
     if float in options:
         options.setdefault(int, options[float])
 
@@ -226,9 +239,9 @@ def _plain_types(kind: Any) -> frozenset[type]:
     return frozenset(option for option in options if option in _PLAIN)
 
 
-def _check_dataclass(kind: type) -> _Check:
+def _check_dataclass(kind: type, strict: bool) -> _Check:
     hints = typing.get_type_hints(kind)
-    fields = {field.name: _checker(hints[field.name]) for field in dataclasses.fields(kind)}
+    fields = {field.name: _checker(hints[field.name], strict) for field in dataclasses.fields(kind)}
     plain = {name: _plain_types(hints[name]) for name in fields}
     required = {
         field.name
@@ -243,9 +256,11 @@ def _check_dataclass(kind: type) -> _Check:
         if value.keys() != fields.keys():
             if missing := required - value.keys():
                 raise PayloadError(f"{prefix}{min(missing)}: missing")
-            if unknown := value.keys() - fields.keys():
+            unknown = value.keys() - fields.keys()
+            if unknown and strict:
                 name = _shortened(min(str(name) for name in unknown))
                 raise PayloadError(f"{prefix}{name}: unknown field, {kind.__name__} has {', '.join(fields)}")
+            value = {name: entry for name, entry in value.items() if name in fields}
         checked = {}
         for name, entry in value.items():
             # Nearly all fields end here: calling the check of each would take twice as long.

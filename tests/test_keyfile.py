@@ -192,3 +192,16 @@ def test_the_command_fails_in_one_line(path, capsys):
     assert all(line.startswith(f"swarm: {path}: ") for line in errors)
     assert run() == 2
     assert run("nwe", path) == 2
+
+
+def test_a_part_of_a_key_file_is_refused_or_holds_whole_keys(path):
+    new_key_file(path, NOW)
+    old = read_keys(path)
+    rotate(path, NOW + 1)
+    both, data = read_keys(path), path.read_bytes()
+    for size in range(len(data) + 1):
+        try:
+            found = parse_keys(data[:size], path)
+        except LocalError:
+            continue
+        assert found in (both, {key_id: key for key_id, key in both.items() if key_id not in old})

@@ -67,6 +67,47 @@ def test_any_bytes_are_read_or_refused(kind: type, payload: bytes) -> None:
         decode(kind, payload, "swarm/r0/test/x")
 
 
+def is_command(topic: str) -> bool:
+    return "set" in topic.split("/")
+
+
+TELEMETRY = {kind for (_, topic), kind in topics().items() if not is_command(topic)}
+COMMANDS = {kind for (_, topic), kind in topics().items() if is_command(topic)} - TELEMETRY
+
+
+def with_more(value: Any) -> Any:
+    """A message of a later release: one more field in each dataclass of it."""
+    if dataclasses.is_dataclass(value):
+        fields = {each.name: with_more(getattr(value, each.name)) for each in dataclasses.fields(value)}
+        return {**fields, "of_a_later_release": [1, {"a": None}]}
+    if isinstance(value, tuple):
+        return [with_more(each) for each in value]
+    if isinstance(value, dict):
+        return {name: with_more(each) for name, each in value.items()}
+    return value
+
+
+@given(st.sampled_from(sorted(TELEMETRY, key=lambda kind: kind.__name__)).flatmap(strategy))
+def test_a_field_of_a_later_release_is_ignored_in_telemetry(message: Any) -> None:
+    kind = type(message)
+    assert decode(kind, msgpack.packb(with_more(message)), "swarm/r0/test/x") == message
+
+
+@given(st.sampled_from(sorted(COMMANDS, key=lambda kind: kind.__name__)).flatmap(strategy))
+def test_a_field_of_a_later_release_is_refused_in_a_command(message: Any) -> None:
+    kind = type(message)
+    with pytest.raises(PayloadError, match="of_a_later_release: unknown field"):
+        decode(kind, msgpack.packb(with_more(message)), "swarm/r0/test/x")
+
+
+def test_a_field_that_an_earlier_release_lacks_has_its_default_or_is_named() -> None:
+    links = {"t": 1.0, "links": [{"peer": "r1", "state": "up", "connection": 1, "rtt": None, "sent": 0, "received": 0}]}
+    with pytest.raises(PayloadError, match=r"^swarm/r0/mesh/links: links\[0\].reason: missing$"):
+        read("swarm/r0/mesh/links", msgpack.packb(links))
+    links["links"][0]["reason"] = ""  # type: ignore[index]
+    assert read("swarm/r0/mesh/links", msgpack.packb(links)).links[0].refused == 0  # type: ignore[attr-defined]
+
+
 @given(st.text(max_size=40).map("swarm/r0/".__add__) | st.text(), st.binary(max_size=10))
 def test_any_key_is_read_or_refused(text: str, payload: bytes) -> None:
     with pytest.raises(PayloadError):

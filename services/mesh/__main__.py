@@ -97,7 +97,7 @@ class _Mesh(Runner):
         """Publish `mesh/links`, `mesh/clock` and `mesh/topology`."""
         with self._reporting:
             self._bus.publish(self._topology_key, self.look(lambda each, now: each.topology(now)))
-            self._bus.publish(self._links_key, Links(clock.now(), self.links()))
+            self._bus.publish(self._links_key, Links(clock.now(), self.links(), self.clashes()))
             self._bus.publish(self._clock_key, Clock(*self.clock()))
 
     def _keep_topology(self) -> None:
@@ -134,6 +134,7 @@ def main() -> None:
             random=random.random,
             counters=this.counters,
             metric=this.config.mesh.metric,
+            process=local.process,
             start=start,
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,

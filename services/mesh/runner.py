@@ -179,6 +179,11 @@ class Runner:
         with self._lock:
             return self._node.links()
 
+    def clashes(self) -> dict[str, str]:
+        """Names that two robots have."""
+        with self._lock:
+            return self._node.clashes(clock.now())
+
     def clock(self) -> ClockState:
         """The mesh clock now."""
         with self._lock:

@@ -96,4 +96,9 @@ def as_json(mesh: Mesh) -> dict[str, object]:
             }
         robots[name] = entry
     edges = [{"ends": list(ends), "round_trip": time} for ends, time in sorted(mesh.round_trips.items())]
-    return {"robots": robots, "edges": edges, "parts": [list(part) for part in mesh.graph.components()]}
+    return {
+        "robots": robots,
+        "edges": edges,
+        "clashes": mesh.clashes,
+        "parts": [list(part) for part in mesh.graph.components()],
+    }

@@ -26,7 +26,12 @@ OVERLAYS = (
 
 def text(mesh: Mesh) -> list[str]:
     """All of it."""
-    return [*robots(mesh), "", *links(mesh), "", *overlays(mesh), "", *graph(mesh)]
+    return [*clashes(mesh), *robots(mesh), "", *links(mesh), "", *overlays(mesh), "", *graph(mesh)]
+
+
+def clashes(mesh: Mesh) -> list[str]:
+    """One line for each name that two robots have."""
+    return [f"WRONG: {text}" for _, text in sorted(mesh.clashes.items())]
 
 
 def robots(mesh: Mesh) -> list[str]:

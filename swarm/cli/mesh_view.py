@@ -47,6 +47,12 @@ class Mesh:
                     yield name, link
 
     @cached_property
+    def clashes(self) -> dict[str, str]:
+        """Names that two robots have, by the robots that were asked, and how that was noticed."""
+        return {name: text for view in self.views.values() if view.links is not None
+                for name, text in view.links.clashes.items()}  # fmt: skip
+
+    @cached_property
     def states(self) -> dict[tuple[str, str], bool]:
         """Every link that is known, its ends sorted, and whether it is up: no end says that it is down, and where none
         was asked, both tell of it."""
@@ -90,10 +96,15 @@ class Mesh:
 
     @property
     def whole(self) -> bool:
-        """Whether all robots are there, all meshes report, and all links that are known are up."""
+        """Whether all robots are there, no two with one name, all meshes report, and all known links are up."""
         silent = any(view.links is None for view in self.views.values())
         down = any(link.state != "up" for _, link in self.links())
-        return not silent and not down and not any(robot.state in AWAY for robot in self.robots.values())
+        return (
+            not silent
+            and not down
+            and not self.clashes
+            and not any(robot.state in AWAY for robot in self.robots.values())
+        )
 
 
 def _pair(a: str, b: str) -> tuple[str, str]:

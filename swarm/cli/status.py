@@ -5,6 +5,7 @@ import asyncio
 import json
 import re
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -46,6 +47,8 @@ class Row:
     fault: str | None
     links: dict[str, str]
     """State by neighbour."""
+    clashes: list[str]
+    """Names that two robots have, as its mesh knows."""
     pose: list[float] | None
     """x, y in m."""
     apps: dict[str, dict[str, Any]]
@@ -102,7 +105,7 @@ def question(robot: str) -> str:
 
 
 def parse(robot: str, text: str) -> Row:
-    """The answer of a robot; what it does not say stays empty."""
+    """The answer of a robot. What it does not say, or its release says in another way than this one, stays empty."""
     parts = {part.partition("\n")[0]: part.partition("\n")[2] for part in text.split(_MARK)[1:]}
     newest: dict[str, Any] = {}
     wrong: set[str] = set()
@@ -130,26 +133,51 @@ def parse(robot: str, text: str) -> Row:
         if state != "active":
             failed.append(short)
     failed += [name for name in SERVICES if name not in running]
-    body, atmega = newest.get("balancer/state", {}), newest.get("balancer/firmware", {})
-    pose = newest.get("dwm/pose", {})
+    body, atmega, pose = (newest.get(topic, {}) for topic in ("balancer/state", "balancer/firmware", "dwm/pose"))
     runs = parts.get("runs", "").partition("\t")[0]
     progress = {
-        key.split("/")[1]: value for key, value in newest.items() if key.startswith("app/") and "phase" in value
+        key.split("/")[1]: value
+        for key, value in newest.items()
+        if key.startswith("app/") and value.keys() >= {"phase", "k"}
     }
     return Row(
         release=parts.get("release", "").strip().rpartition("/")[2],
-        firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega else None,
+        firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega.keys() >= {"layout", "revision"} else None,
         failed=sorted(failed),
-        battery_v=body.get("battery"),
-        battery_left_s=body.get("battery_left"),
-        mode=body.get("mode"),
-        fault=body.get("fault") or None,
-        links={link["peer"]: link["state"] for link in newest.get("mesh/links", {}).get("links", ())},
-        pose=[pose["x"], pose["y"]] if pose.get("quality") else None,
+        battery_v=_number(body.get("battery")),
+        battery_left_s=_number(body.get("battery_left")),
+        mode=_text(body.get("mode")),
+        fault=_text(body.get("fault")),
+        links=_links(newest.get("mesh/links", {}).get("links")),
+        clashes=_names(newest.get("mesh/links", {}).get("clashes")),
+        pose=_place(pose),
         apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
         recorded=int(runs) if _BYTES.fullmatch(runs) else None,
         misunderstood=sorted(wrong),
     )
+
+
+def _number(value: object) -> float | None:
+    return value if isinstance(value, int | float) else None
+
+
+def _text(value: object) -> str | None:
+    return value if value and isinstance(value, str) else None
+
+
+def _place(pose: Mapping[str, Any]) -> list[float] | None:
+    place = [number for name in ("x", "y") if (number := _number(pose.get(name))) is not None]
+    return place if pose.get("quality") and len(place) == 2 else None
+
+
+def _links(rows: object) -> dict[str, str]:
+    links = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    found = ((_text(link.get("peer")), _text(link.get("state"))) for link in links)
+    return {peer: state for peer, state in found if peer and state}
+
+
+def _names(found: object) -> list[str]:
+    return sorted(found) if isinstance(found, dict) else []
 
 
 def _time(seconds: float) -> str:
@@ -176,7 +204,7 @@ def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> list[
                 + (f"; not understood: {' '.join(row.misunderstood)}" if row.misunderstood else ""),
                 "-" if row.battery_v is None else f"{row.battery_v:.1f} V{left}",
                 row.fault or row.mode or "-",
-                f"{up} of {len(row.links)}",
+                f"{up} of {len(row.links)}" + "".join(f", two robots are called {name}" for name in row.clashes),
                 "-" if row.pose is None else f"{row.pose[0]:.2f} {row.pose[1]:.2f}",
                 " ".join(f"{app}:{value['phase']}@{value['k']}" for app, value in row.apps.items()) or "-",
                 "-" if row.recorded is None else f"{shown(row.recorded)} of {shown(budget)}",

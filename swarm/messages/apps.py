@@ -1,6 +1,6 @@
 """Messages of the hosts of apps."""
 
-from swarm.codec import Value
+from swarm.codec import Value, with_telemetry
 from swarm.frozen import frozen
 from swarm.messages.service import Status
 
@@ -115,20 +115,22 @@ class AppParametersSet:
     """Why none was changed; empty where all were."""
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("app", "*/status"): Status,
-    ("app", "*/state"): AppState,
-    ("app", "*/state/slow"): AppState,
-    ("app", "*/progress"): AppProgress,
-    ("app", "*/*/state"): AppState,
-    ("app", "*/*/state/slow"): AppState,
-    ("app", "*/*/progress"): AppProgress,
-    ("app", "*/epoch"): AppEpoch,
-    ("app", "*/*/epoch"): AppEpoch,
-    ("app", "*/set/epoch"): SetAppEpoch,
-    ("app", "*/out/*"): AppOutput,
-    ("app", "*/parameters"): AppParameters,
-    ("app", "*/set/parameters"): SetAppParameters,
-    ("app", "*/parameters_set"): AppParametersSet,
-}
+TOPICS = with_telemetry(
+    {
+        ("app", "*/status"): Status,
+        ("app", "*/state"): AppState,
+        ("app", "*/state/slow"): AppState,
+        ("app", "*/progress"): AppProgress,
+        ("app", "*/*/state"): AppState,
+        ("app", "*/*/state/slow"): AppState,
+        ("app", "*/*/progress"): AppProgress,
+        ("app", "*/epoch"): AppEpoch,
+        ("app", "*/*/epoch"): AppEpoch,
+        ("app", "*/set/epoch"): SetAppEpoch,
+        ("app", "*/out/*"): AppOutput,
+        ("app", "*/parameters"): AppParameters,
+        ("app", "*/set/parameters"): SetAppParameters,
+        ("app", "*/parameters_set"): AppParametersSet,
+    }
+)
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -1,5 +1,6 @@
 """Messages of the balancer."""
 
+from swarm.codec import with_telemetry
 from swarm.frozen import frozen
 from swarm.messages.service import Gathered
 
@@ -158,18 +159,20 @@ class SetParameters:
     parameters: dict[str, float]
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("balancer", "state"): BalancerState,
-    ("balancer", "state/slow"): BalancerState,
-    ("balancer", "state/gathered"): Gathered,
-    ("balancer", "odometry"): Odometry,
-    ("balancer", "leds"): Leds,
-    ("balancer", "fault"): BalancerFault,
-    ("balancer", "notice"): Notice,
-    ("balancer", "parameters"): Parameters,
-    ("balancer", "set/leds"): SetLeds,
-    ("balancer", "set/mode"): SetMode,
-    ("balancer", "set/parameters"): SetParameters,
-    ("balancer", "set/velocity"): SetVelocity,
-}
+TOPICS = with_telemetry(
+    {
+        ("balancer", "state"): BalancerState,
+        ("balancer", "state/slow"): BalancerState,
+        ("balancer", "state/gathered"): Gathered,
+        ("balancer", "odometry"): Odometry,
+        ("balancer", "leds"): Leds,
+        ("balancer", "fault"): BalancerFault,
+        ("balancer", "notice"): Notice,
+        ("balancer", "parameters"): Parameters,
+        ("balancer", "set/leds"): SetLeds,
+        ("balancer", "set/mode"): SetMode,
+        ("balancer", "set/parameters"): SetParameters,
+        ("balancer", "set/velocity"): SetVelocity,
+    }
+)
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -1,5 +1,6 @@
 """Messages of the balancer about the devices on its bus."""
 
+from swarm.codec import with_telemetry
 from swarm.frozen import frozen
 
 
@@ -203,19 +204,21 @@ class I2CRates:
     """Why it was given up; empty otherwise."""
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("balancer", "uwb"): Uwb,
-    ("balancer", "module"): ModuleAnswer,
-    ("balancer", "set/module"): ModuleRequest,
-    ("balancer", "battery"): Battery,
-    ("balancer", "firmware"): Firmware,
-    ("balancer", "buttons"): Buttons,
-    ("balancer", "imu"): ImuSample,
-    ("balancer", "set/imu"): ImuRequest,
-    ("balancer", "set/notes"): SetNotes,
-    ("balancer", "set/display"): SetDisplay,
-    ("balancer", "display"): Display,
-    ("balancer", "set/i2c"): MeasureI2C,
-    ("balancer", "i2c"): I2CRates,
-}
+TOPICS = with_telemetry(
+    {
+        ("balancer", "uwb"): Uwb,
+        ("balancer", "module"): ModuleAnswer,
+        ("balancer", "set/module"): ModuleRequest,
+        ("balancer", "battery"): Battery,
+        ("balancer", "firmware"): Firmware,
+        ("balancer", "buttons"): Buttons,
+        ("balancer", "imu"): ImuSample,
+        ("balancer", "set/imu"): ImuRequest,
+        ("balancer", "set/notes"): SetNotes,
+        ("balancer", "set/display"): SetDisplay,
+        ("balancer", "display"): Display,
+        ("balancer", "set/i2c"): MeasureI2C,
+        ("balancer", "i2c"): I2CRates,
+    }
+)
 """Message type of each key, by (service, topic)."""

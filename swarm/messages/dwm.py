@@ -1,5 +1,6 @@
 """Messages of the UWB service."""
 
+from swarm.codec import with_telemetry
 from swarm.frozen import frozen
 from swarm.messages.devices import ModuleAnswer, ModuleRequest
 from swarm.messages.service import Gathered
@@ -79,12 +80,14 @@ class Measurement:
     y: float
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("dwm", "ranges"): Ranges,
-    ("dwm", "pose"): Pose,
-    ("dwm", "pose/gathered"): Gathered,
-    ("dwm", "measurement"): Measurement,
-    ("dwm", "module"): ModuleAnswer,
-    ("dwm", "set/module"): ModuleRequest,
-}
+TOPICS = with_telemetry(
+    {
+        ("dwm", "ranges"): Ranges,
+        ("dwm", "pose"): Pose,
+        ("dwm", "pose/gathered"): Gathered,
+        ("dwm", "measurement"): Measurement,
+        ("dwm", "module"): ModuleAnswer,
+        ("dwm", "set/module"): ModuleRequest,
+    }
+)
 """Message type of each key, by (service, topic); `*` is any one chunk."""

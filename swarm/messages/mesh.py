@@ -1,6 +1,8 @@
 """Messages of the mesh service."""
 
-from swarm.codec import MAX_BINARY
+from dataclasses import field
+
+from swarm.codec import MAX_BINARY, with_telemetry
 from swarm.frozen import frozen
 
 
@@ -48,6 +50,8 @@ class Links:
 
     t: float
     links: tuple[LinkState, ...]
+    clashes: dict[str, str] = field(default_factory=dict)
+    """By name that two robots have (docs/security.md): how that was noticed, in words. Empty in a well swarm."""
 
 
 @frozen
@@ -381,28 +385,30 @@ class Topology:
     """Robots out of reach that this one has called, and why in vain."""
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("mesh", "links"): Links,
-    ("mesh", "members"): Members,
-    ("mesh", "flooded"): Flooded,
-    ("mesh", "sent"): Sent,
-    ("mesh", "passed"): Passed,
-    ("mesh", "stopped"): Stopped,
-    ("mesh", "graph"): MeshGraph,
-    ("mesh", "set/flood"): FloodRequest,
-    ("mesh", "set/send"): SendRequest,
-    ("mesh", "set/remind"): Reminder,
-    ("mesh", "progress"): Progress,
-    ("mesh", "set/arm"): Arm,
-    ("mesh", "clock"): Clock,
-    ("mesh", "echo"): Echo,
-    ("mesh", "topology"): Topology,
-    ("mesh", "topology_set"): TopologySet,
-    ("mesh", "set/topology"): TopologyRequest,
-    ("mesh", "set/echo"): EchoRequest,
-    ("mesh", "set/hold"): HoldLink,
-    ("mesh", "set/watch"): Watch,
-    ("mesh", "watch"): Watch,
-    ("mesh", "view"): View,
-}
+TOPICS = with_telemetry(
+    {
+        ("mesh", "links"): Links,
+        ("mesh", "members"): Members,
+        ("mesh", "flooded"): Flooded,
+        ("mesh", "sent"): Sent,
+        ("mesh", "passed"): Passed,
+        ("mesh", "stopped"): Stopped,
+        ("mesh", "graph"): MeshGraph,
+        ("mesh", "set/flood"): FloodRequest,
+        ("mesh", "set/send"): SendRequest,
+        ("mesh", "set/remind"): Reminder,
+        ("mesh", "progress"): Progress,
+        ("mesh", "set/arm"): Arm,
+        ("mesh", "clock"): Clock,
+        ("mesh", "echo"): Echo,
+        ("mesh", "topology"): Topology,
+        ("mesh", "topology_set"): TopologySet,
+        ("mesh", "set/topology"): TopologyRequest,
+        ("mesh", "set/echo"): EchoRequest,
+        ("mesh", "set/hold"): HoldLink,
+        ("mesh", "set/watch"): Watch,
+        ("mesh", "watch"): Watch,
+        ("mesh", "view"): View,
+    }
+)
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -2,7 +2,7 @@
 
 import math
 
-from swarm.codec import encode, unpack
+from swarm.codec import encode, unpack, with_telemetry
 from swarm.errors import LocalError, PayloadError
 from swarm.frozen import frozen
 
@@ -79,7 +79,9 @@ class Gathered:
     """As they were packed, the oldest first."""
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("*", "status"): Status,
-}
+TOPICS = with_telemetry(
+    {
+        ("*", "status"): Status,
+    }
+)
 """Message type of each key, by (service, topic); `*` is any one chunk."""

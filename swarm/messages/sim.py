@@ -1,5 +1,6 @@
 """Messages of the simulated world."""
 
+from swarm.codec import with_telemetry
 from swarm.frozen import frozen
 
 
@@ -34,10 +35,12 @@ class LedChange:
     green: bool
 
 
-TOPICS: dict[tuple[str, str], type] = {
-    ("sim", "leds"): LedChange,
-    ("sim", "target"): Target,
-    ("sim", "truth"): Truth,
-    ("sim", "truth/slow"): Truth,
-}
+TOPICS = with_telemetry(
+    {
+        ("sim", "leds"): LedChange,
+        ("sim", "target"): Target,
+        ("sim", "truth"): Truth,
+        ("sim", "truth/slow"): Truth,
+    }
+)
 """Message type of each key, by (service, topic); `*` is any one chunk."""

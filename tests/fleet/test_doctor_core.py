@@ -140,6 +140,9 @@ def test_a_robot_that_is_well() -> None:
         ("links", "bad", "no link to r1 (dead)", replace(WELL, bus=bus(
             mesh_links={"links": [{"peer": "r1", "state": "down", "reason": "dead"}]}
         ))),
+        ("links", "bad", "another robot is called r0, too", replace(WELL, bus=bus(mesh_links={
+            "links": [{"peer": "r1", "state": "up"}], "clashes": {"r0": "another robot is called r0, too: r1 says so"},
+        }))),
         ("body", "bad", "fell: 80 deg", replace(WELL, bus=bus(
             balancer_fault={"name": "fell", "reason": "80 deg", "recovery": "stand"}
         ))),
@@ -172,6 +175,20 @@ def test_what_must_be_the_same_on_all() -> None:
         "different releases (swarm deploy the same to all): 1-a: r0; 1-b: r1",
         "different firmware (swarm flash the same to all): revision 1: r0; revision 2: r1",
         "different keys (swarm deploy --key FILE to all): 00000001: r0; 00000002: r1",
+    ]
+
+
+def test_keys_differ_where_two_robots_have_none_in_common() -> None:
+    def having(name: str, *ids: str) -> Robot:
+        return replace(WELL, name=name, key={**(WELL.key or {}), "ids": list(ids)})
+
+    old, both, new = having("r0", "1"), having("r1", "2", "1"), having("r2", "2")
+    assert doctor.compare([old, both]) == doctor.compare([both, new]) == []
+    assert doctor.compare([old, both, new]) == [
+        "different keys (swarm deploy --key FILE to all): 1: r0; 1 2: r1; 2: r2",
+    ]
+    assert doctor.compare([both, having("r3", "3")]) == [
+        "different keys (swarm deploy --key FILE to all): 1 2: r1; 3: r3",
     ]
 
 

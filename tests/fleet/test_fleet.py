@@ -425,6 +425,7 @@ def test_the_status_of_a_robot_is_read() -> None:
         mode="balancing",
         fault=None,
         links={"r1": "up", "r2": "down"},
+        clashes=[],
         pose=[1.5, 2.0],
         apps={"consensus": {"phase": "running", "k": 12}},
         recorded=312_000_000,

@@ -143,6 +143,7 @@ class World:
             incarnation=int((1000.0 + self.now) * 1e6),
             random=self.random.random,
             counters=counters,
+            process=local.process,
             start=Start(Ground(sorted(local.robots), self.topology, auto=self.auto), local.dials, self.saved.get(name)),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,

@@ -30,7 +30,7 @@ def hello(**changes: object) -> bytes:
     values: dict[str, object] = {
         "network": "lab",
         "robot": "r0",
-        "incarnation": 7,
+        "incarnation": 0,  # it tells no process, so it is no second robot
         "nonce": bytes(16),
         "dialler": True,
         "insecure": False,
@@ -97,8 +97,8 @@ def watched() -> Iterator[Watched]:
     ("written", "counter", "reason"),
     [
         (hello(insecure=True, key_ids=()), "refused_security", "it is insecure and we are not"),
-        (hello(key_ids=()), "refused_key", "robot r0 has keys none, we have 00000007"),
-        (hello(key_ids=(8, 9)), "refused_key", "robot r0 has keys 00000009 00000008, we have 00000007"),
+        (hello(key_ids=()), "refused_key", "robot r0 has another key: none, ours is 00000007"),
+        (hello(key_ids=(8, 9)), "refused_key", "robot r0 has another key: 00000009 00000008, ours is 00000007"),
         (hello() + frames.encode_confirm(bytes(32)), "refused_key", "who calls itself r0 does not hold the key"),
         (hello() + frames.encode_confirm(), "bad_frames", "CONFIRM of 0 bytes: it has 32 here"),
         (hello() + frames.encode_data(1, 0, b"x"), "bad_frames", "frame kind 6 before CONFIRM"),

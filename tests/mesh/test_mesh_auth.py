@@ -101,7 +101,7 @@ def test_the_newest_common_key_is_used() -> None:
 
 def by_the_document() -> tuple[bytes, bytes, bytes, bytes]:
     """CONFIRM's MACs and the keys of the frames, by the formulas of docs/frames.md written out."""
-    info = b"balboa-swarm mesh, HKDF-SHA256 HMAC-SHA256 BLAKE2b-64" + struct.pack("<BI", 1, KEY_ID)
+    info = b"balboa-swarm mesh, HKDF-SHA256 HMAC-SHA256 BLAKE2b-64" + struct.pack("<BI", frames.VERSION, KEY_ID)
     extracted = hmac.new(hashlib.sha256(D + L).digest(), SECRET, "sha256").digest()
     blocks = [b""]
     for count in range(1, 5):
@@ -149,7 +149,7 @@ def test_sessions_speak_the_golden_bytes() -> None:
 
 
 def test_the_examples_are_frames_of_the_codec() -> None:
-    tagger = Keys(SECRET, KEY_ID, 1, D, L, dialler=True).outbound
+    tagger = Keys(SECRET, KEY_ID, frames.VERSION, D, L, dialler=True).outbound
     assert frames.seal(frames.encode_heartbeat(Heartbeat(0, 0, 1_000_000)), tagger) == golden("sealed-heartbeat")
     own_root = Claim("r0", 0x55667788, 1, 0, False, False, 1.0, 0.0, 0.0, 0.0)
     assert frames.seal(encode_claim(own_root), tagger) == golden("sealed-clock")

@@ -165,9 +165,18 @@ def test_a_stop_counts_in_a_packet_that_is_cut_off_and_with_a_text_of_another_re
         assert len(reason.encode()) <= packets.MAX_REASON
 
 
-@given(st.dictionaries(names, st.integers(0, 65535), max_size=20), st.booleans())
-def test_advertisement_round_trip(neighbours: dict[str, int], leaving: bool) -> None:
-    packet = Advertisement(neighbours, leaving)
+@given(
+    st.builds(
+        Advertisement,
+        neighbours=st.dictionaries(names, st.integers(0, 65535), max_size=20),
+        leaving=st.booleans(),
+        topology=u32,
+        heard=st.integers(0, 2**100),
+        process=st.just(0) | u32,
+        twins=st.lists(names, unique=True, max_size=packets.MAX_TWINS).map(tuple),
+    )
+)
+def test_advertisement_round_trip(packet: Advertisement) -> None:
     assert packets.decode_advertisement(packets.encode_advertisement(packet)) == packet
 
 

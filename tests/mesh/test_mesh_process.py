@@ -309,7 +309,7 @@ def test_a_link_is_held_down_on_command_and_let_up(build: Build) -> None:
 
 
 def hello(**changes: object) -> bytes:
-    values = {"network": "test", "robot": "r0", "incarnation": 1, "nonce": bytes(16), "dialler": True, "insecure": True}
+    values = {"network": "test", "robot": "r0", "incarnation": 0, "nonce": bytes(16), "dialler": True, "insecure": True}
     return frames.encode_hello(Hello(**(values | changes)))  # type: ignore[arg-type]
 
 
@@ -331,7 +331,7 @@ def test_strangers_are_refused_counted_and_logged_once(build: Build, kind: str) 
     swarm = build(kind)
     swarm.start()
     wrong = {
-        "refused_version": hello(versions=(2, 9)),
+        "refused_version": hello(versions=(3, 9)),
         "refused_network": hello(network="other"),
         "refused_robot": hello(robot="r7"),
         "bad_frames": b"GET / HTTP/1.1\r\n\r\n",
@@ -350,7 +350,7 @@ def test_strangers_are_refused_counted_and_logged_once(build: Build, kind: str) 
     assert swarm["r1"].links["r0"].connection == 1
     assert swarm["r1"].mesh is not None
     log = log_of(swarm["r1"].mesh)
-    assert log.count("speaks protocol versions 2 to 9, we speak 1") == 1
+    assert log.count("speaks protocol versions 3 to 9, we speak 2") == 1
     assert log.count("connection refused") == len(wrong)
     assert "Traceback" not in log
 

@@ -31,6 +31,8 @@ class LinkDown:
     reason: str
     code: int | None = None
     """Why we ended it (codes of BYE); None where the other end or the transport did."""
+    said: int | None = None
+    """Why the other end did, by its BYE; None where it said nothing."""
 
 
 @frozen
@@ -40,6 +42,8 @@ class HandshakeFailed:
     reason: str
     code: int | None
     """Why we refused it (codes of BYE); None where the other end or the transport ended it."""
+    said: int | None = None
+    """Why the other end refused it, by its BYE; None where it said nothing."""
 
 
 class Received(NamedTuple):

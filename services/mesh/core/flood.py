@@ -25,7 +25,12 @@ MAX_ATTEMPTS = 64
 """Own confirmed floods under way; more are refused."""
 
 BEGIN_ANEW = 1.0
-"""s between two changes of the own incarnation."""
+"""Seconds between two changes of the own incarnation. The pause doubles while another robot with this name answers each
+of them with a change of its own, up to `LONGEST_PAUSE`."""
+
+LONGEST_PAUSE = 60.0
+QUIET = 180.0
+"""Seconds without a change of the own incarnation after which the pause is `BEGIN_ANEW` again."""
 
 COUNTERS = ("flood_sent", "flood_duplicates", "flood_old", "flood_retries", "flood_unkept", "wave_sent")
 
@@ -85,6 +90,7 @@ class Flood:
         self._sequence = 0
         self._store.begin(me, incarnation)
         self._began_at = -_NEVER
+        self._pause = BEGIN_ANEW
         self._attempts: dict[int, Attempt] = {}
         self._waves = Waves(me, self._emit_wave, towards=towards, heard=self._heard)
         self._neighbours = CatchUp(me, self._store, emit=emit, random=random, counters=counters)
@@ -254,7 +260,9 @@ class Flood:
 
     def _go_above(self, incarnation: int, now: float) -> None:
         """Others know us by a higher incarnation: without this they would take all we say for old."""
-        if now >= self._began_at + BEGIN_ANEW and incarnation < packets.MAX_INCARNATION:
+        if now >= self._began_at + self._pause and incarnation < packets.MAX_INCARNATION:
+            quiet = now >= self._began_at + QUIET
+            self._pause = BEGIN_ANEW if quiet else min(LONGEST_PAUSE, 2.0 * self._pause)
             self._began_at = now
             self._begin(incarnation + 1, now)
 

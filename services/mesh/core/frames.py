@@ -16,7 +16,7 @@ from swarm.errors import FrameError, LocalError
 from swarm.frozen import frozen
 from swarm.keys import MAX_KEY_LENGTH, is_name
 
-VERSION = 1
+VERSION = 2
 """The protocol version spoken here. HELLO carries a range; the two ends use the highest that both speak."""
 
 MAGIC = b"BSWM"
@@ -84,7 +84,8 @@ NEIGHBOURS, FLOOD, UNICAST = 0, 1, 2
     UNWANTED,
     FULL,
     HELD,
-) = range(1, 16)
+    CLASH,
+) = range(1, 17)
 """Why one end says BYE."""
 
 BYE_TEXT = {
@@ -103,6 +104,7 @@ BYE_TEXT = {
     UNWANTED: "not a link of the topology, or not any more",
     FULL: "it has as many links as a robot may have",
     HELD: "held down on command",
+    CLASH: "another robot with this name is in the swarm: is an SD card a copy?",
 }
 
 

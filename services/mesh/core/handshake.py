@@ -21,6 +21,7 @@ REFUSED = {
     frames.BAD_TAG: "bad_tags",
     frames.FULL: "refused_full",
     frames.HELD: "refused_held",
+    frames.CLASH: "refused_clash",
 }
 """Which counter counts what we end a connection for."""
 
@@ -46,6 +47,16 @@ class Local:
     keys: Mapping[int, bytes] = field(default_factory=dict, repr=False)
     """Pre-shared keys by id; the newest one has the highest id."""
 
+    @property
+    def process(self) -> int:
+        """The number of this mesh process in link states, u32."""
+        return process_of(self.incarnation)
+
+
+def process_of(incarnation: int) -> int:
+    """The number in link states of the mesh process with this incarnation, u32."""
+    return incarnation & 0xFFFFFFFF
+
 
 def refusal(
     hello: Hello,
@@ -55,12 +66,13 @@ def refusal(
     expected: str | None,
     has_room: Callable[[str], bool],
     is_held: Callable[[str], bool],
+    clash: Callable[[str, int], str],
 ) -> tuple[int, str] | None:
     """Why the sender of a HELLO is refused, as code of BYE and text; None = it may prove that it holds the key.
 
     `dialled` names whom we called, None where we were called; `expected` names the robot whose address a caller has,
     where the transport knows it; `has_room(robot)` says whether that one may have a link with us, `is_held(robot)`
-    whether an operator wants none for now.
+    whether an operator wants none for now, `clash(robot, process)` why not, where another robot has its name.
     """
     key_id = newest_common(local.keys, hello.key_ids)
     refused = None
@@ -84,7 +96,10 @@ def refusal(
     elif hello.dialler and local.dials[hello.robot]:
         refused = frames.BAD_ROLE, f"{local.robot} is to dial {hello.robot}, not the other way round"
     elif not local.insecure and key_id is None:
-        refused = frames.BAD_KEY, f"robot {hello.robot} has keys {_ids(hello.key_ids)}, we have {_ids(local.keys)}"
+        ids = _ids(hello.key_ids), _ids(local.keys)
+        refused = frames.BAD_KEY, "robot {} has another key: {}, ours is {}".format(hello.robot, *ids)
+    elif reason := clash(hello.robot, process_of(hello.incarnation)):
+        refused = frames.CLASH, reason
     elif not has_room(hello.robot):
         refused = frames.FULL, f"robot {hello.robot} calls, but there is no room for another link"
     elif is_held(hello.robot):

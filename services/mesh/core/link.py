@@ -24,6 +24,7 @@ class Link:
         "sent",
         "sent_bytes",
         "session",
+        "since",
     )
 
     def __init__(self, peer: str) -> None:
@@ -34,6 +35,8 @@ class Link:
         """Whether the link is to be there; else it is one as long as it is up."""
         self.session: Session | None = None
         """The connection in use, once it is up."""
+        self.since = 0.0
+        """When that connection came up."""
         self.attempt = False
         """Whether our dialling, or the handshake after it, is under way."""
         self.connection = 0

@@ -113,8 +113,10 @@ class LinkState:
         publish: Callable[[bytes], None],
         aged: Callable[[str], None],
         random: Callable[[], float],
+        process: int = 0,
     ) -> None:
-        """`publish(payload)` floods the own LSA; `aged(robot)` is called for one that was dropped by age."""
+        """`process` is the number of this mesh process, 0 where it has none. `publish(payload)` floods the own LSA;
+        `aged(robot)` is called for one that was dropped by age."""
         self._me = me
         self._metric = metric
         self._publish = publish
@@ -133,6 +135,10 @@ class LinkState:
         self._credit, self._credit_at = float(BURST), 0.0
         self._leaving = False
         self._topology = self._heard = 0
+        self._process = process
+        self._twins: tuple[str, ...] = ()
+        self.tellers: set[str] = set()
+        """Robots whose LSA names twins."""
         self._routes: dict[str, Route] | None = {}
         self._around: dict[tuple[str, str], Route | None] = {}
         self._trust_ends = _NEVER
@@ -191,6 +197,12 @@ class LinkState:
             self._topology, self._heard = topology, heard
             self._due = min(self._due, now + HOLD_DOWN)
 
+    def tell_twins(self, twins: tuple[str, ...], now: float) -> None:
+        """The names that two robots have, as this robot has seen."""
+        if twins != self._twins:
+            self._twins = twins
+            self._due = min(self._due, now + HOLD_DOWN)
+
     def leave(self, now: float) -> None:
         """This robot's mesh stops: tell the others that it is no accident."""
         self._leaving = True
@@ -203,6 +215,10 @@ class LinkState:
         known = self._known.get(origin)
         same = known is not None and known.advertisement == advertisement and known.incarnation == incarnation
         self._own_known()[origin] = Known(incarnation, advertisement, now)
+        if advertisement.twins:
+            self.tellers.add(origin)
+        else:
+            self.tellers.discard(origin)
         self._oldest_at = min(self._oldest_at, now + MAX_AGE)
         if not same:
             self._changed()
@@ -218,7 +234,7 @@ class LinkState:
                 self._refresh_at = now + REFRESH * (0.9 + 0.2 * self._random())
                 times = {peer: link.level.time for peer, link in self._links.items()}
                 links = {} if self._leaving else times
-                told = Advertisement(links, self._leaving, self._topology, self._heard)
+                told = Advertisement(links, self._leaving, self._topology, self._heard, self._process, self._twins)
                 self._publish(encode_advertisement(told))
             else:
                 self._due = now + (1.0 - self._credit) / RATE + _ROUNDING
@@ -231,6 +247,7 @@ class LinkState:
             table = self._own_known()
             for origin in [name for name, known in table.items() if known.heard + MAX_AGE <= now]:
                 del table[origin]
+                self.tellers.discard(origin)
                 self._aged(origin)
                 self._changed()
             self._oldest_at = min((known.heard for known in self._known.values()), default=_NEVER) + MAX_AGE
@@ -302,6 +319,11 @@ class LinkState:
             return {peer: link.level.time for peer, link in self._links.items()}
         known = self._known.get(name)
         return dict(known.advertisement.neighbours) if known is not None else {}
+
+    def advertised(self, name: str) -> Advertisement | None:
+        """What another robot says of its links; None where nothing is known."""
+        known = self._known.get(name)
+        return known.advertisement if known is not None and name != self._me else None
 
     def incarnation(self, name: str) -> int:
         """The incarnation of a robot's LSA; 0 = none is known."""

@@ -17,7 +17,7 @@ from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.counters import COUNTERS
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.gather import Gather
-from services.mesh.core.handshake import Local
+from services.mesh.core.handshake import REFUSED, Local
 from services.mesh.core.holds import Holds
 from services.mesh.core.limits import longest
 from services.mesh.core.link import Link
@@ -25,7 +25,7 @@ from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, W
 from services.mesh.core.overlays import Overlays
 from services.mesh.core.problems import Problems
 from services.mesh.core.relay import AROUND, Relay, Send
-from services.mesh.core.session import DOWN, Session
+from services.mesh.core.session import DOWN, SUSPECT, Session
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
 
@@ -83,7 +83,7 @@ class Node:
         self._session = partial(
             Session, local,
             admit=self._admit, clock=self._clock, counters=counters, has_room=overlays.linking.has_room,
-            is_held=self._holds.holds,
+            is_held=self._holds.holds, clash=self._clash,
         )  # fmt: skip
         self._sessions: list[Session] = []
         self._callers = Callers()
@@ -177,6 +177,7 @@ class Node:
         for send in self._relay.handle_timer(now):
             self._send(send, now)
         self._actions += self._gather.handle_timer(now)
+        self._look_for_clashes(now)
         for peer, link in self._links.items():
             if link.session is not None and (rtt := link.session.pulse.rtt) is not None:
                 self.overlays.measured(peer, rtt, now)
@@ -215,6 +216,10 @@ class Node:
         """All links as they are, sorted by peer."""
         links = [link for _, link in sorted(self._links.items()) if link.lasting or link.session is not None]
         return tuple([link.state() for link in links])
+
+    def clashes(self, now: float) -> dict[str, str]:
+        """Names that two robots have, and how that was noticed."""
+        return self.overlays.clashes.named(now)
 
     def clock(self, now: float) -> ClockState:
         """The mesh clock."""
@@ -373,11 +378,18 @@ class Node:
             case LinkUp(name):
                 if (caller := self._half_open.pop(session, None)) is not None:
                     self._callers.confirmed(caller)
+                if clash := self._clash(name, session.process, now):
+                    # Another one has made its link while this one's handshake was under way.
+                    self._on_failed(session, clash, frames.CLASH, None, now)
+                    session.close(frames.CLASH, clash)
+                    session.events()
+                    return
                 if (old := self._links.get(name)) is not None and old.session is not None:
                     # It was started anew, perhaps: no need to wait for silence.
                     self._end(old, old.session, frames.REPLACED, "replaced by a newer connection", now)
                 link = self._links.setdefault(name, Link(name))
                 link.session = session
+                link.since = now
                 link.attempt = False
                 link.connection += 1
                 if link.dialler is not None:
@@ -392,17 +404,56 @@ class Node:
                 self._tell(f"link suspect peer={peer}")
             case LinkRecovered():
                 self._tell(f"link heard again peer={peer}")
-            case LinkDown(reason, code):
+            case LinkDown(reason, code, said):
                 assert peer is not None
+                self._hear(peer, said, now)
                 if code in (frames.BAD_FRAME, frames.BAD_TAG):
                     self._note(f"{peer} {code}", f"connection ended peer={peer} reason={reason}")
                 if (down := self._links.get(peer)) is not None and down.session is session:
                     self._detach(down, session, reason, now)
                     self._tell(f"link down peer={peer} reason={reason}")
-            case HandshakeFailed(reason, code):
-                self._on_failed(session, reason, code, now)
+            case HandshakeFailed(reason, code, said):
+                self._on_failed(session, reason, code, said, now)
 
-    def _on_failed(self, session: Session, reason: str, code: int | None, now: float) -> None:
+    def _clash(self, robot: str, process: int, now: float) -> str:
+        """Why a robot's process may have no link because another robot has its name; empty where it may."""
+        link, clashes = self._links.get(robot), self.overlays.clashes
+        if not process:
+            return ""  # a caller that tells no process is taken for the robot that it names
+        if link is not None and (session := link.session) is not None and session.process not in (0, process):
+            if session.state == SUSPECT:
+                return ""  # it was started anew, perhaps: no need to wait for silence
+            text = f"{self._local.robot} has a link with one of them"
+        elif (other := clashes.elsewhere(robot, process)) is not None:
+            text = f"{other} has a link with one of them"
+        else:
+            return ""
+        clashes.seen(robot, process, text, now)
+        return f"another robot is called {robot}, too: {text}"
+
+    def _look_for_clashes(self, now: float) -> None:
+        """End young links with the second robot of a name."""
+        clashes = self.overlays.clashes
+        for peer, link in tuple(self._links.items()):
+            session = link.session
+            if session is not None and (reason := clashes.check_link(peer, session.process, link.since, now)):
+                self._end(link, session, frames.CLASH, reason, now)
+                self._tell(f"link down peer={peer} reason={reason}")
+        self._name_clashes(now)
+
+    def _name_clashes(self, now: float) -> None:
+        """Say in the log and in the link state which names two robots have."""
+        self.overlays.tell_clashes(now)
+        for robot, text in self.overlays.clashes.named(now).items():
+            self._note(f"clash {robot}", text)
+
+    def _hear(self, peer: str, said: int | None, now: float) -> None:
+        """What the other end of a connection says at its end."""
+        if said == frames.CLASH:
+            text = f"{peer} refuses a link with this one"
+            self.overlays.clashes.seen(self._local.robot, self._local.process, text, now)
+
+    def _on_failed(self, session: Session, reason: str, code: int | None, said: int | None, now: float) -> None:
         caller, address = session.dialled or "a caller", ""
         if (known := self._half_open.pop(session, None)) is not None:
             caller, address = known.robot or caller, f" address={known.source}" if known.source else ""
@@ -411,8 +462,19 @@ class Node:
         if code is not None:
             if session.peer in self._links:
                 self._links[session.peer].refused += 1
-            # One line for all strangers: who calls from many addresses must not fill the log.
-            self._note(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
+            # One line for all strangers: who calls from many addresses must not fill the log. A clash of names has its
+            # own, once it is sure.
+            if code != frames.CLASH:
+                self._note(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
+        elif session.peer is not None and said in REFUSED:
+            # Who calls may have told its name and then why it wants no link after all.
+            self._hear(session.peer, said, now)
+            if (link := self._links.get(session.peer)) is not None and link.session is None:
+                link.reason = reason
+            if said != frames.CLASH:
+                self._note(f"{caller} says {said}", f"connection refused by peer={session.peer} reason={reason}")
+        if frames.CLASH in (code, said):
+            self._name_clashes(now)
         if session.dialled is not None:
             self.dial_failed(session.dialled, reason, now)
 
@@ -425,6 +487,7 @@ class Node:
 
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
         self._clock.lost(link.peer)
+        self.overlays.clashes.link_down(link.peer)
         self._actions += self._gather.lost(link.peer)
         link.detach(session, reason, now)
         self.overlays.link_down(link.peer, now)

@@ -11,6 +11,7 @@ from functools import lru_cache
 from services.mesh.core import around, catchup, exchange, flood, largefloods, packets, transfers, unicast
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.around import Around
+from services.mesh.core.clashes import Clashes
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
 from services.mesh.core.frames import BULK, CONTROL, FLOOD
@@ -68,6 +69,7 @@ class Overlays:
         random: Callable[[], float],
         counters: Counter[str],
         metric: str = HOPS,
+        process: int = 0,
         start: Start | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
@@ -75,9 +77,10 @@ class Overlays:
         wanted: Callable[[str], bool] = lambda key: True,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
-        `start` is where the topology begins; without it links are the caller's matter. `admits_flood(key)`,
-        `admits_unicast(sender, key)`, `admits_around(sender, key)`: which keys the relay rules let in. `wanted(key)`:
-        whether anybody hears a key on the own bus, where that can be known."""
+        `process` is the number of this mesh process in HELLO, 0 where there are no HELLOs. `start` is where the
+        topology begins; without it links are the caller's matter. `admits_flood(key)`, `admits_unicast(sender, key)`,
+        `admits_around(sender, key)`: which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on
+        the own bus, where that can be known."""
         self.me = me
         self._robots = frozenset(robots)  # the very same, if it is one already: simulations share it
         if me not in self._robots:
@@ -94,7 +97,10 @@ class Overlays:
             emit=emit, deliver=self._on_flood, reached=self._requests.reached, towards=self._towards,
             expected=lambda: self._map.routes().keys(), random=random, counters=counters,
         )  # fmt: skip
-        self._map = LinkState(me, metric=metric, publish=self._publish_links, aged=self._flood.forget, random=random)
+        self._map = LinkState(
+            me, metric=metric, publish=self._publish_links, aged=self._flood.forget, random=random, process=process
+        )
+        self.clashes = Clashes(me, self._robots, self._map)
         self._unicast = Unicast(
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
@@ -178,6 +184,11 @@ class Overlays:
         self._now = now
         if self.linking is not None:
             self.linking.dial_failed(peer, reason, now)
+
+    def tell_clashes(self, now: float) -> None:
+        """Have the link state name the robots of which this one has seen two."""
+        self._now = now
+        self._map.tell_twins(tuple(sorted(self.clashes.own(now))), now)
 
     def measured(self, peer: str, rtt: float, now: float) -> None:
         """The smoothed round-trip time of a link, s."""

@@ -33,6 +33,7 @@ _SUMMARY = struct.Struct("<BBI")
 _HALT = struct.Struct("<BBB")
 _MARK = struct.Struct("<QI")
 _LSA = struct.Struct("<BB")
+_COUNT = struct.Struct("<B")
 _METRIC = struct.Struct("<H")
 _MESSAGE = struct.Struct("<BBQI")
 _ACK = struct.Struct("<BBBQI")
@@ -48,6 +49,9 @@ MAX_DIGEST = 1024
 
 MAX_REASON = 64
 """Bytes of a stop's reason."""
+
+MAX_TWINS = 16
+"""Names that one LSA tells of as those of two robots."""
 
 _HALT_ENTRIES = 20
 """Robots in one HALT packet: at most 1.9 kB."""
@@ -124,6 +128,10 @@ class Advertisement(NamedTuple):
     """Which topology holds there (its tag, u32); 0 = the configuration's own."""
     heard: int = 0
     """The robots it has reached by calling them, with the automatic topology: bit i = robot i of the configuration."""
+    process: int = 0
+    """Number of the mesh process that tells this, u32: the low half of the incarnation in its HELLO. 0: not told."""
+    twins: tuple[str, ...] = ()
+    """Names that two robots have, as far as this robot has seen it itself; at most `MAX_TWINS`, sorted."""
 
 
 class Message(NamedTuple):
@@ -327,8 +335,13 @@ def encode_advertisement(packet: Advertisement) -> bytes:
     """The payload of a flooded LSA."""
     names = b"".join(packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
     heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
-    flags = packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2
+    twins = packet.twins[:MAX_TWINS]
+    flags = (
+        packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2 | bool(packet.process) << 3 | bool(twins) << 4
+    )
     tail = (_FIRST.pack(packet.topology) if packet.topology else b"") + (bytes((len(heard),)) + heard if heard else b"")
+    tail += _FIRST.pack(packet.process) if packet.process else b""
+    tail += bytes((len(twins),)) + b"".join(map(packed, twins)) if twins else b""
     return _LSA.pack(flags, len(packet.neighbours)) + names + tail
 
 
@@ -338,8 +351,8 @@ def decode_advertisement(data: bytes) -> Advertisement:
     if len(data) < _LSA.size:
         raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
     flags, count = _LSA.unpack_from(data)
-    if flags > 7:
-        raise FrameError(f"LSA flags {flags:#x}: bits 0 to 2 are known")
+    if flags > 31:
+        raise FrameError(f"LSA flags {flags:#x}: bits 0 to 4 are known")
     reader = Reader(data, _LSA.size)
     neighbours: dict[str, int] = {}
     for _ in range(count):
@@ -347,8 +360,13 @@ def decode_advertisement(data: bytes) -> Advertisement:
         (neighbours[name],) = reader.unpack(_METRIC)
     topology = reader.unpack(_FIRST)[0] if flags & 2 else 0
     heard = int.from_bytes(reader.octets(), "little") if flags & 4 else 0
+    process = reader.unpack(_FIRST)[0] if flags & 8 else 0
+    count = reader.unpack(_COUNT)[0] if flags & 16 else 0
+    if count > MAX_TWINS:
+        raise FrameError(f"LSA with {count} names of two robots: at most {MAX_TWINS}")
+    twins = tuple(reader.name() for _ in range(count))
     reader.end()
-    return Advertisement(neighbours, bool(flags & 1), topology, heard)
+    return Advertisement(neighbours, bool(flags & 1), topology, heard, process, twins)
 
 
 # -- unicast channels ------------------------------------------------------------------------------------------

@@ -56,6 +56,7 @@ class Session:
         "_auth",
         "_bound",
         "_channels",
+        "_clash",
         "_clock",
         "_confirm",
         "_counters",
@@ -97,16 +98,19 @@ class Session:
         expected: str | None = None,
         has_room: Callable[[str], bool] = lambda robot: True,
         is_held: Callable[[str, float], bool] = lambda robot, now: False,
+        clash: Callable[[str, int, float], str] = lambda robot, process, now: "",
     ) -> None:
         """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called;
         `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does).
 
         `admit(peer, overlay, key)` says whether that peer may use a channel, `has_room(robot)` whether a robot may
-        have a link with us now, `is_held(robot, now)` whether an operator wants none.
+        have a link with us now, `is_held(robot, now)` whether an operator wants none,
+        `clash(robot, process, now)` why a robot's process may have none, where another robot has its name.
         """
         self._local = local
         self._has_room = has_room
         self._is_held = is_held
+        self._clash = clash
         self._admit = admit
         self._clock = clock
         self._counters = counters
@@ -146,6 +150,11 @@ class Session:
     def is_up(self) -> bool:
         """Whether messages pass; a suspect link still carries them."""
         return self.state in (UP, SUSPECT)
+
+    @property
+    def process(self) -> int:
+        """The number of the mesh process at the other end; 0 before its HELLO was accepted."""
+        return handshake.process_of(self._incarnation or 0)
 
     @property
     def sent_bytes(self) -> int:
@@ -334,7 +343,7 @@ class Session:
         if frame.kind == frames.BYE:
             code = frames.decode_bye(frame.body)
             self._counters["byes"] += 1
-            self._close(f"the other end says: {BYE_TEXT.get(code, f'code {code}')}", None)
+            self._close(f"the other end says: {BYE_TEXT.get(code, f'code {code}')}", None, code)
         elif self._incarnation is None:
             if frame.kind != frames.HELLO:
                 raise FrameError(f"frame kind {frame.kind} before HELLO")
@@ -365,6 +374,7 @@ class Session:
         refusal = handshake.refusal(
             hello, local, dialled=self.dialled, expected=self._expected, has_room=self._has_room,
             is_held=lambda robot: self._is_held(robot, now),
+            clash=lambda robot, process: self._clash(robot, process, now),
         )  # fmt: skip
         if refusal is not None:
             self._end(*refusal)
@@ -420,11 +430,11 @@ class Session:
         self._close(reason, code)
         self._urgent = [frames.encode_bye(code)]
 
-    def _close(self, reason: str, code: int | None) -> None:
+    def _close(self, reason: str, code: int | None, said: int | None = None) -> None:
         was_up = self.is_up
         self.state = DOWN
         self.deadline = _NEVER
         self._urgent = []
         self._heartbeat_due = False
         self._outbox.clear()
-        self._events.append(LinkDown(reason, code) if was_up else HandshakeFailed(reason, code))
+        self._events.append(LinkDown(reason, code, said) if was_up else HandshakeFailed(reason, code, said))

@@ -37,7 +37,10 @@ programs."""
 Open = Callable[[], socket.socket]
 
 HINTS = {
-    errno.EHOSTUNREACH: "the own Bluetooth adapter is not there or switched off (bluetoothctl list)",
+    errno.EHOSTUNREACH: (
+        "the own Bluetooth adapter is not there, is switched off, or has another address than swarm.toml says "
+        "(bluetoothctl list)"
+    ),
     errno.EHOSTDOWN: "not in range, switched off, or deaf to robots it is not paired with (swarm pair)",
     errno.EBUSY: "an earlier connection to it has not ended yet",
     errno.ECONNREFUSED: "no mesh listens there on that channel, or it is paired with others, not with us (swarm pair)",

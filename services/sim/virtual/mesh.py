@@ -121,6 +121,7 @@ class VirtualMesh:
             random=numbers.random,
             counters=self.counters,
             metric=settings.metric,
+            process=local.process,
             start=Start(common.ground, local.dials, None),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
@@ -286,6 +287,6 @@ class VirtualMesh:
         if bus.wanted(self._topology_key):
             bus.publish(self._topology_key, self.node.overlays.topology(now))
         if bus.wanted(self._links_key):
-            bus.publish(self._links_key, Links(now, self.node.links()))
+            bus.publish(self._links_key, Links(now, self.node.links(), self.node.clashes(now)))
         if bus.wanted(self._clock_key):
             bus.publish(self._clock_key, Clock(*self.clock()))

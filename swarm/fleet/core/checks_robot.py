@@ -125,7 +125,12 @@ def pairing(robot: Robot) -> Finding:
 
 
 def links(robot: Robot) -> Finding:
-    """The mesh has all of its links."""
+    """The mesh has all of its links, and each name is that of one robot."""
+    if clashes := robot.said("mesh/links").get("clashes"):
+        return bad(
+            "; ".join(text for _, text in sorted(clashes.items())),
+            "is an SD card a copy, or a second swarm with this key in range? docs/security.md: two robots, one name",
+        )
     wanted = robot.config.neighbours(robot.name)
     rows = robot.said("mesh/links").get("links")
     if rows is None:

@@ -26,7 +26,6 @@ def compare(robots: Sequence[Robot]) -> list[str]:
     asked: dict[str, Callable[[Robot], str | None]] = {
         "releases (swarm deploy the same to all)": _release,
         "firmware (swarm flash the same to all)": _firmware,
-        "keys (swarm deploy --key FILE to all)": _keys,
     }
     lines = []
     for what, value in asked.items():
@@ -35,7 +34,7 @@ def compare(robots: Sequence[Robot]) -> list[str]:
         if len(values) > 1:
             rows = (f"{each}: {' '.join(name for name, its in found.items() if its == each)}" for each in values)
             lines.append(f"different {what}: {'; '.join(rows)}")
-    return lines
+    return [*lines, *_keys(robots)]
 
 
 def _compared(value: Callable[[Robot], str | None], robot: Robot) -> str | None:
@@ -51,11 +50,18 @@ def _release(robot: Robot) -> str | None:
 
 def _firmware(robot: Robot) -> str | None:
     said = robot.said("balancer/firmware")
-    return f"revision {said['revision']}" if said else None
+    return f"revision {said['revision']}" if "revision" in said else None
 
 
-def _keys(robot: Robot) -> str | None:
-    """During a rotation a file holds two; robots with one of them still speak to each other."""
-    if robot.config.mesh.key_file is None or robot.key is None or len(robot.key["ids"]) != 1:
-        return None
-    return str(robot.key["ids"][0])
+def _keys(robots: Sequence[Robot]) -> list[str]:
+    """Robots that have no key in common, and so no link. While a key is replaced a file holds two of them."""
+    ids = {
+        robot.name: frozenset(map(str, robot.key["ids"]))
+        for robot in robots
+        if robot.config.mesh.key_file is not None and robot.key is not None and robot.key["ids"]
+    }
+    if all(one & other for one in ids.values() for other in ids.values()):
+        return []
+    kinds = sorted(set(ids.values()), key=sorted)
+    rows = (f"{' '.join(sorted(kind))}: {' '.join(name for name, its in ids.items() if its == kind)}" for kind in kinds)
+    return [f"different keys (swarm deploy --key FILE to all): {'; '.join(rows)}"]
