@@ -14,6 +14,8 @@ from lab.vm.build import Image
 from swarm.errors import LocalError
 
 UNITS = "/etc/systemd/system"
+RELEASED = "/usr/local/lib/systemd/system"
+"""Where the release's own units are found."""
 OURS = ("lab-parts", "lab-scan")
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm", *OURS)
 HERE = Path(__file__).parent
@@ -84,8 +86,9 @@ def robots(image: Image, folder: Path, config: str, key: Path) -> Image:
     for unit in OURS:
         disk.file(HERE / f"units/{unit}.service", f"{UNITS}/{unit}.service")
     disk.file(HERE / "units/balancer.conf", f"{UNITS}/swarm-balancer.service.d/90-lab.conf")
-    disk.link(f"{UNITS}/multi-user.target.wants/swarm.target", f"{UNITS}/swarm.target")
+    disk.link(f"{UNITS}/multi-user.target.wants/swarm.target", f"{RELEASED}/swarm.target")
     for unit in SERVICES:
-        disk.link(f"{UNITS}/swarm.target.wants/{unit}.service", f"{UNITS}/{unit}.service")
+        place = UNITS if unit in OURS else RELEASED
+        disk.link(f"{UNITS}/swarm.target.wants/{unit}.service", f"{place}/{unit}.service")
     disk.finish()
     return dataclasses.replace(image, disk=path)
