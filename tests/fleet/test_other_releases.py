@@ -51,7 +51,7 @@ def test_a_status_row_leaves_out_what_another_release_does_not_say(said: dict[st
     lines = [json.dumps({"key": f"swarm/r0/{topic}", "value": value}) for topic, value in said.items()]
     row = status.parse("r0", "== release\n/opt/swarm/releases/9.9\n== bus\n" + "\n".join(lines))
     assert row.release == "9.9"
-    assert "9.9" in status.table([Outcome("r0", True, "", 1.0)], {"r0": row}, 2e9)
+    assert any("9.9" in line for line in status.table([Outcome("r0", True, "", 1.0)], {"r0": row}, 2e9))
 
 
 @given(changed({topic: value for topic, value in bus().items() if isinstance(value, dict)}))
@@ -63,5 +63,5 @@ def test_the_doctor_names_what_it_cannot_read_and_goes_on(said: dict[str, Any]) 
 
 def test_the_doctor_says_that_the_release_may_be_another_one() -> None:
     found = doctor.examine(replace(WELL, bus=bus(mesh_clock={"origin": "r0"})))["time"]
-    assert found.state == "warning"
+    assert found.state == "bad"
     assert "release" in found.remedy
