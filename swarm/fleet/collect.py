@@ -21,6 +21,8 @@ RUNS = "/var/lib/swarm/runs"
 _PART = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:+-]{0,127}")
 """What a folder or file may be called: nothing that leads out of its folder, and nothing a shell would read."""
 _MAX_PARTS = 4
+_MAX_DIGITS = 19
+"""Of a file's size; Python converts no text of more than 4300 digits."""
 _SUM_LINE = re.compile(rb"([0-9a-f]{64})  -\n")
 _SUM_SIZE = 68
 
@@ -81,7 +83,7 @@ def parse_list(text: str) -> tuple[list[File], list[str]]:
     files, strange = [], []
     for entry in text.split("\0")[:-1]:
         size, _, path = entry.partition(" ")
-        if not size.isascii() or not size.isdecimal():
+        if not size.isascii() or not size.isdecimal() or len(size) > _MAX_DIGITS:
             raise RemoteError(f"the list of its recordings cannot be read: {entry[:80]!r}")
         parts = path.split("/")
         if 2 <= len(parts) <= _MAX_PARTS and all(_PART.fullmatch(part) for part in parts):

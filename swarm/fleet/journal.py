@@ -12,6 +12,8 @@ from swarm.frozen import frozen
 
 FIELDS = "MESSAGE,_SYSTEMD_UNIT,UNIT,PRIORITY,_PID,SYSLOG_IDENTIFIER"
 _LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_MAX_DIGITS = 20
+"""Of a size in a mark; Python converts no text of more than 4300 digits."""
 
 
 @frozen
@@ -31,7 +33,8 @@ class Mark:
     def of(cls, text: str) -> "Mark":
         """From what was kept; a mark that cannot be read is the beginning."""
         size, _, cursor = text.strip().partition(" ")
-        return cls(int(size), cursor) if size.isascii() and size.isdecimal() and cursor else cls()
+        known = size.isascii() and size.isdecimal() and len(size) <= _MAX_DIGITS and cursor
+        return cls(int(size), cursor) if known else cls()
 
 
 def entry(line: str) -> tuple[str, str] | None:
@@ -40,11 +43,11 @@ def entry(line: str) -> tuple[str, str] | None:
         fields = json.loads(line)
         cursor, micros = fields["__CURSOR"], int(fields["__REALTIME_TIMESTAMP"])
         moment = datetime.fromtimestamp(micros / 1e6, UTC)
-    except (ValueError, LookupError, TypeError, OverflowError, OSError):
+    except (ValueError, LookupError, TypeError, OverflowError, OSError, RecursionError):
         return None
     unit = str(fields.get("UNIT") or fields.get("_SYSTEMD_UNIT") or fields.get("SYSLOG_IDENTIFIER") or "?")
     priority = str(fields.get("PRIORITY", ""))
-    level = _LEVELS[int(priority)] if priority in "01234567" and priority else "info"
+    level = _LEVELS[int(priority)] if priority in tuple("01234567") else "info"
     who = f"{unit.removesuffix('.service')}[{fields.get('_PID', '-')}]"
     return str(cursor), f"{moment:%Y-%m-%dT%H:%M:%S.%fZ} {who} {level}: {_message(fields.get('MESSAGE'))}"
 

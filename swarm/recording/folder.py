@@ -58,5 +58,5 @@ def read_run(folder: Path) -> dict[str, str]:
             return {name: str(value) for name, value in tomllib.load(file).items()}
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RecordingError(f"{folder / RUN_FILE}: {error}") from None

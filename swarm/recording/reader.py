@@ -16,6 +16,8 @@ RUN = "run"
 EPOCH = "epoch_ns"
 """Its entry that says which time of day, ns since 1970, the process' clock had at its zero."""
 
+_NO_TIME = 1 << 64
+
 CLOCK = "clock"
 """Its entry that names the clock: of a machine since it was started, or a virtual one."""
 
@@ -130,7 +132,7 @@ class Reader:
             name, entries = mcap.read_metadata(content)
             self.metadata.append((name, entries))
             if name == RUN:
-                self._epoch_ns = _integer(entries.get(EPOCH, "0"))
+                self._epoch_ns = _time(entries.get(EPOCH, "0"))
                 self.clock = entries.get(CLOCK, "")
                 self.clocks.setdefault(self.clock, self._epoch_ns)
         elif opcode == mcap.MESSAGE:
@@ -155,11 +157,15 @@ class Reader:
         self.damage.append(f"{self.path}: at byte {at}: {what}")
 
 
-def _integer(text: str) -> int:
+def _time(text: str) -> int:
+    """Nanoseconds in a text; `RecordingError` where they do not fit the format's 64 bits."""
     try:
-        return int(text)
+        found = int(text)
     except ValueError:
-        raise RecordingError(f"{EPOCH} is {text[:40]!r}, expected a whole number") from None
+        found = _NO_TIME
+    if abs(found) >= _NO_TIME:
+        raise RecordingError(f"{EPOCH} is {text[:40]!r}, expected a whole number of 64 bits")
+    return found
 
 
 def run_of(path: Path) -> str:

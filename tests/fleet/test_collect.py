@@ -115,7 +115,23 @@ def test_any_line_is_an_entry_or_none(value: object) -> None:
     assert found is None or "\n" not in found[1]
 
 
-@given(st.integers(0), st.from_regex(r"[a-z0-9=;]+", fullmatch=True))
+@pytest.mark.parametrize("text", ["12", "34567", "8", "-1", 3, None, ["3"]])
+def test_a_priority_that_is_none_is_taken_for_info(text: object) -> None:
+    found = entry(json.dumps({"__CURSOR": "s=1", "__REALTIME_TIMESTAMP": "1", "MESSAGE": "x", "PRIORITY": text}))
+    assert found is not None
+    assert found[1].endswith("error: x" if text == 3 else "info: x")
+
+
+def test_a_line_that_nests_deeply_is_no_entry() -> None:
+    assert entry("[" * 100_000) is None
+
+
+def test_a_size_of_thousands_of_digits_is_no_list() -> None:
+    with pytest.raises(RemoteError, match="cannot be read"):
+        collect.parse_list(f"{'9' * 5000} run-1/r0.mcap\0")
+
+
+@given(st.integers(0, 10**20 - 1), st.from_regex(r"[a-z0-9=;]+", fullmatch=True))
 def test_a_mark_is_read_as_written(size: int, cursor: str) -> None:
     assert Mark.of(Mark(size, cursor).text) == Mark(size, cursor)
 

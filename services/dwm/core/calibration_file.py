@@ -93,7 +93,7 @@ def parse(text: str, path: str) -> CalibrationFile:
     """The file with that text; raises `ConfigError` naming path, table and entry."""
     try:
         data = tomllib.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
     top = Table(path, "", data, ("robot", "layout", "anchors", "distance", "position"))
     anchors = data.get("anchors", [])
