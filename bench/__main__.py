@@ -25,6 +25,7 @@ AREAS = {
     "steady": "CPU time of each process of a robot, for a second of a run",
     "lab": "an iteration over a real kernel's RFCOMM beside plain sockets on the same links (boots a machine)",
     "view": "the live page: frames, CPU of browser and server, robot to screen; what watching costs the swarm",
+    "decoders": "every decoder fed with 100 000 random inputs in bounded memory",
     "faults": "a killed or stopped service in mid-run: same trajectory, and how long it took; 1000 random faults",
 }
 

@@ -98,7 +98,7 @@ def parse(robot: str, text: str) -> Row:
         try:
             sample = json.loads(line)
             newest[sample["key"].removeprefix(f"swarm/{robot}/")] = sample["value"]
-        except (ValueError, LookupError, TypeError, AttributeError):
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             continue  # raw bytes of an app, or a line cut by the end of the watch
     running, failed = set(), []
     for line in parts.get("units", "").splitlines():

@@ -56,7 +56,7 @@ def firmware(line: str) -> str | None:
     try:
         value = json.loads(line)["value"]
         return f"revision {value['revision']} (layout {value['layout']})"
-    except (ValueError, LookupError, TypeError):
+    except (ValueError, LookupError, TypeError, RecursionError):
         return None
 
 

@@ -91,7 +91,7 @@ class Reader:
                 opcode, length = mcap.HEAD.unpack(head)
                 after = start + mcap.HEAD.size + length
                 torn = after > size
-                if torn and opcode != mcap.CHUNK:
+                if opcode == mcap.NOTHING or (torn and opcode != mcap.CHUNK):
                     self._cut(size)
                     return
                 if opcode in (mcap.DATA_END, mcap.FOOTER):
@@ -100,7 +100,16 @@ class Reader:
                     if not self.finished:
                         self._cut(size)
                     return
-                content = b"" if opcode == mcap.MESSAGE_INDEX else file.read(min(length, size - start))
+                if opcode == mcap.MESSAGE_INDEX:
+                    self._at = after
+                    continue
+                if min(length, size - start) > mcap.LARGEST:
+                    self._name(start, f"a record of {length} bytes: at most {mcap.LARGEST} are read")
+                    if torn:
+                        return
+                    self._at = after
+                    continue
+                content = file.read(min(length, size - start))
                 try:
                     for message in self._take(opcode, content, torn=torn):
                         if (channel := self.channels.get(message.channel)) is None:

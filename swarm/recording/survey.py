@@ -12,10 +12,6 @@ _CHUNK_HEAD = 40
 _INDEX_HEAD = 6
 """Bytes of a message index before its entries: channel, and length of the entries."""
 
-_LARGEST = 4 * 1024 * 1024
-"""Bytes of one record that are read into memory. A damaged file may claim any length; ours are below 300 kB, but for a
-single message."""
-
 
 def survey(file: int, limit: int | None = None) -> Known:
     """What the file holds, up to its last whole record (`position`) or to the end of its data where it was finished.
@@ -48,7 +44,7 @@ def survey(file: int, limit: int | None = None) -> Known:
     while at + mcap.HEAD.size <= size:
         opcode, length = mcap.HEAD.unpack(os.pread(file, mcap.HEAD.size, at))
         inside, after = at + mcap.HEAD.size, at + mcap.HEAD.size + length
-        if after > size:
+        if after > size or opcode == mcap.NOTHING:
             break
         if opcode == mcap.MESSAGE_INDEX and chunk is not None and length >= _INDEX_HEAD:
             (channel,) = mcap.CHANNEL_ID.unpack(os.pread(file, 2, inside))
@@ -67,8 +63,8 @@ def survey(file: int, limit: int | None = None) -> Known:
             break
         elif opcode not in _NOTED:
             known.position += after - at
-        elif length > _LARGEST:
-            raise RecordingError(f"at byte {at}: a record of {length} bytes: at most {_LARGEST} are read")
+        elif length > mcap.LARGEST:
+            raise RecordingError(f"at byte {at}: a record of {length} bytes: at most {mcap.LARGEST} are read")
         else:
             _note(known, opcode, os.pread(file, length, inside), after - at)
         at = after
@@ -100,7 +96,7 @@ def _note(known: Known, opcode: int, content: bytes, length: int) -> None:
 
 def _complete(file: int, chunk: mcap.Chunk, at: int, counts: dict[int, int]) -> bool:
     """Whether the indexes name as many messages as there are in the chunk at `at`."""
-    if chunk.size > _LARGEST:
+    if chunk.size > mcap.LARGEST:
         return False
     records = os.pread(file, chunk.size, at + mcap.HEAD.size + _CHUNK_HEAD)
     return sum(1 for _, opcode, _ in mcap.whole_records(records) if opcode == mcap.MESSAGE) == sum(counts.values())
