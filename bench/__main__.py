@@ -34,6 +34,7 @@ AREAS = {
     "view": "the live page: frames, CPU of browser and server, robot to screen; what watching costs the swarm",
     "faults": "1000 faults of all kinds mixed, drawn from a seed: same trajectory, and how long it took",
     "random_faults": "1000 faults, power cuts among them, against the rule alone: values, epochs, memory",
+    "decoders": "every decoder fed with 100 000 random inputs in bounded memory",
 }
 """Each is a module of this folder with a frozen dataclass `Sizes`, two of them, `FULL` (the figures') and `SMOKE`
 (seconds of work), and `rows(sizes)`."""

@@ -20,10 +20,11 @@ from typing import Any
 
 from swarm import clock
 from swarm.bus_config import client_config, router_config
-from swarm.errors import BusError, LocalError
+from swarm.errors import BusError, LocalError, SwarmError
 from swarm.keys import MAX_KEY_LENGTH, STOP
 from swarm.packer import Packer
 from swarm.paths import ENDPOINT_PROTOCOL, bus_endpoint
+from swarm.process import defect
 
 # One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round
 # trip from 305 to 157 us on the measuring machine. Tried with restarts of the router, and with a client and a
@@ -48,6 +49,9 @@ OnSample = Callable[[str, bytes], None]
 OnQuery = Callable[[str, dict[str, str]], bytes | None]
 
 _log = logging.getLogger("bus")
+
+counters: Counter[str] = Counter()
+"""Of this process, for its status: `dropped_samples`, the samples and queries whose callback refused them."""
 _OUTLETS = 256
 """Keys that a session keeps declared; above, the oldest makes room."""
 _CERTAIN_S = 1.0
@@ -428,14 +432,21 @@ _thread = _Attached()
 
 
 def _guard(callback: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Log what a callback raises: inside Zenoh's thread it would vanish or poison the session."""
+    """Keep what a callback raises out of Zenoh's thread, where it would vanish or poison the session.
+
+    An error of ours that has a name (`SwarmError`), such as that of a decoder, costs the sample or query that led to
+    it. Any other one is a defect: what the callback works on may be half changed, so a service ends (`process.defect`).
+    """
 
     def guarded(argument: Any) -> None:
         try:
             _thread.attached  # noqa: B018 - the first look in a thread attaches it
             callback(argument)
-        except Exception:  # noqa: BLE001 - whatever it is, it is a defect of the callback and goes to the log
-            _log.exception("a bus callback failed")
+        except SwarmError as error:
+            counters["dropped_samples"] += 1
+            _log.warning("a sample or query was dropped: %s", error)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is a defect of the callback
+            defect(error, "a bus callback")
 
     return guarded
 

@@ -11,11 +11,12 @@ import types
 import typing
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgpack
 
 from swarm.errors import LocalError, PayloadError
+from swarm.frozen import frozen
 
 MAX_PAYLOAD = 64 * 1024
 """Largest payload accepted on the bus, in bytes: messages stay small, files go by other ways."""
@@ -26,6 +27,9 @@ one would not fit Zenoh's queue, 16 batches of 64 KiB, and be dropped silently."
 
 Value = float | int | bool | str | tuple[float, ...]
 """What a free-form map on the bus (an app's state, say) may hold."""
+
+MAX_COUNT = (1 << 63) - 1
+"""The greatest number of what is counted up by one, such as starts of a process, and said to others."""
 
 _SHOWN = 60
 """Characters of a wrong value or name that an error shows."""
@@ -42,6 +46,14 @@ def with_telemetry(topics: dict[tuple[str, str], type]) -> dict[tuple[str, str],
     types but those of commands, which travel under a topic with the chunk `set`. A type that is both is telemetry."""
     _TELEMETRY.update(kind for (_, topic), kind in topics.items() if "set" not in topic.split("/"))
     return topics
+
+
+@frozen
+class Between:
+    """The range of a whole number, in the type of a message's field: `Annotated[int, Between(0, 9)]` takes 0 to 9."""
+
+    low: int
+    high: int
 
 
 def encode(message: object) -> bytes:
@@ -118,6 +130,9 @@ def _checker(kind: Any, strict: bool) -> _Check:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return _check_union(kind, strict)
+    if origin is Annotated:
+        (bounds,) = kind.__metadata__
+        return _check_range(bounds)
     if origin is tuple and arguments[1:] == (...,):
         return _check_tuple(_checker(arguments[0], strict))
     if origin is dict and arguments[0] is str:
@@ -154,6 +169,15 @@ def _check_int(value: object, path: str) -> int:
     if type(value) is int:
         return value
     raise _wrong(value, path, "an integer")
+
+
+def _check_range(bounds: Between) -> _Check:
+    def check(value: object, path: str) -> int:
+        if type(value) is int and bounds.low <= value <= bounds.high:
+            return value
+        raise _wrong(value, path, f"an integer from {bounds.low} to {bounds.high}")
+
+    return check
 
 
 def _check_bool(value: object, path: str) -> bool:
@@ -240,7 +264,7 @@ def _plain_types(kind: Any) -> frozenset[type]:
 
 
 def _check_dataclass(kind: type, strict: bool) -> _Check:
-    hints = typing.get_type_hints(kind)
+    hints = typing.get_type_hints(kind, include_extras=True)
     fields = {field.name: _checker(hints[field.name], strict) for field in dataclasses.fields(kind)}
     plain = {name: _plain_types(hints[name]) for name in fields}
     required = {

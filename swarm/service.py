@@ -15,14 +15,14 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from swarm import clock, log
+from swarm import bus, clock, log
 from swarm.bus import Bus
 from swarm.codec import encode
 from swarm.config import Config, load, who_am_i
 from swarm.keys import key
 from swarm.messages import Status
 from swarm.paths import runtime_dir
-from swarm.process import die_with_parent, notify, run
+from swarm.process import die_with_parent, end_on_defects, notify, run
 from swarm.text import printable
 
 __all__ = ["Service", "die_with_parent", "notify", "run"]
@@ -71,6 +71,8 @@ class Service:
 
     def stop(self) -> None:
         """Wish the service to end; its main thread sees `stopping`."""
+        # Callbacks that come while files and sockets are being closed may fail by that.
+        end_on_defects(False)
         self.stopping.set()
 
     def watchdog(self) -> None:
@@ -82,7 +84,7 @@ class Service:
         with self._lock:
             state, reason, since = self._state, self._reason, self._since
         # The copy is one step of the interpreter: other threads may be counting a new name.
-        counters = {name: count for name, count in dict(self.counters).items() if count}
+        counters = {name: count for name, count in {**bus.counters, **self.counters}.items() if count}
         return Status(clock.now(), self.name, state, reason, os.getpid(), since, counters)
 
     def close(self) -> None:

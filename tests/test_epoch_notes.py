@@ -36,7 +36,7 @@ def test_a_note_comes_back(note: Note) -> None:
 
 @pytest.mark.parametrize("lost", [-1, LOST, (1 << 64) - 1])
 def test_a_number_of_a_lost_vote_that_is_out_of_range_is_refused(lost: int) -> None:
-    with pytest.raises(PayloadError, match="epoch note of r0: lost: expected a number below"):
+    with pytest.raises(PayloadError, match="epoch note: lost: expected an integer from 0"):
         Note.decode(dataclasses.replace(NOTE, lost=lost).encode())
 
 
@@ -59,7 +59,6 @@ def test_no_bytes_do_harm(garbage: bytes, at: int, cut: int) -> None:
         {"k": 8},
         {"number": 5},
         {"restored": (78,)},
-        {"restored": (0,)},
     ],
 )
 def test_an_epoch_that_contradicts_itself_is_refused(change: dict[str, object]) -> None:

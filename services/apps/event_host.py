@@ -388,13 +388,9 @@ class EventHost:
         self._service.bus.publish(key(self._service.robot, f"app/{self._name}", topic), message)
 
     def _guarded(self, loop: Callable[[], None]) -> None:
-        """Run a thread's loop; what it raises is a fault of the app, our own mistakes included."""
+        """Run a thread's loop; what the app's code raises is a fault of the app. Anything else ends the process."""
         try:
             loop()
         except SwarmError as error:
             with self._changed:
                 self._fail(str(error))
-        except Exception as error:
-            self._service.log.exception("the app host has a fault of its own")
-            with self._changed:
-                self._fail(f"fault of the app host: {error!r}")

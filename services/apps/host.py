@@ -30,7 +30,7 @@ from swarm.conduct import Conduct
 from swarm.core import together
 from swarm.core.lockstep import WANT_AFTER, Channel
 from swarm.core.lockstep_actions import address_of
-from swarm.errors import FrameError, PayloadError
+from swarm.errors import FrameError, PayloadError, SwarmError
 from swarm.frozen import frozen
 from swarm.keys import key
 from swarm.lane import Lane, of_app
@@ -170,8 +170,8 @@ class Host:
     def _take(self, data: bytes) -> None:
         try:
             self._on_frames("", data)
-        except Exception:
-            self._service.log.exception("frames cannot be taken")
+        except SwarmError as error:
+            self._service.log.warning("frames were dropped: %s", error)
 
     # On Zenoh's thread
 

@@ -286,14 +286,11 @@ class Worker:
         return measurement
 
     def _guarded(self) -> None:
-        """Run the steps; what they raise is a fault of the app, our own mistakes included."""
+        """Run the steps; what the app's code raises is a fault of the app. Anything else ends the process."""
         try:
             self._work()
         except SwarmError as error:
             self._fail(str(error))
-        except Exception as error:
-            self._service.log.exception("the app host has a fault of its own")
-            self._fail(f"fault of the app host: {error!r}")
         while not self._closing:  # after a fault neighbours still get answers
             self._todo.get()
 

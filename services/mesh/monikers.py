@@ -59,7 +59,7 @@ def parse_address(address: str, whole: str) -> Tcp:
     host, _, port = address.rpartition(":")
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
-    if not host or not port.isascii() or not port.isdigit() or not 1 <= int(port) <= 65535:
+    if not host or not port.isascii() or not port.isdigit() or len(port) > 5 or not 1 <= int(port) <= 65535:
         raise ConfigError(f"{whole!r}: expected HOST:PORT with a port from 1 to 65535")
     return Tcp(host, int(port))
 

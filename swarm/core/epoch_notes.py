@@ -1,27 +1,41 @@
 """What robots tell each other about the membership of a run (`swarm.core.epochs`): records, votes, and their bytes."""
 
+from collections import Counter
 from dataclasses import dataclass
 from hashlib import blake2b
+from typing import Annotated
 
-from swarm.codec import decode, encode
+from swarm.codec import MAX_COUNT, MAX_PAYLOAD, Between, decode, encode
 from swarm.core.graph import Graph
+from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import PayloadError
 from swarm.frozen import frozen
+
+MAX_NEIGHBOURS = 255
+"""Of one robot in an epoch: a snapshot of the lockstep counts them in one byte."""
+
+MAX_EPOCH = (MAX_PAYLOAD - 6 * 1024) // 3
+"""Bytes of a packed epoch that others have told: a note may hold three of them, and 255 names besides."""
+
+LOST = 1 << 62
+"""Numbers of lost votes are smaller."""
+
+LostVote = Annotated[int, Between(1, LOST - 1)]
+Count = Annotated[int, Between(0, MAX_COUNT)]
+Number = Annotated[int, Between(0, (1 << 32) - 1)]
+Iteration = Annotated[int, Between(0, MAX_ITERATION)]
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Ballot:
     """One attempt to agree; a later one goes before an earlier one. Round 0 is none at all."""
 
-    round: int
+    round: Count
     robot: str
     """Who attempts it."""
 
 
 NONE = Ballot(0, "")
-
-LOST = 1 << 62
-"""Numbers of lost votes are smaller."""
 
 
 @frozen
@@ -29,14 +43,14 @@ class Epoch:
     """A stretch of a run with the same members and links: agreed upon by a majority of the members of the one before,
     or ordered by the operator."""
 
-    number: int
+    number: Number
     """u32 over all that follows: what tells its frames apart on the air."""
-    counter: int
+    counter: Count
     """How many epochs went before it."""
     proposer: str
-    before: int
+    before: Number
     """Number of the epoch that it follows."""
-    k: int
+    k: Iteration
     """The iteration at which it begins."""
     members: tuple[str, ...]
     """Sorted."""
@@ -46,7 +60,7 @@ class Epoch:
     """Links among the members."""
     away: tuple[str, ...]
     """Robots that only the operator lets in again."""
-    restored: tuple[int, ...]
+    restored: tuple[LostVote, ...]
     """The numbers of lost votes (`Note.lost`) of members: from this epoch on these robots vote again. Sorted."""
     forced: bool
     """Ordered by the operator without a majority."""
@@ -113,13 +127,13 @@ class Note:
     """All that a robot has to say; each one replaces its earlier ones everywhere."""
 
     robot: str
-    birth: int
+    birth: Count
     """Goes up with every start of the process."""
-    version: int
+    version: Count
     """Goes up with every note of a process."""
     epoch: Epoch
     """That the robot is in, or has heard of as the newest."""
-    k: int
+    k: Annotated[int, Between(-1, MAX_ITERATION)]
     """Its iteration, where it has stopped for a ballot; -1: it has no state in this epoch."""
     well: bool
     """False: its app is in fault, or it was told to leave."""
@@ -129,13 +143,24 @@ class Note:
     """It takes part in no earlier ballot."""
     accepted: Vote | None
     offer: Offer | None
-    lost: int
+    lost: Annotated[int, Between(0, LOST - 1)]
     """0; of a robot that has found the file with its votes damaged: a random number that it has drawn then."""
 
     @property
     def age(self) -> tuple[int, int]:
         """Later notes have a higher one."""
         return self.birth, self.version
+
+    @property
+    def members(self) -> set[str]:
+        """All robots that are members of an epoch in it."""
+        return {name for epoch in self._epochs for name in epoch.members}
+
+    @property
+    def _epochs(self) -> list[Epoch]:
+        """All epochs in it."""
+        holders = (self, self.accepted, self.offer)
+        return [each.epoch for each in holders if each is not None and each.epoch is not None]
 
     def encode(self) -> bytes:
         """Pack as msgpack."""
@@ -145,11 +170,8 @@ class Note:
     def decode(cls, data: bytes) -> "Note":
         """Unpack; `PayloadError` says what is wrong with it."""
         note = decode(cls, data, "epoch note")
-        for holder in (note, note.accepted, note.offer):
-            if holder is not None and holder.epoch is not None:
-                _check(holder.epoch)
-        if not 0 <= note.lost < LOST:
-            raise PayloadError(f"epoch note of {note.robot}: lost: expected a number below 2^62, got {note.lost}")
+        for epoch in note._epochs:
+            _check(epoch)
         return note
 
 
@@ -171,9 +193,8 @@ def _check(epoch: Epoch) -> None:
         and set(epoch.carried) <= members
         and all(len(edge) == 2 and edge[0] != edge[1] and members.issuperset(edge) for edge in epoch.edges)
         and len({frozenset(edge) for edge in epoch.edges}) == len(epoch.edges)
-        and 0 <= epoch.k < 1 << 32
-        and 0 <= epoch.number < 1 << 32
-        and all(0 < number < LOST for number in epoch.restored)
+        and max(Counter(end for edge in epoch.edges for end in edge).values(), default=0) <= MAX_NEIGHBOURS
+        and (epoch.counter == 0 or len(encode(epoch)) <= MAX_EPOCH)
     )
     body = (epoch.counter, epoch.proposer, epoch.before, epoch.k, epoch.members, epoch.carried, epoch.edges, epoch.away)
     if not whole or (epoch.counter > 0 and epoch.number != _number((*body, epoch.restored, epoch.forced))):

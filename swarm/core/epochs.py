@@ -29,6 +29,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 
+from swarm.codec import MAX_COUNT
 from swarm.core.epoch_actions import Action, Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import NONE, Ballot, Epoch, Kept, Note, Offer, Vote, following
 from swarm.core.epoch_roster import Roster
@@ -43,6 +44,9 @@ TELL_EVERY = 1.0
 """s between two notes of a robot that wants something."""
 TELL_AGAIN = 0.2
 """s between two notes to robots that seem not to know."""
+MAX_FOUND = 1 << 62
+"""A robot goes on counting its starts from a greater count that others have heard of, up to this: above it there is
+room for the starts to come."""
 STAGGER = 0.3
 """s by which each member waits longer than the one before it to make a ballot: mostly one of them does."""
 
@@ -241,15 +245,17 @@ class Epochs:
         except PayloadError:
             self.counters["malformed note"] += 1
             return
+        if note.robot not in self._names or not note.members <= self._names:
+            self.counters["unknown robot"] += 1
+            return
         if note.robot == self.me:
-            if note.age > self._mine.age:  # of a process whose files are lost: the others listen to it alone
+            if note.birth >= MAX_FOUND:
+                self.counters["impossible birth"] += 1
+            elif note.age > self._mine.age:  # of a process whose files are lost: the others listen to it alone
                 self._become(birth=note.birth + 1, version=0)
                 self._tell(now)
             return
         known = self._roster.notes.get(note.robot)
-        if note.robot not in self._names:
-            self.counters["unknown robot"] += 1
-            return
         if known is not None and note.age <= known.age:
             other = note.birth < known.birth or (note.birth == known.birth and note.lost != known.lost)
             if other and now >= self._reminded_at + TELL_AGAIN:
@@ -336,6 +342,8 @@ class Epochs:
         forced = self._order is not None and self._order.force
         if not self.member or not self.well or not self._settled or (self.lost and not forced):
             return
+        if self._round == MAX_COUNT:
+            return  # above the greatest round there is nothing; only a liar has named it (docs/security.md)
         self._round += 1
         ballot = Ballot(self._round, self.me)
         self._become(offer=Offer(ballot, None, forced))
@@ -380,6 +388,8 @@ class Epochs:
         chosen = tuple(
             sorted(max(parts, key=lambda part: (len(set(part) & set(members)), self.me in part), default=()))
         )
+        if self.epoch.counter == MAX_COUNT:
+            return None
         if not chosen or (not offer.forced and 2 * len(set(chosen) & set(members)) <= len(members)):
             return None
         carried = tuple(n for n in chosen if n in notes and notes[n].k >= 0)

@@ -183,7 +183,7 @@ class Snapshot:
         body = data[: -_CHECK.size]
         if len(body) < _SNAPSHOT.size or _CHECK.pack(zlib.crc32(body)) != data[-_CHECK.size :]:
             raise LocalError(f"snapshot: truncated or damaged ({len(data)} bytes, the checksum does not match)")
-        # The checksum has matched: the lengths within are those that encode() wrote.
+        # The checksum has matched, so the lengths within are those that a version of encode() wrote.
         _, run, epoch, schema, size, k, peers, private = _SNAPSHOT.unpack_from(body)
         rest = _Reader(body, _SNAPSHOT.size)
         value = rest.take(size)
@@ -191,7 +191,7 @@ class Snapshot:
         heard = {}
         for _ in range(peers):
             incarnation, known, reached, mask, length = _PEER.unpack(rest.take(_PEER.size))
-            name = rest.take(length).decode()
+            name = rest.take(length).decode(errors="replace")
             slots: list[bytes | None] = [None, None, None]
             for bit in range(3):
                 if mask >> bit & 1:
@@ -208,6 +208,8 @@ class _Reader:
         self._at = at
 
     def take(self, count: int) -> bytes:
+        if count > len(self._data) - self._at:
+            raise LocalError(f"snapshot: its lengths contradict one another ({len(self._data)} bytes)")
         piece = self._data[self._at : self._at + count]
         self._at += count
         return piece

@@ -15,6 +15,9 @@ from swarm.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 
+NOTHING = 0
+"""The opcode of no record: what a file has at its end that a power cut left with zeros."""
+
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(11, 16)
 """Opcodes; 9 and 10 are attachments, which we have none of."""
@@ -24,6 +27,10 @@ CHECKPOINT = 0x80
 
 HEAD = struct.Struct("<BQ")
 """What every record begins with: opcode and length of the content."""
+
+LARGEST = 4 * 1024 * 1024
+"""Bytes of one record that are read into memory. A damaged file may claim any length; ours are below 300 kB, but for a
+single large message."""
 
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 """A message up to its data: opcode, length, channel, sequence, log time, publish time (ns)."""
@@ -213,7 +220,7 @@ def whole_records(data: bytes | memoryview, at: int = 0) -> Iterator[tuple[int, 
     view = memoryview(data)
     while at + HEAD.size <= len(view):
         opcode, length = HEAD.unpack_from(view, at)
-        if length > len(view) - at - HEAD.size:
+        if opcode == NOTHING or length > len(view) - at - HEAD.size:
             return
         yield at, opcode, view[at + HEAD.size : at + HEAD.size + length]
         at += HEAD.size + length

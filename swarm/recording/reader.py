@@ -16,6 +16,8 @@ RUN = "run"
 EPOCH = "epoch_ns"
 """Its entry that says which time of day, ns since 1970, the process' clock had at its zero."""
 
+_NO_TIME = 1 << 64
+
 CLOCK = "clock"
 """Its entry that names the clock: of a machine since it was started, or a virtual one."""
 
@@ -89,7 +91,7 @@ class Reader:
                 opcode, length = mcap.HEAD.unpack(head)
                 after = start + mcap.HEAD.size + length
                 torn = after > size
-                if torn and opcode != mcap.CHUNK:
+                if opcode == mcap.NOTHING or (torn and opcode != mcap.CHUNK):
                     self._cut(size)
                     return
                 if opcode in (mcap.DATA_END, mcap.FOOTER):
@@ -98,7 +100,16 @@ class Reader:
                     if not self.finished:
                         self._cut(size)
                     return
-                content = b"" if opcode == mcap.MESSAGE_INDEX else file.read(min(length, size - start))
+                if opcode == mcap.MESSAGE_INDEX:
+                    self._at = after
+                    continue
+                if min(length, size - start) > mcap.LARGEST:
+                    self._name(start, f"a record of {length} bytes: at most {mcap.LARGEST} are read")
+                    if torn:
+                        return
+                    self._at = after
+                    continue
+                content = file.read(min(length, size - start))
                 try:
                     for message in self._take(opcode, content, torn=torn):
                         if (channel := self.channels.get(message.channel)) is None:
@@ -130,7 +141,7 @@ class Reader:
             name, entries = mcap.read_metadata(content)
             self.metadata.append((name, entries))
             if name == RUN:
-                self._epoch_ns = _integer(entries.get(EPOCH, "0"))
+                self._epoch_ns = _time(entries.get(EPOCH, "0"))
                 self.clock = entries.get(CLOCK, "")
                 self.clocks.setdefault(self.clock, self._epoch_ns)
         elif opcode == mcap.MESSAGE:
@@ -155,11 +166,15 @@ class Reader:
         self.damage.append(f"{self.path}: at byte {at}: {what}")
 
 
-def _integer(text: str) -> int:
+def _time(text: str) -> int:
+    """Nanoseconds in a text; `RecordingError` where they do not fit the format's 64 bits."""
     try:
-        return int(text)
+        found = int(text)
     except ValueError:
-        raise RecordingError(f"{EPOCH} is {text[:40]!r}, expected a whole number") from None
+        found = _NO_TIME
+    if abs(found) >= _NO_TIME:
+        raise RecordingError(f"{EPOCH} is {text[:40]!r}, expected a whole number of 64 bits")
+    return found
 
 
 def run_of(path: Path) -> str:

@@ -9,6 +9,9 @@ from swarm.errors import RecordingError
 _CHUNK_HEAD = 40
 """Bytes of a chunk record's content before its messages, where they are not compressed."""
 
+_INDEX_HEAD = 6
+"""Bytes of a message index before its entries: channel, and length of the entries."""
+
 
 def survey(file: int, limit: int | None = None) -> Known:
     """What the file holds, up to its last whole record (`position`) or to the end of its data where it was finished.
@@ -42,23 +45,30 @@ def survey(file: int, limit: int | None = None) -> Known:
     while at + mcap.HEAD.size <= size:
         opcode, length = mcap.HEAD.unpack(os.pread(file, mcap.HEAD.size, at))
         inside, after = at + mcap.HEAD.size, at + mcap.HEAD.size + length
-        if after > size:
+        if after > size or opcode == mcap.NOTHING:
             break
-        if opcode == mcap.MESSAGE_INDEX and chunk is not None:
+        if opcode == mcap.MESSAGE_INDEX and chunk is not None and length >= _INDEX_HEAD:
             (channel,) = mcap.CHANNEL_ID.unpack(os.pread(file, 2, inside))
             indexes[channel] = at
-            counts[channel] = (length - 6) // mcap.INDEX_ENTRY.size
+            counts[channel] = (length - _INDEX_HEAD) // mcap.INDEX_ENTRY.size
             at = after
             continue
         close_chunk(at)
         if opcode == mcap.CHUNK:
-            chunk = mcap.read_chunk(os.pread(file, _CHUNK_HEAD, inside)), after - at
+            head = mcap.read_chunk(os.pread(file, min(length, _CHUNK_HEAD), inside))
+            if head.compression or head.size != length - _CHUNK_HEAD:
+                raise RecordingError(f"at byte {at}: a chunk of {length} bytes says that it holds {head.size}")
+            chunk = head, after - at
             indexes, counts = {}, {}
         elif opcode == mcap.CHECKPOINT:
             known = _last_checkpoint(file, known, at, size) or known
             known.position = after = max(after, known.position)
         elif opcode in (mcap.DATA_END, mcap.FOOTER):
             break
+        elif opcode not in _NOTED:
+            known.position += after - at
+        elif length > mcap.LARGEST:
+            raise RecordingError(f"at byte {at}: a record of {length} bytes: at most {mcap.LARGEST} are read")
         else:
             _note(known, opcode, os.pread(file, length, inside), after - at)
         at = after
@@ -67,6 +77,10 @@ def survey(file: int, limit: int | None = None) -> Known:
     if chunk is not None and indexes and _complete(file, chunk[0], known.position, counts):
         close_chunk(at)
     return known
+
+
+_NOTED = frozenset((mcap.METADATA, mcap.SCHEMA, mcap.CHANNEL))
+"""Records whose content a process needs that goes on with the file."""
 
 
 def _last_checkpoint(file: int, known: Known, at: int, size: int) -> Known | None:
@@ -81,7 +95,7 @@ def _last_checkpoint(file: int, known: Known, at: int, size: int) -> Known | Non
     while chain:
         last = chain.pop()
         _, length = mcap.HEAD.unpack(os.pread(file, mcap.HEAD.size, last))
-        if last + mcap.HEAD.size + length > size:
+        if length > mcap.LARGEST or last + mcap.HEAD.size + length > size:
             continue
         try:
             return recall(last, os.pread(file, length, last + mcap.HEAD.size), [*known.checkpoints, *chain])
@@ -107,5 +121,7 @@ def _note(known: Known, opcode: int, content: bytes, length: int) -> None:
 
 def _complete(file: int, chunk: mcap.Chunk, at: int, counts: dict[int, int]) -> bool:
     """Whether the indexes name as many messages as there are in the chunk at `at`."""
+    if chunk.size > mcap.LARGEST:
+        return False
     records = os.pread(file, chunk.size, at + mcap.HEAD.size + _CHUNK_HEAD)
     return sum(1 for _, opcode, _ in mcap.whole_records(records) if opcode == mcap.MESSAGE) == sum(counts.values())

@@ -35,6 +35,7 @@ from swarm.messages import (
     Stop,
     read,
 )
+from swarm.process import DEFECT
 
 RECORDING = str(Path(__file__).with_name("recording_body.py"))
 
@@ -285,7 +286,7 @@ def test_motors_are_off_after_a_bug_too(processes: Processes, runtime: Path) -> 
     bug = robot.record.with_suffix(".bug")
     bug.touch()
     wait_until(lambda: robot.process.poll() is not None)
-    assert robot.process.returncode == 1
+    assert robot.process.returncode == DEFECT
     assert robot.lines()[-2:] == ["0.0", "closed"]
     wait_until(lambda: not alive(bridge))
 

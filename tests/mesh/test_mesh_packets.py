@@ -71,7 +71,8 @@ def test_the_bytes_are_those_of_the_document(name: str) -> None:
 names = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)
 u64 = st.integers(0, 2**64 - 1)
 u32 = st.integers(1, 2**32 - 1)
-none, below_9, large = st.just(0), st.integers(1, 8), st.integers(1, packets.MAX_LARGE)
+none, below_9 = st.just(0), st.integers(1, 8)
+large = st.integers(packets.MAX_SPREAD + 1, packets.MAX_LARGE)
 keys = st.sampled_from(("swarm/r0/app/x/send/r3", "swarm/r3/balancer/set/mode"))
 
 
@@ -196,6 +197,7 @@ def test_ack_round_trip(packet: Ack) -> None:
 def test_pieces_round_trip(
     kind: int, sender: str, to: str, origin: str, incarnation: int, number: int, body: bytes, ttl: int, flood: bool
 ) -> None:
+    flood = flood and kind not in (OFFER, STATE)  # a flood is announced by a SPREAD
     offers = to if kind in (WANT, STATE) else sender
     packet = Packet(kind, sender, to, Id(origin if flood else offers, incarnation, number, flood), body, ttl)
     data = pieces.encode(packet)

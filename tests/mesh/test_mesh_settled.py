@@ -34,7 +34,9 @@ def test_levels_give_the_routes_that_dijkstra_gives(edges):
 
 
 def map_of(published):
-    return LinkState("r0", metric=HOPS, publish=published.append, aged=lambda name: None, random=lambda: 0.5)
+    return LinkState(
+        "r0", frozenset(NAMES), metric=HOPS, publish=published.append, aged=lambda name: None, random=lambda: 0.5
+    )
 
 
 def test_a_settled_robot_tells_nothing_until_something_changes():

@@ -446,7 +446,9 @@ def advertise(**neighbours: int) -> bytes:
 def linkstate_of(name: str) -> tuple[LinkState, list[bytes], list[str]]:
     published: list[bytes] = []
     aged: list[str] = []
-    return LinkState(name, metric=HOPS, publish=published.append, aged=aged.append, random=lambda: 0.5), published, aged
+    robots = frozenset(f"r{n}" for n in range(9))
+    each = LinkState(name, robots, metric=HOPS, publish=published.append, aged=aged.append, random=lambda: 0.5)
+    return each, published, aged
 
 
 def run(each: LinkState, start: float, end: float) -> None:

@@ -361,7 +361,9 @@ class Strand:
         self._channel = self._channel_of(epoch)
         size = self._program.size + (Stopping.size if self._stopping is not None else 0)
         neighbours = self._graph.neighbours(self._me)
-        return Lockstep(self._me, neighbours, self._channel, size, last=self.terms.last, rtt=self.rtt)
+        # An epoch may begin behind the last iteration where a robot has told a wrong one: there is nothing left to do.
+        last = None if self.terms.last is None else max(self.terms.last, epoch.k)
+        return Lockstep(self._me, neighbours, self._channel, size, last=last, rtt=self.rtt)
 
     def _enter(self, epoch: Epoch, own: bytes, private: bytes, now: float) -> None:
         """Begin an epoch."""

@@ -17,6 +17,7 @@ from collections import deque
 from typing import NamedTuple
 
 from services.mesh.core import frames
+from services.mesh.core.heartbeat import MAX_APART
 from swarm.errors import FrameError
 from swarm.keys import is_name
 
@@ -72,8 +73,6 @@ _MAX_SAMPLES = 256
 _CLAIM = struct.Struct("<IIBBQdff")
 _CHILD, _SETTLED = 1, 2
 _MAX_ROOTS = 64
-_MAX_OFFSET = 1e10
-"""s; more than any two monotonic clocks differ by."""
 _MAX_RATE = 1e-3
 
 
@@ -128,7 +127,7 @@ def decode_claim(body: bytes) -> Claim:
     if flags & ~(_CHILD | _SETTLED):
         raise FrameError(f"CLOCK flags {flags:#x}: bits 0 and 1 are known")
     # NaN fails every comparison, so it is refused, too.
-    if not (abs(offset) <= _MAX_OFFSET and abs(rate) <= _MAX_RATE and 0.0 <= error <= _MAX_OFFSET):
+    if not (abs(offset) <= MAX_APART and abs(rate) <= _MAX_RATE and 0.0 <= error <= MAX_APART):
         raise FrameError(f"CLOCK offset {offset}, rate {rate}, error {error}: out of bounds")
     return Claim(
         root, incarnation, epoch, hop, bool(flags & _CHILD), bool(flags & _SETTLED), at * 1e-6, offset, rate, error
@@ -285,6 +284,8 @@ class MeshClock:
     def claim(self, peer: str, now: float) -> Claim:
         """What to tell a neighbour now."""
         self._update(now)
+        # A neighbour nearer to the root may have named an offset at the limit. What this robot adds to it must not pass
+        # the limit: the next robot would take that for a bad frame and end its link with this one, which is innocent.
         return Claim(
             *self._root,
             self._epoch,
@@ -293,9 +294,9 @@ class MeshClock:
             peer == self._parent or self._followed != self._root[0],
             self._settled,
             now,
-            self._offset,
+            max(-MAX_APART, min(self._offset, MAX_APART)),
             self._rate,
-            self._error,
+            min(self._error, MAX_APART),
         )
 
     def state(self, now: float) -> ClockState:

@@ -13,6 +13,9 @@ _RTT_GAIN = 0.125
 _MAX_RTT = 60.0
 """s; a longer sample comes from wrong stamps."""
 
+MAX_APART = 1e10
+"""Seconds by which two monotonic clocks may differ; a larger difference comes from wrong stamps."""
+
 
 class Pulse:
     """One end of a connection, from heartbeat to heartbeat."""
@@ -58,10 +61,13 @@ class Pulse:
         rtt = ((arrival - stamps.echo) - (stamps.sent - stamps.received)) * 1e-6
         if not 0.0 <= rtt <= _MAX_RTT:
             return None
+        # Half of what the two directions' stamps differ (RFC 5905, section 8).
+        apart = ((stamps.received - stamps.echo) + (stamps.sent - arrival)) * 0.5e-6
+        if abs(apart) > MAX_APART:
+            return None
         self.rtts.append(rtt)
         self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
-        # Half of what the two directions' stamps differ (RFC 5905, section 8).
-        return rtt, ((stamps.received - stamps.echo) + (stamps.sent - arrival)) * 0.5e-6
+        return rtt, apart
 
 
 def _microseconds(now: float) -> int:

@@ -6,11 +6,11 @@ message crosses each edge of the tree that the announcement has drawn once, N - 
 would cross some twice. A robot joins the echo when it has the whole message, so a complete flood means that.
 """
 
-from collections import Counter, OrderedDict
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Collection
 
+from services.mesh.core.echo import MAX_WAVES, Waves
 from services.mesh.core.echo import Id as WaveId
-from services.mesh.core.echo import Waves
 from services.mesh.core.exchange import Exchange, total_of
 from services.mesh.core.frames import BULK
 from services.mesh.core.packets import Spread
@@ -51,7 +51,8 @@ class _Coming:
     def __init__(self, key: str, packet: Spread) -> None:
         self.key = key
         self.packet = packet
-        self.waves: list[WaveId] = []
+        self.waves: deque[WaveId] = deque(maxlen=MAX_WAVES)
+        """The tries that wait for it. `Waves` forgets the oldest of more, so this does, too."""
 
 
 class _Held:

@@ -26,7 +26,7 @@ from services.mesh.core.actions import Connect, Disconnect, Emit, Keep, LinkActi
 from services.mesh.core.autoplan import plan
 from services.mesh.core.linkstate import LinkState
 from services.mesh.core.search import Search
-from services.mesh.core.topology import AUTO, MAX_LINKS, MAX_VERSION, Ground, Topology
+from services.mesh.core.topology import AUTO, MAX_LINKS, MAX_STEP, MAX_VERSION, Ground, Topology
 from swarm.core.graph import Edge
 from swarm.errors import LocalError
 from swarm.keys import key as key_of
@@ -380,17 +380,23 @@ class Linking:
         up = {self._edge(a, b) for a, near in self._map.graph().items() for b in near if a in members and b in members}
         heard = set(up)
         for name in members:
-            bits = self._map.heard(name)
-            heard |= {self._edge(name, names[place]) for place in _places(bits) if names[place] in members - {name}}
+            places = _places(self._map.heard(name), len(names))
+            heard |= {self._edge(name, names[place]) for place in places if names[place] in members - {name}}
         silent = {edge for edge in self.value.edges if edge[0] in members and edge[1] in members and edge not in heard}
         self._dead = {edge: self._dead.get(edge, now) for edge in silent}
         dead = {edge for edge, since in self._dead.items() if now >= since + FORGET}
         if len(dead) < len(silent):
             self._plan_at = min(since + FORGET for edge, since in self._dead.items() if edge not in dead)
         edges = plan(names, members, [edge for edge in self.value.edges if edge not in dead], heard, up)
-        if edges != self.value.edges:
+        if edges == self.value.edges:
+            return
+        if self.value.step == MAX_STEP:
+            text = f"topology step {MAX_STEP} is the last one of version {self.value.version}: set a topology anew"
+            self._act(Report(text, problem=True))
+        else:
             self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, edges=edges), None, now)
 
 
-def _places(bits: int) -> list[int]:
-    return [place for place in range(bits.bit_length()) if bits >> place & 1]
+def _places(bits: int, count: int) -> list[int]:
+    """The places below `count` whose bit is set. A peer may have set others."""
+    return [place for place in range(count) if bits >> place & 1]

@@ -12,6 +12,7 @@ from functools import lru_cache
 
 from services.mesh.core.packets import Advertisement, decode_advertisement, encode_advertisement
 from services.mesh.core.routing import Edge, Route, routes, routes_by_hops
+from swarm.errors import FrameError
 
 HOPS, TIME = "hops", "time"
 """Metrics: every edge 1, or the measured one-way time."""
@@ -108,6 +109,7 @@ class LinkState:
     def __init__(
         self,
         me: str,
+        robots: frozenset[str],
         *,
         metric: str,
         publish: Callable[[bytes], None],
@@ -115,9 +117,11 @@ class LinkState:
         random: Callable[[], float],
         process: int = 0,
     ) -> None:
-        """`process` is the number of this mesh process, 0 where it has none. `publish(payload)` floods the own LSA;
-        `aged(robot)` is called for one that was dropped by age."""
+        """`robots` of the configuration: an LSA that names another one is refused. `process` is the number of this mesh
+        process, 0 where it has none. `publish(payload)` floods the own LSA; `aged(robot)` is called for one that was
+        dropped by age."""
         self._me = me
+        self._robots = robots
         self._metric = metric
         self._publish = publish
         self._aged = aged
@@ -212,6 +216,8 @@ class LinkState:
     def receive(self, origin: str, incarnation: int, payload: bytes, now: float) -> None:
         """A flooded LSA of another robot; raises `FrameError`."""
         advertisement = decode_advertisement(payload)
+        if not advertisement.neighbours.keys() <= self._robots:
+            raise FrameError(f"LSA of {origin}: a neighbour is not in our configuration")
         known = self._known.get(origin)
         same = known is not None and known.advertisement == advertisement and known.incarnation == incarnation
         self._own_known()[origin] = Known(incarnation, advertisement, now)

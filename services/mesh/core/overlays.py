@@ -14,7 +14,7 @@ from services.mesh.core.around import Around
 from services.mesh.core.clashes import Clashes
 from services.mesh.core.events import Received
 from services.mesh.core.flood import Flood
-from services.mesh.core.frames import BULK, CONTROL, FLOOD
+from services.mesh.core.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
 from services.mesh.core.halt import Register
 from services.mesh.core.large import Large
 from services.mesh.core.linking import Linking, Start
@@ -98,7 +98,13 @@ class Overlays:
             expected=lambda: self._map.routes().keys(), random=random, counters=counters,
         )  # fmt: skip
         self._map = LinkState(
-            me, metric=metric, publish=self._publish_links, aged=self._flood.forget, random=random, process=process
+            me,
+            self._robots,
+            metric=metric,
+            publish=self._publish_links,
+            aged=self._flood.forget,
+            random=random,
+            process=process,
         )
         self.clashes = Clashes(me, self._robots, self._map)
         self._unicast = Unicast(
@@ -215,14 +221,19 @@ class Overlays:
         """A packet of a neighbour on an admitted channel. What is wrong is dropped and counted: the one who made it
         may be far away, and innocent links must not break for it."""
         self._now = now
+        if len(data) > MAX_PAYLOAD and (overlay != FLOOD or data[0] != packets.TOPOLOGY):
+            # It came in fragments. Where a number of packets is kept, each of these would hold up to a megabyte.
+            self._counters["bad_packets"] += 1
+            return
         try:
-            if overlay != FLOOD and packets.kind_of(data) == around.AROUND:
+            kind = packets.kind_of(data)
+            if overlay != FLOOD and kind == around.AROUND:
                 self._around.receive(data, priority)
             elif overlay != FLOOD:
                 self._unicast.receive(peer, data, priority, now)
-            elif packets.kind_of(data) == packets.HALT:
+            elif kind == packets.HALT:
                 self._register.receive(peer, data, now)
-            elif packets.kind_of(data) == packets.TOPOLOGY and self.linking is not None:
+            elif kind == packets.TOPOLOGY and self.linking is not None:
                 self.linking.receive(peer, data, now)
             else:
                 self._flood.receive(peer, key, data, priority, now)

@@ -203,13 +203,13 @@ def _decode_spread(data: bytes) -> Spread:
         if len(payload) != _SIZE.size:
             raise FrameError(f"SPREAD announces a message by {len(payload)} bytes: it takes {_SIZE.size}")
         payload, (size,) = b"", _SIZE.unpack(payload)
-        if not 1 <= size <= MAX_LARGE:
-            raise FrameError(f"SPREAD announces a message of {size} bytes: 1 to {MAX_LARGE} are allowed")
+        if not MAX_SPREAD < size <= MAX_LARGE:
+            raise FrameError(f"SPREAD announces {size} bytes: {MAX_SPREAD + 1} to {MAX_LARGE} are allowed")
     return Spread(incarnation, sequence, payload, bool(flags & 1), bool(flags & 2), first, size)
 
 
 _SMALL = 256
-"""Bytes of a SPREAD that is remembered: of 256 such 130 kB at most, with the payload twice."""
+"""Bytes of a packet whose decoded form is remembered: 256 SPREADs take 130 kB, 1024 LSAs 2 MB, whatever peers send."""
 
 _decode_small_spread = lru_cache(maxsize=256)(_decode_spread)
 
@@ -345,9 +345,12 @@ def encode_advertisement(packet: Advertisement) -> bytes:
     return _LSA.pack(flags, len(packet.neighbours)) + names + tail
 
 
-@lru_cache(maxsize=1024)
 def decode_advertisement(data: bytes) -> Advertisement:
-    """The payload of a flooded LSA. Most only repeat what is known: those are not taken apart again."""
+    """The payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
+    return _decode_small_advertisement(data) if len(data) <= _SMALL else _decode_advertisement(data)
+
+
+def _decode_advertisement(data: bytes) -> Advertisement:
     if len(data) < _LSA.size:
         raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
     flags, count = _LSA.unpack_from(data)
@@ -367,6 +370,9 @@ def decode_advertisement(data: bytes) -> Advertisement:
     twins = tuple(reader.name() for _ in range(count))
     reader.end()
     return Advertisement(neighbours, bool(flags & 1), topology, heard, process, twins)
+
+
+_decode_small_advertisement = lru_cache(maxsize=1024)(_decode_advertisement)
 
 
 # -- unicast channels ------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from services.mesh.core import packets
 from services.mesh.core.fragments import MAX_MESSAGE
 from services.mesh.core.wire import Reader, packed
 from swarm.errors import FrameError
@@ -28,6 +29,10 @@ SIZE = 1880
 MAX_RANGES = 32
 MAX_WANTED = 128
 """Pieces of one WANT, and runs of neighbouring ones that they are told by."""
+
+LEAST_MESSAGE = packets.MAX_MESSAGE + 1
+"""Bytes of the smallest message that is offered. Bookkeeping costs a receiver about 1 kB a message, and the room for
+messages is counted in bytes: without this bound a peer could offer millions of messages of one byte."""
 
 _HEAD = struct.Struct("<BBBQI")
 _OFFER = struct.Struct("<I")
@@ -84,7 +89,9 @@ def decode(data: bytes) -> Packet:
     if len(data) < _HEAD.size:
         raise FrameError(f"packet of {len(data)} bytes about a large message: it has at least {_HEAD.size}")
     kind, ttl, flags, incarnation, number = _HEAD.unpack_from(data)
-    if not OFFER <= kind <= GONE or flags > _OF_FLOOD or not number:
+    # A flood is announced by a SPREAD. An OFFER of one would pass by the bounds of both overlays.
+    wrong_flags = flags > _OF_FLOOD or (flags and kind in (OFFER, STATE))
+    if not OFFER <= kind <= GONE or wrong_flags or not number:
         raise FrameError(f"packet kind {kind}, flags {flags:#x}, number {number} about a large message: not known")
     reader = Reader(data, _HEAD.size)
     sender, to = reader.name(), reader.name()
@@ -115,8 +122,8 @@ def decode_offer(body: bytes) -> tuple[int, str]:
 
 def check_total(total: int) -> None:
     """Raises `FrameError` where no large message has so many bytes."""
-    if not 1 <= total <= MAX_MESSAGE:
-        raise FrameError(f"a message of {total} bytes: 1 to {MAX_MESSAGE} are allowed")
+    if not LEAST_MESSAGE <= total <= MAX_MESSAGE:
+        raise FrameError(f"an offer of {total} bytes: {LEAST_MESSAGE} to {MAX_MESSAGE} are allowed")
 
 
 def encode_want(have: int, indexes: Iterable[int]) -> bytes:

@@ -12,7 +12,11 @@ from swarm.codec import decode
 from swarm.messages import GraphRobot, MeshGraph, Stopped
 
 PAGE = 100
-"""Robots in one answer: with 16 links each they fill half of the 64 KiB that a message on the bus may have."""
+"""Robots in one answer at most."""
+
+PAGE_LINKS = 1600
+"""Links in one answer, where it has more than one robot. With this many a full page takes half of the 64 KiB that a
+message on the bus may have; a robot may claim a link with each of 255 others."""
 
 
 class Survey:
@@ -41,8 +45,15 @@ class Survey:
     def graph(self, now: float, *, stopped: bool, after: str = "") -> MeshGraph:
         """Robots with names behind `after`; `stopped` says whether this one is."""
         names = [name for name in self._names if name > after]
-        page = tuple([self._robot(name, stopped) for name in names[:PAGE]])
-        return MeshGraph(now, page, len(names) > PAGE)
+        page: list[GraphRobot] = []
+        links = 0
+        for name in names[:PAGE]:
+            robot = self._robot(name, stopped)
+            links += len(robot.links)
+            if page and links > PAGE_LINKS:
+                break
+            page.append(robot)
+        return MeshGraph(now, tuple(page), len(names) > len(page))
 
     def _robot(self, name: str, stopped: bool) -> GraphRobot:
         links = {peer: time * 1e-4 for peer, time in sorted(self._links.links(name).items())}

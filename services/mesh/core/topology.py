@@ -21,7 +21,7 @@ MAX_LINKS = 7
 AUTO = "auto"
 """In place of a shape: the robots find their neighbours themselves."""
 
-MAX_VERSION = (1 << 32) - 1
+MAX_VERSION = MAX_STEP = (1 << 32) - 1
 
 _HEAD = struct.Struct("<BBIII")
 _INDEX = struct.Struct("<H")

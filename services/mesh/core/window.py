@@ -18,10 +18,10 @@ class Window:
             self._bits = (self._bits << ahead | 1) & (1 << self.size) - 1 if ahead < self.size else 1
             self.highest = number
             return True
-        bit = 1 << -ahead
-        if -ahead >= self.size or self._bits & bit:
+        # A peer chooses the number. The size is checked before the shift, which could make an integer of 512 MiB.
+        if -ahead >= self.size or self._bits >> -ahead & 1:
             return False
-        self._bits |= bit
+        self._bits |= 1 << -ahead
         return True
 
     def has(self, number: int) -> bool:

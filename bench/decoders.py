@@ -1,0 +1,127 @@
+"""Every decoder of the project, fed with random inputs in bounded memory: `./run bench decoders`, or with options
+
+    python -m bench.decoders --inputs 10000000 --seed 3 --only "frames of a member"
+
+The table has all that takes apart bytes of somebody else: of a stranger, of a member, of a neighbour's app, of a
+device, of a file. A test compares it with the modules that use the means for that (`taking_apart`).
+"""
+
+import argparse
+import ast
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench import decoders_data, decoders_mesh
+from bench.decoders_run import Result, Target, run
+from bench.rows import Row
+
+TARGETS: tuple[Target, ...] = (*decoders_mesh.TARGETS, *decoders_data.TARGETS)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much the area measures."""
+
+    inputs: int = 100_000
+    """Of each decoder."""
+
+
+FULL = Sizes()
+SMOKE = Sizes(200)
+
+ROOT = Path(__file__).parents[1]
+
+ELSEWHERE = {
+    "services/apps/__main__.py": "makes a number of a hash of its own",
+    "services/apps/core/strand.py": "its own stamp in a snapshot whose lengths were checked",
+    "services/apps/event_runner.py": "states of the size that `Asynchronous` has checked",
+    "services/apps/host.py": "hands on what `together` takes apart",
+    "services/apps/rehearsal/examine.py": "states that it has packed itself",
+    "services/apps/runner.py": "states of the size that the lockstep has checked",
+    "services/apps/slots.py": "its own file: tests/apps/test_files.py",
+    "services/balancer/link.py": "datagrams between the loop and its own second process",
+    "services/balancer/core/mailbox.py": "a number made of one byte or two: tests/balancer/test_chores.py",
+    "services/dwm/localizer.py": "hands on what `together` takes apart",
+    "services/mesh/__main__.py": "makes a number of random bytes of its own",
+    "services/mesh/core/dialler.py": "a Bluetooth address that the configuration has checked",
+    "services/mesh/links/sim.py": "simulated links only",
+    "services/mesh/runner.py": "hands on what `together` takes apart",
+    "services/sim/orders.py": "a simulation's own socket: tests/sim/test_orders.py",
+    "services/sim/run.py": "makes a number of random bytes of its own",
+    "services/sim/virtual/world.py": "states that it has packed itself",
+    "swarm/cli/import_csv.py": "makes a number of a hash of its own",
+    "swarm/cli/samples.py": "shows frames of lockstep: tests/test_z_sub.py",
+    "swarm/core/foxglove.py": "a schema of its own",
+    "swarm/core/recording.py": "checkpoints of its own file: tests/recording/test_long_recordings.py",
+    "swarm/core/state.py": "states of the size that the lockstep has checked: tests/apps/test_state.py",
+    "swarm/core/stopping.py": "two bytes of a state of the size that the lockstep has checked",
+    "swarm/json_input.py": "any JSON: tests/test_json_input.py",
+    "swarm/orders.py": "a simulation's own socket: tests/sim/test_orders.py",
+    "swarm/recording/journal.py": "its own file: tests/recording/test_file.py",
+    "swarm/toml_input.py": "any TOML: tests/test_json_input.py",
+    "swarm/view/chromium.py": "its own browser",
+}
+"""Modules that take bytes apart and are not in the table, and why."""
+
+_MEANS = frozenset(("unpack", "unpack_from", "iter_unpack", "from_bytes", "fromhex", "unpackb"))
+_LOADERS = frozenset(("json.load", "json.loads", "tomllib.load", "tomllib.loads", "pickle.loads", "marshal.loads"))
+
+
+def taking_apart() -> set[str]:
+    """The modules of the product that use a means to take bytes apart: struct, int.from_bytes, msgpack, JSON, TOML."""
+    found = set()
+    for path in (*(ROOT / "swarm").rglob("*.py"), *(ROOT / "services").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and (node.attr in _MEANS or ast.unparse(node) in _LOADERS):
+                found.add(path.relative_to(ROOT).as_posix())
+                break
+    return found
+
+
+def rows(sizes: Sizes) -> Iterator[Row]:
+    """Feed all of them; yields rows as they are there."""
+    # In a process of its own, whose memory is limited.
+    command = [sys.executable, "-m", "bench.decoders", "--inputs", str(sizes.inputs)]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    failed = [line for line in done.stdout.splitlines() if " FAILED " in line]
+    for line in failed:
+        sys.stderr.write(f"{line}\n")
+    yield Row(f"decoders that failed, of {len(TARGETS)}", len(failed) + (done.returncode not in (0, 1)), "", 1, 0.0)
+
+
+def told(result: Result) -> str:
+    """A line about a target, and one for each failure."""
+    verdict = "FAILED" if result.failures else "ok"
+    rate = result.inputs / max(result.seconds, 1e-9)
+    line = f"{result.name:<42} {result.inputs:>9} inputs {result.refused:>9} refused {rate:>8.0f} /s  {verdict} "
+    return "\n".join([line, *(f"    {failure}" for failure in result.failures)])
+
+
+def chosen(names: Sequence[str]) -> list[Target]:
+    """The targets whose names have one of these in them; all without any."""
+    return [target for target in TARGETS if not names or any(name in target.name for name in names)]
+
+
+def main() -> int:
+    """Feed the chosen targets; 1 where one has failed."""
+    parser = argparse.ArgumentParser(prog="python -m bench.decoders", description="Feeds decoders with random inputs.")
+    parser.add_argument("--inputs", type=int, default=FULL.inputs, help=f"for each decoder (default {FULL.inputs})")
+    parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same inputs (default 1)")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="decoders with this in their name")
+    options = parser.parse_args()
+    failed = False
+    for target in chosen(options.only):
+        result = run(target, options.inputs, options.seed)
+        failed = failed or bool(result.failures)
+        print(told(result), flush=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stdout.flush()
+    os._exit(code)  # nothing of what was fed is to be tidied up

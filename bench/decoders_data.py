@@ -1,0 +1,407 @@
+"""The decoders of messages, apps, devices and files, for the fuzzer."""
+
+import dataclasses
+import os
+import random
+import types
+import typing
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from bench.decoders_run import MIB, Target
+from services.balancer import link
+from services.balancer.core import balboa, imu, intel_hex, uwb
+from services.dwm.core import calibration_file, calls, shell, tlv
+from services.dwm.core.exchange import Exchange
+from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position
+from services.mesh import monikers
+from swarm import codec, keyfile, messages
+from swarm.config.load import parse as parse_config
+from swarm.core import hci, jsontext, state, together
+from swarm.core.asynchronous import Asynchronous
+from swarm.core.epoch_notes import NONE, Ballot, Kept, Note, Offer, Vote, first, following
+from swarm.core.epochs import Epochs
+from swarm.core.lockstep import Channel, Lockstep
+from swarm.core.lockstep_frames import Heard, Snapshot, decode_frame, encode_step, encode_want
+from swarm.core.recording import Writer
+from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, RecordingError, RemoteError
+from swarm.fleet import collect, journal, versions
+from swarm.fleet.robot import dbus_wire
+from swarm.recording import thesis
+from swarm.recording.reader import Reader
+from swarm.recording.survey import survey
+from swarm.recordings import read_recording
+
+Made = tuple[Sequence[bytes], Callable[[bytes], object]]
+Prepare = Callable[[random.Random], Made]
+
+
+def simple(golden: Sequence[bytes], *decoders: Callable[[bytes], object]) -> Prepare:
+    """Decoders without a state; each input goes to one of them."""
+
+    def prepare(rng: random.Random) -> Made:
+        def feed(data: bytes) -> object:
+            return decoders[int(rng.random() * len(decoders))](data)
+
+        return golden, feed
+
+    return prepare
+
+
+def text(decoder: Callable[[str], object]) -> Callable[[bytes], object]:
+    """A decoder of text, for bytes."""
+    return lambda data: decoder(data.decode("utf-8", "replace"))
+
+
+# -- messages
+
+
+def sample(kind: Any) -> Any:
+    """A value of a message's type, or of the type of one of its fields."""
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        return {each.name: sample(hints[each.name]) for each in dataclasses.fields(kind)}
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return sample(arguments[0])
+    if origin is tuple:
+        return [sample(arguments[0])] * 2
+    if origin is dict:
+        return {"name": sample(arguments[1])}
+    return {float: 1.5, int: 3, bool: True, str: "r0", bytes: b"payload"}.get(kind)
+
+
+def _messages(rng: random.Random) -> Made:
+    """Every message type; the first byte of an input says which."""
+    kinds = sorted(set(messages.topics().values()), key=lambda kind: kind.__name__)
+    golden = [bytes((place,)) + msgpack.packb(sample(kind)) for place, kind in enumerate(kinds)]
+    return golden, lambda data: codec.decode(kinds[data[0] % len(kinds)], data[1:], "key") if data else None
+
+
+# -- apps
+
+_MEMBERS = ("r0", "r1", "r2")
+_BEGIN = first(_MEMBERS, (("r0", "r1"), ("r1", "r2")), 0)
+_NEXT = following(_BEGIN, "r1", 7, ("r0", "r1"), ("r0", "r1"), (("r0", "r1"),), ("r2",), (7,), forced=False)
+_NOTES = tuple(
+    note.encode()
+    for note in (
+        Note("r0", 3, 9, _BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), _NEXT), None, 0),
+        Note("r2", 3, 9, _NEXT, -1, False, (), NONE, None, Offer(Ballot(4, "r2"), _NEXT, True), 7),
+        Note("r1", 3, 9, _BEGIN, 8, True, (), Ballot(4, "r2"), None, Offer(Ballot(4, "r2"), None, False), 0),
+    )
+)
+
+
+def _epochs(rng: random.Random) -> Made:
+    """Notes to the membership of r1, while time passes; what it tells must be a note for the others."""
+    epochs = Epochs("r1", _MEMBERS, (1, 2), 3, _BEGIN, None, auto=True)
+    now = 0.0
+
+    def feed(data: bytes) -> None:
+        nonlocal now
+        now += rng.random() * 0.2
+        epochs.receive(data, now)
+        if rng.random() < 0.3:
+            epochs.settle()
+            epochs.k = max(epochs.k, epochs.epoch.k)
+            epochs.suspect(("r2",) if rng.random() < 0.5 else (), now)
+        epochs.handle_timer(now)
+        for action in epochs.actions():
+            if (told := getattr(action, "data", None)) is not None and told is not data:
+                Note.decode(told)
+
+    return _NOTES, feed
+
+
+_RUN, _SCHEMA = 0xA1, 0x9F3C21AA
+
+
+def _lockstep(rng: random.Random) -> Made:
+    """Frames of the neighbours of a robot in lockstep."""
+    cores = [Lockstep("r1", ("r0", "r2"), Channel(_RUN, 0, 5, _SCHEMA), 8)]
+    cores[0].start(bytes(8), 0.0)
+    now = 0.0
+
+    def feed(data: bytes) -> None:
+        nonlocal now
+        now += rng.random() * 0.1
+        core = cores[0]
+        sender = _MEMBERS[int(rng.random() * 3)]
+        core.receive(sender, Channel(_RUN, 0, int(rng.random() * 3) if sender != "r1" else 1, _SCHEMA), data, now)
+        core.handle_timer(now)
+        for action in core.actions():
+            if type(action).__name__ == "Compute":
+                core.computed(bytes(8), b"", now)
+        core.actions()
+        if core.fault is not None:
+            cores[0] = Lockstep("r1", ("r0", "r2"), Channel(_RUN, 0, 5, _SCHEMA), 8)
+            cores[0].start(bytes(8), now)
+
+    return [encode_step(0, bytes(8), None), encode_step(1, bytes(8), bytes(8)), encode_want(0), encode_want(1)], feed
+
+
+def _asynchronous(rng: random.Random) -> Made:
+    """Frames of the neighbours of a robot with an event-driven app."""
+    core = Asynchronous("r1", ("r0", "r2"), Channel(_RUN, 0, 5, _SCHEMA), 8, _MEMBERS, period=0.1, barrier=True)
+    core.begin(0.0)
+    now = 0.0
+
+    def feed(data: bytes) -> None:
+        nonlocal now
+        now += rng.random() * 0.1
+        sender = ("r0", "r2")[int(rng.random() * 2)]
+        core.receive(sender, Channel(_RUN, 0, int(rng.random() * 9), _SCHEMA), data, now)
+        for action in core.actions():
+            if type(action).__name__ == "Call":
+                core.returned(bytes(8), now)
+        core.handle_timer(now)
+
+    frame = b"\x01" + (5).to_bytes(4, "little") + bytes(8)
+    return [frame, b"\x00" + frame[1:] + b"\x07"], feed
+
+
+def _snapshots(rng: random.Random) -> Made:
+    """Snapshots; half of them with a checksum that is right, as another version might have left them."""
+    heard = {"r0": Heard(3, 6, [bytes(8), None, bytes(8)]), "r2": Heard()}
+    golden = Snapshot(_RUN, 0, _SCHEMA, 8, 6, bytes(8), bytes(8), heard, state.pack_private({"a": (1, [2.0])})).encode()
+
+    def feed(data: bytes) -> None:
+        if rng.random() < 0.5:
+            data = data[:-4] + zlib.crc32(data[:-4]).to_bytes(4, "little")
+        Snapshot.decode(data)
+
+    return [golden], feed
+
+
+# -- devices
+
+_PLACE = Position(6.97, 5.17, -1.77, 53)
+_RANGES = (AnchorRange("022E", 3.38, 100, Position(7.94, 8.03, 0.0, 100)),) * 2
+_ANSWER = tlv.encode_location(Location(_PLACE, _RANGES))
+_LINES = [f"{line(Location(_PLACE, _RANGES))}\r\n".encode() for line in (shell.les, shell.lec)]
+
+
+def _tlv(rng: random.Random) -> Made:
+    """Answers of the UWB module."""
+    known = (LOC_GET, calls.POS_GET, calls.CFG_GET, calls.UPD_RATE_GET, calls.VER_GET, calls.NODE_ID_GET)
+
+    def feed(data: bytes) -> None:
+        exchange = Exchange(known[int(rng.random() * len(known))])
+        exchange.receive(data)
+        exchange.expire()
+
+    okay = tlv.encode_refusal(tlv.OK)
+    others = (tlv.encode_part(calls.CONFIG, b"\x5a\x04"), tlv.encode_part(calls.NODE_ID, bytes(range(8))))
+    return [_ANSWER, *(okay + other for other in others)], feed
+
+
+def _shell(rng: random.Random) -> Made:
+    """Lines of the UWB module's shell mode, in pieces."""
+    reader = shell.Reader()
+
+    def feed(data: bytes) -> None:
+        reader.receive(data)
+        try:
+            while reader.next() is not None:
+                pass
+        finally:
+            reader._lines.clear()
+
+    return [*_LINES, b"[000541.880 INF] uwb0: panid=xFD5C addr=xDECA9AABC0A2591A\r\n", b"dwm> "], feed
+
+
+def _block(data: bytes) -> None:
+    padded = data[: balboa.UWB_SIZE].ljust(balboa.UWB_SIZE, b"\0")
+    uwb.check(data)
+    uwb.decode(padded, 1.0, balboa.decode_progress(data[: balboa.PROGRESS_SIZE]), 0, 1, 0)
+
+
+_REGISTERS = [bytes(range(size)) for size in (4, 12, balboa.MOTION_SIZE, balboa.HOUSEKEEPING_SIZE, balboa.UWB_SIZE)]
+_DATAGRAMS = [
+    link._BYTES[kind] + msgpack.packb(sample(kind)) for kind in link._BYTES if dataclasses.is_dataclass(kind)
+]  # fmt: skip
+_HCI = [bytes((4, 0x0E, 7, 1, 5, 0x14, 0, 11, 0, 0xC8)), bytes((4, 0x0F, 4, 1, 1, 5, 0x14))]
+_DBUS = [
+    dbus_wire.encode(
+        dbus_wire.Message(
+            dbus_wire.CALL, 5, {"path": "/org/bluez", "member": "Pair", "signature": "sa{sv}as"},
+            ["x", {"Paired": ("b", True), "UUIDs": ("as", ["1", "2"])}, ["y"]],
+        )
+    )
+]  # fmt: skip
+_HEX = b":100000000C945C000C946E000C946E000C946E00CA\n:00000001FF\n"
+
+
+# -- files
+
+
+def _recording() -> bytes:
+    writer = Writer("test", epoch_ns=0)
+    writer.metadata("run", {"app": "x", "epoch_ns": "5", "clock": "c"})
+    data = b""
+    for i in range(6):
+        writer.write("ab"[i % 2], 0.1 * i, {"i": i})
+        if i % 2:
+            writer.cut()
+            data += writer.take()
+    writer.finish()
+    return data + writer.take()
+
+
+def _recordings(rng: random.Random) -> Made:
+    """Recordings, read as a person does and as a process does that goes on with them."""
+    file = os.memfd_create("recording")
+    path = Path(f"/proc/self/fd/{file}")
+
+    def feed(data: bytes) -> None:
+        os.ftruncate(file, 0)
+        os.pwrite(file, data, 0)
+        if rng.random() < 0.01:
+            os.ftruncate(file, 256 * MIB)  # zeros: what a record claims is there
+        if rng.random() < 0.5:
+            survey(file)
+            return
+        for each in Reader(path).samples():
+            assert each.message is not None
+
+    return [_recording()], feed
+
+
+def _csv(rng: random.Random) -> Made:
+    """Recordings of the thesis in CSV, as a source of measurements and as what is imported."""
+    folder = Path(f"/dev/shm/decoders{os.getpid()}")  # noqa: S108 - rewritten for each input: no disk is to see it
+    folder.mkdir(exist_ok=True)
+
+    def feed(data: bytes) -> None:
+        if rng.random() < 0.5:
+            (folder / "0.csv").write_bytes(data)
+            read_recording(folder, 0)
+        else:
+            for _ in thesis.read(data.decode("ascii", "replace"), ("consensus", "localization")[len(data) % 2], "x"):
+                pass
+
+    row = "1600000000.5,10.0,20.0,0.0,0.0,0.0,0.0"
+    return [
+        f"{row}\n{row},0,1.0,100.0,20.0,30.0\n{row},1,1.0,100.0,20.0,30.0\n".encode(),
+        b"1.0,2.0\n2.0,3.0,0\n",
+    ], feed
+
+
+_CALIBRATION = b"""robot = "r0"
+layout = "0123456789abcdef"
+anchors = ["D001 (0, 0, 0)"]
+[distance]
+gain = 1.0
+offset = 0.1
+model = "linear"
+made = 2024-01-01T00:00:00
+places = 3
+samples = 300
+sha256 = "00"
+nested = 0.1
+residuals = [[1.0, 0.1]]
+left_out = { linear = 0.1 }
+"""
+_CONFIG = b"""network = "lab"
+[[robots]]
+name = "r0"
+link = "tcp:10.0.0.1:4000"
+[[robots]]
+name = "r1"
+bluetooth = "B8:27:EB:12:34:56"
+[topology]
+shape = "line"
+[mesh]
+key = "/etc/swarm/key"
+heartbeat = 0.5
+[[relay]]
+keys = "swarm/{self}/dwm/pose"
+max_rate = 5.0
+[[anchors]]
+address = "D001"
+x = 0.0
+y = 1.0
+"""
+_KEYS = b"# comment\n68a1f0c2 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08\n"
+_LIST = b"1234 consensus-1/r0.mcap\0005 consensus-1/run.toml\0"
+_ENTRY = b'{"__CURSOR":"s=1","__REALTIME_TIMESTAMP":"1700000000123456","MESSAGE":"x","PRIORITY":"4","_PID":"12"}'
+
+
+def _stream(rng: random.Random) -> Made:
+    """A robot's answer to what was asked for."""
+    files = [collect.File("consensus-1/r0.mcap", 20), collect.File("consensus-1/run.toml", 0)]
+
+    def feed(data: bytes) -> None:
+        stream = collect.Stream(collect.plan(files, {}))
+        middle = int(rng.random() * (len(data) + 1))
+        for part in (data[:middle], data[middle:]):
+            for _ in stream.receive(part):
+                pass
+
+    done = b"0" * 64 + b"  -\n"
+    return [b"+\n" + b"x" * 20 + done + b"+\n" + done, b"-\n-\n"], feed
+
+
+def _as_config(data: bytes) -> object:
+    return parse_config(data.decode("utf-8", "replace"), Path("swarm.toml"))
+
+
+TARGETS = (
+    Target("messages of the bus", ("swarm/codec.py",), _messages, (PayloadError,)),
+    Target("gathered batches, datagrams of the lane", ("swarm/core/together.py",),
+           simple([together.pack([("swarm/r0/a/b", b"x" * 20), ("k", b"")])], lambda data: list(together.unpack(data))),
+           (PayloadError,)),
+    Target("lockstep: frames and channels", ("swarm/core/lockstep_frames.py",),
+           simple([encode_step(1, bytes(8), bytes(8)), b"00000000000000a1-0-3-9f3c21aa"],
+                  lambda data: decode_frame(data, 8), text(Channel.parse)), (FrameError,)),
+    Target("lockstep: frames to a core", ("swarm/core/lockstep_frames.py",), _lockstep),
+    Target("asynchronous: frames to a core", ("swarm/core/asynchronous.py",), _asynchronous),
+    Target("epochs: notes", ("swarm/core/epoch_notes.py", "swarm/codec.py"), simple(_NOTES, Note.decode),
+           (PayloadError,)),
+    Target("epochs: notes to a core", ("swarm/core/epoch_notes.py",), _epochs),
+    Target("ballots", ("swarm/core/epoch_notes.py", "swarm/codec.py"),
+           simple([codec.encode(Kept(1, 2, Note.decode(note))) for note in _NOTES],
+                  lambda data: codec.decode(Kept, data, "ballot")), (PayloadError,)),
+    Target("snapshots", ("swarm/core/lockstep_frames.py",), _snapshots, (LocalError,)),
+    Target("UWB module: answers", ("services/dwm/core/tlv.py", "services/dwm/core/calls.py"), _tlv),
+    Target("UWB module: requests", ("services/dwm/core/calls.py",), simple([b"\x0c\x00", b"\x02\x00"], calls.call_of),
+           (FrameError,)),
+    Target("UWB module: shell", ("services/dwm/core/shell.py",), _shell, (FrameError,)),
+    Target("ATmega: UWB block", ("services/balancer/core/uwb.py", "services/balancer/core/balboa.py"),
+           simple(_REGISTERS, _block), (RemoteError,)),
+    Target("ATmega and IMU: registers", ("services/balancer/core/balboa.py", "services/balancer/core/imu.py"),
+           simple(_REGISTERS, balboa.decode_motion, balboa.decode_housekeeping, balboa.decode_progress, imu.decode),
+           (RemoteError,)),
+    Target("balancer: datagrams of the loop", ("swarm/codec.py",), simple(_DATAGRAMS, link.unpack), (PayloadError,)),
+    Target("Bluetooth: HCI events", ("swarm/core/hci.py",), simple(_HCI, hci.reading, hci.written_supervision),
+           (FrameError,)),
+    Target("D-Bus messages", ("swarm/fleet/robot/dbus_wire.py",),
+           simple(_DBUS, dbus_wire.decode, text(dbus_wire.split), lambda data: dbus_wire.unmarshal("a{sv}", data)),
+           (dbus_wire.WireError,)),
+    Target("Intel HEX", ("services/balancer/core/intel_hex.py",),
+           simple([_HEX], text(lambda each: intel_hex.parse(each, 28 * 1024))), (LocalError,)),
+    Target("recordings (MCAP)",
+           ("swarm/core/mcap.py", "swarm/recording/reader.py", "swarm/recording/survey.py", "swarm/core/jsontext.py"),
+           _recordings, (RecordingError,), room=8),
+    Target("recorded messages (JSON)", ("swarm/core/jsontext.py",),
+           simple([jsontext.encode({"t": 1.5, "a": [1, {"b": None}]})], jsontext.decode), (ValueError, RecursionError)),
+    Target("recordings of the thesis (CSV)", (), _csv, (RecordingError,)),
+    Target("swarm.toml", ("swarm/config/load.py",), simple([_CONFIG], _as_config), (ConfigError,), room=8),
+    Target("calibration file", ("services/dwm/core/calibration_file.py",),
+           simple([_CALIBRATION], text(lambda each: calibration_file.parse(each, "x"))), (ConfigError,)),
+    Target("key file", ("swarm/keyfile.py",),
+           simple([_KEYS], lambda data: keyfile.parse_keys(data, Path("key"))), (LocalError,)),
+    Target("addresses of robots", (), simple([b"tcp:10.0.0.1:4000", b"rfcomm:B8:27:EB:12:34:56"],
+                                             text(monikers.parse)), (ConfigError,)),
+    Target("fetch: list of files", (), simple([_LIST], text(collect.parse_list)), (RemoteError,)),
+    Target("fetch: stream of files", (), _stream, (RemoteError,)),
+    Target("fetch: journal", ("swarm/fleet/journal.py",),
+           simple([_ENTRY, b"123 s=1;i=2\n"], text(journal.entry), text(journal.Mark.of))),
+    Target("fleet: versions of robots", ("swarm/fleet/versions.py",),
+           simple([b'{"value": {"revision": 3, "layout": 2}}'], text(versions.firmware))),
+)  # fmt: skip

@@ -1,0 +1,78 @@
+"""Every decoder takes random inputs in bounded memory, and raises its own error only; `bench/decoders.py` lists them.
+
+10 000 inputs each in every run of the tests, 100 000 among the slow ones; `./run bench decoders` for more.
+"""
+
+import random
+import subprocess
+import sys
+
+import pytest
+
+from bench.decoders import ELSEWHERE, ROOT, TARGETS, taking_apart
+from bench.decoders_run import MIB, Target, mutated, run
+
+HALVES = {"mesh": [each.name for each in TARGETS if each.name.startswith("mesh: ")]}
+HALVES["others"] = [each.name for each in TARGETS if each.name not in HALVES["mesh"]]
+
+
+def feed(names: list[str], inputs: int) -> None:
+    only = [word for name in names for word in ("--only", name)]
+    command = [sys.executable, "-m", "bench.decoders", "--inputs", str(inputs), *only]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count(" ok ") == len(names)
+
+
+@pytest.mark.timeout(600)  # ten seconds of an idle processor
+@pytest.mark.parametrize("half", HALVES)
+def test_every_decoder_takes_ten_thousand_inputs(half: str) -> None:
+    feed(HALVES[half], 10_000)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("half", HALVES)
+def test_every_decoder_takes_a_hundred_thousand_inputs(half: str) -> None:
+    feed(HALVES[half], 100_000)
+
+
+def test_every_module_that_takes_bytes_apart_is_in_the_table_or_says_why_not() -> None:
+    covered = {module for target in TARGETS for module in target.modules}
+    found = taking_apart()
+    assert found - covered - ELSEWHERE.keys() == set(), "add a target to bench/decoders_*.py"
+    assert ELSEWHERE.keys() - found == set(), "it takes no bytes apart any more"
+    assert ELSEWHERE.keys() & covered == set()
+    assert all((ROOT / module).is_file() for module in covered)
+
+
+FAULTY = """
+from bench.decoders_run import Target, run
+
+def greedy(data):
+    return bytes(int.from_bytes(data[:4], "little"))
+
+print(run(Target("greedy", (), lambda rng: ([bytes(4)], greedy), room=4), 10_000, 1).failures)
+"""
+
+
+def test_an_allocation_of_more_than_the_room_is_a_failure() -> None:
+    done = subprocess.run([sys.executable, "-c", FAULTY], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "MemoryError" in done.stdout
+
+
+def test_an_error_that_is_not_the_decoders_own_is_a_failure() -> None:
+    def wrong(data: bytes) -> None:
+        if len(data) > 4:
+            raise KeyError("too long")
+
+    result = run(Target("wrong", (), lambda rng: ([bytes(4)], wrong), (ValueError,), room=64), 1000, 1)
+    assert result.failures[0].startswith("KeyError: 'too long'; input ")
+
+
+def test_the_same_seed_gives_the_same_inputs() -> None:
+    golden = [b"abcdef", bytes(40)]
+    first, second = ([mutated(golden, rng) for _ in range(500)] for rng in (random.Random(7), random.Random(7)))
+    assert first == second
+    assert len(set(first)) > 300
+    assert max(map(len, first)) < MIB

@@ -1,0 +1,154 @@
+"""An error that nobody expected ends a service with a reason in its log: no process stays behind without its thread."""
+
+import subprocess
+
+import pytest
+from conftest import Processes, ask, wait_until
+
+from swarm.bus import Bus
+from swarm.codec import decode
+from swarm.messages import Status
+from swarm.process import DEFECT
+
+MESH = """
+import resource
+from services.mesh import __main__ as mesh
+from services.mesh.core.node import Node
+from swarm import service
+
+def broken(*arguments):
+    {fault}
+
+Node.{method} = broken
+service.run(mesh.main)
+"""
+
+APP = """
+from services.apps.__main__ import main
+from services.apps.core.strand import Strand
+from swarm.service import run
+
+def broken(*arguments):
+    raise KeyError("injected")
+
+Strand.{method} = broken
+run(main)
+"""
+
+HUGE = "resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30)); return bytes(1 << 40)"
+
+SERVICE = """
+import sys, threading
+from swarm.errors import PayloadError
+from swarm.service import Service, run
+
+def main():
+    with Service("test") as service:
+        def heard(key, payload):
+            if payload == b"wrong":
+                raise PayloadError("a sample that is none")
+            if payload == b"late":
+                service.stop()
+                raise KeyError("while it stops")
+            if payload == b"defect":
+                raise KeyError("a core left half changed")
+        service.bus.subscribe("swarm/r0/test/set/x", heard)
+        service.ready()
+        {main}
+
+run(main)
+"""
+WAIT = "service.stopping.wait()"
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    _, text = process.communicate(timeout=60)
+    return process.returncode, text
+
+
+@pytest.mark.usefixtures("router")
+@pytest.mark.parametrize(
+    ("method", "fault", "reason"),
+    [
+        ("handle_timer", "raise KeyError('injected')", "KeyError('injected')"),
+        ("handle_timer", HUGE, "MemoryError()"),
+    ],
+)
+def test_a_mesh_whose_reading_thread_dies_ends_with_the_reason(
+    processes: Processes, method: str, fault: str, reason: str
+) -> None:
+    """It stayed, answered nobody, and fed no link, until the watchdog found out."""
+    code, text = ended(processes.start("-c", MESH.format(method=method, fault=fault)))
+    assert code == DEFECT
+    assert f"ended by a defect in the thread 'mesh': {reason}" in text
+    assert "in broken" in text, "the traceback is there"
+
+
+@pytest.mark.usefixtures("router")
+@pytest.mark.parametrize(("method", "thread"), [("next_deadline", "ticker"), ("begin", "steps")])
+def test_an_app_host_whose_core_fails_ends_with_the_reason(processes: Processes, method: str, thread: str) -> None:
+    """It stayed as a fault of its app for good; started anew it goes on from its snapshot."""
+    processes.start_ready("-m", "services.mesh")
+    code, text = ended(processes.start("-c", APP.format(method=method), "consensus"))
+    assert code == DEFECT
+    assert f"ended by a defect in the thread '{thread}': KeyError('injected')" in text
+
+
+@pytest.mark.usefixtures("router")
+def test_a_defect_in_a_bus_callback_ends_the_service_and_a_wrong_sample_does_not(
+    processes: Processes,
+) -> None:
+    process = processes.start_ready("-c", SERVICE.format(main=WAIT))
+    with Bus.of(processes.runtime) as bus:
+        assert bus.wait_connected(60)
+        wait_until(lambda: bus.wanted("swarm/r0/test/set/x"))
+
+        def dropped() -> int:
+            bus.publish("swarm/r0/test/set/x", b"wrong")
+            return decode(Status, ask(bus, "swarm/r0/test/status"), "").counters.get("dropped_samples", 0)
+
+        wait_until(lambda: dropped() >= 3)
+        assert process.poll() is None
+
+        def gone() -> bool:
+            bus.publish("swarm/r0/test/set/x", b"defect")
+            return process.poll() is not None
+
+        wait_until(gone)
+    code, text = ended(process)
+    assert code == DEFECT
+    assert "ended by a defect in a bus callback: KeyError('a core left half changed')" in text
+    assert "in heard" in text
+
+
+@pytest.mark.usefixtures("router")
+def test_what_fails_while_a_service_stops_is_logged_and_does_not_change_its_end(processes: Processes) -> None:
+    process = processes.start_ready("-c", SERVICE.format(main=WAIT))
+    with Bus.of(processes.runtime) as bus:
+        assert bus.wait_connected(60)
+
+        def gone() -> bool:
+            bus.publish("swarm/r0/test/set/x", b"late")
+            return process.poll() is not None
+
+        wait_until(gone)
+    code, text = ended(process)
+    assert code == 0
+    assert "KeyError('while it stops')" in text
+
+
+@pytest.mark.usefixtures("router")
+@pytest.mark.parametrize(
+    ("statement", "code", "reason"),
+    [
+        ("raise KeyError('injected')", DEFECT, "ended by a defect in the main thread: KeyError('injected')"),
+        ("raise PayloadError('one line')", 2, "-c: one line"),
+    ],
+)
+def test_a_main_thread_that_ends_by_an_error_does_not_wait_for_other_threads(
+    processes: Processes, statement: str, code: int, reason: str
+) -> None:
+    main = f"threading.Thread(target=threading.Event().wait).start(); {statement}"
+    found, text = ended(processes.start("-c", SERVICE.format(main=main)))
+    assert found == code
+    assert reason in text
