@@ -7,7 +7,6 @@ import contextlib
 import math
 import socket
 import sys
-from pathlib import Path
 
 from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.requests import check
@@ -50,9 +49,6 @@ _LOG_PERIOD_S = 5.0
 
 _NOTICES_A_SECOND = 10
 """About refused commands, at most."""
-
-OOM_SCORE_ADJUST = "300"
-"""As of the unit of apps: the first to go."""
 
 SLOW_STATE_S = 0.2
 """s between two messages of the state's slow copy; a change of mode is told at once."""
@@ -184,15 +180,8 @@ class Relay:
             self._service.log.warning("command %s: %s", counter, reason[:200])
 
 
-def _go_before_the_loop() -> None:
-    """Where memory runs out this process is ended, not the loop, which the unit protects and which starts another."""
-    with contextlib.suppress(OSError):  # a system that hides it
-        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE_ADJUST)
-
-
 def main() -> None:
     """Bridge until the loop ends."""
-    _go_before_the_loop()
     try:
         descriptor = int(sys.argv[1])
         loop = socket.socket(fileno=descriptor)

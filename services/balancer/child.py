@@ -20,6 +20,9 @@ _COMMANDS_AT_ONCE = 8
 _NOT_FOR_THE_BRIDGE = ("NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC")
 """systemd hears of the loop, not of the bridge."""
 
+OOM_SCORE_ADJUST = "300"
+"""Of the bridge, as of an app: where memory runs out it is ended, not the loop, which its unit protects."""
+
 _log = logging.getLogger("balancer")
 
 
@@ -106,6 +109,8 @@ class Bridge:
         if pid == 0:
             try:
                 theirs.set_inheritable(True)
+                with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as score:  # noqa: PTH123
+                    score.write(OOM_SCORE_ADJUST)
                 os.execve(sys.executable, command, environment)  # noqa: S606
             finally:
                 os._exit(127)
