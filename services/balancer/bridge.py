@@ -15,7 +15,6 @@ import select
 import socket
 import sys
 import threading
-from pathlib import Path
 
 from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.inbox import Inbox, Waiting
@@ -64,9 +63,6 @@ _LOG_PERIOD_S = 5.0
 
 _NOTICES_A_SECOND = 10
 """About refused commands, at most."""
-
-OOM_SCORE_ADJUST = "300"
-"""As of the unit of apps: the first to go."""
 
 SLOW_STATE_S = 0.2
 """s between two messages of the state's slow copy; a change of mode is told at once."""
@@ -249,15 +245,8 @@ class Relay:
             self._service.log.warning("command %s: %s", counter, reason[:200])
 
 
-def _go_before_the_loop() -> None:
-    """Where memory runs out this process is ended, not the loop, which the unit protects and which starts another."""
-    with contextlib.suppress(OSError):  # a system that hides it
-        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE_ADJUST)
-
-
 def main() -> None:
     """Bridge until the loop ends."""
-    _go_before_the_loop()
     try:
         loop, stops = (socket.socket(fileno=int(text)) for text in sys.argv[1:])
     except (ValueError, OSError):

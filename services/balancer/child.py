@@ -23,6 +23,9 @@ _STOPS_AT_ONCE = 64
 _NOT_FOR_THE_BRIDGE = ("NOTIFY_SOCKET", "WATCHDOG_PID", "WATCHDOG_USEC")
 """systemd hears of the loop, not of the bridge."""
 
+OOM_SCORE_ADJUST = "300"
+"""Of the bridge, as of an app: where memory runs out it is ended, not the loop, which its unit protects."""
+
 _log = logging.getLogger("balancer")
 
 
@@ -135,6 +138,8 @@ class Bridge:
             try:
                 theirs.set_inheritable(True)
                 their_stops.set_inheritable(True)
+                with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as score:  # noqa: PTH123
+                    score.write(OOM_SCORE_ADJUST)
                 os.execve(sys.executable, command, environment)  # noqa: S606
             finally:
                 os._exit(127)

@@ -8,13 +8,13 @@ Point = tuple[float, float]
 
 TRACK_S = 0.1
 """s between two places that are kept."""
-MOST_PLACES = 20_000
-"""Places that are kept, 24 bytes each: half an hour at `TRACK_S`."""
+MOST_PLACES = 4_000
+"""Places that are kept, 24 bytes each: seven minutes at `TRACK_S`."""
 
 
 class Track:
     """Places by time. When there are too many, each second one goes, and from then on twice the time lies between two:
-    a track of a day has one each 6 s."""
+    a track of a day has one each 26 s."""
 
     def __init__(self) -> None:
         self._times, self._x, self._y = array("d"), array("d"), array("d")
