@@ -7,6 +7,7 @@ the input all are told to end; the exit code says whether all ended well. They a
 """
 
 import ctypes
+import faulthandler
 import json
 import os
 import runpy
@@ -76,6 +77,10 @@ def serve(order: Order) -> None:
     os.environ.update(order["environment"])
     log = os.open(Path(os.environ["SWARM_RUNTIME"]) / "log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(log, 2)  # a pipe that nobody reads would fill
+    # A service that is asked writes to its log where its threads are. Python gives the signal back to who had it before
+    # when it ends, and an ending process must not be killed by it.
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    faulthandler.register(signal.SIGUSR1)
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)

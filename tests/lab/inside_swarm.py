@@ -1,5 +1,6 @@
 """Inside a machine: the mesh and app processes of its robots, an adapter each."""
 
+import contextlib
 import json
 import os
 import signal
@@ -106,7 +107,7 @@ class Swarm:
 
     def wait(self, what: str, condition: Callable[[], bool], state: Callable[[], object] = str) -> None:
         """Wait until `condition()`; `what` describes it, `state()` returns what is so now."""
-        until(what, condition, state=lambda: f"{state()}; iterations {self.reached}\n{self.logs()}")
+        until(what, condition, state=lambda: f"{self.logs()}\niterations {self.reached}; {state()}")
 
     def wait_reached(self, what: str, iteration: int) -> None:
         """Wait until all robots have done that iteration."""
@@ -117,19 +118,28 @@ class Swarm:
         running = [Path(f"/proc/{self.process(module, name)}") for module in (APPS, MESH) for name in self.names]
         for process in running:
             os.kill(int(process.name), signal.SIGTERM)
-        self.wait(f"{running} end after SIGTERM", lambda: not any(process.exists() for process in running))
+        self.wait(f"{running} end after SIGTERM", lambda: not any(process.exists() for process in running), self.stacks)
 
     def end(self) -> None:
         """All services end by SIGTERM, and well."""
         stdin = self.nursery.stdin
         assert stdin is not None
         stdin.close()
-        self.wait("all services end after SIGTERM", lambda: self.nursery.poll() is not None)
+        self.wait("all services end after SIGTERM", lambda: self.nursery.poll() is not None, self.stacks)
         assert self.nursery.returncode == 0, self.logs()
+
+    def stacks(self) -> str:
+        """Have each service that still runs write to its log where its threads are; return which ones run."""
+        running = {}
+        for file in sorted(self.processes.runtime.glob("*/*.pid")):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(file.read_text()), signal.SIGUSR1)
+                running[f"{file.parent.name} {file.stem}"] = file.read_text()
+        return f"still running: {running}"
 
     def logs(self) -> str:
         """What the services have said last."""
-        return "\n".join(f"{log}: {log.read_text()[-1500:]}" for log in sorted(self.processes.runtime.glob("*/log")))
+        return "\n".join(f"{log}: {log.read_text()[-4000:]}" for log in sorted(self.processes.runtime.glob("*/log")))
 
     def close(self) -> None:
         self.processes.end()
