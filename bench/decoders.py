@@ -8,7 +8,6 @@ device, of a file. A test compares it with the modules that use the means for th
 
 import argparse
 import ast
-import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -122,6 +121,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    code = main()
-    sys.stdout.flush()
-    os._exit(code)  # nothing of what was fed is to be tidied up
+    sys.exit(main())

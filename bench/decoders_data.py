@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import random
+import tempfile
 import types
 import typing
 import zlib
@@ -274,13 +275,13 @@ def _recordings(rng: random.Random) -> Made:
 
 def _csv(rng: random.Random) -> Made:
     """Recordings of the thesis in CSV, as a source of measurements and as what is imported."""
-    folder = Path(f"/dev/shm/decoders{os.getpid()}")  # noqa: S108 - rewritten for each input: no disk is to see it
-    folder.mkdir(exist_ok=True)
+    # In memory: it is rewritten for each input. It goes with `feed`.
+    kept = tempfile.TemporaryDirectory(prefix="decoders", dir="/dev/shm")
 
     def feed(data: bytes) -> None:
         if rng.random() < 0.5:
-            (folder / "0.csv").write_bytes(data)
-            read_recording(folder, 0)
+            (Path(kept.name) / "0.csv").write_bytes(data)
+            read_recording(Path(kept.name), 0)
         else:
             for _ in thesis.read(data.decode("ascii", "replace"), ("consensus", "localization")[len(data) % 2], "x"):
                 pass
