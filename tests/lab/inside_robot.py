@@ -257,19 +257,32 @@ def a_limit_of_memory_is_reached() -> dict[str, float]:
     return measured
 
 
+HOG = """
+import sys
+from pathlib import Path
+group = Path(sys.argv[1])
+Path("/proc/self/oom_score_adj").write_text("-1000")
+(group / "cgroup.procs").write_text("0")
+taken = []
+while "oom_kill 0" in (group / "memory.events").read_text() and len(taken) < 200:
+    taken.append(bytearray(b"x") * (1 << 20))
+"""
+"""Takes memory as a member of a group, until the kernel has ended another process of it."""
+
+
 def the_balancers_limit_of_memory_is_reached() -> dict[str, float]:
     """Its bridge is ended, and another one started: the loop goes on, and the robot stands."""
     robot.stand()
     loop = show("swarm-balancer", "MainPID")
-    children = Path(f"/proc/{loop}/task/{loop}/children")
-    bridge = children.read_text().split()
     group = group_of("swarm-balancer")
-    limit, current = (group / "memory.max").read_text(), int((group / "memory.current").read_text())
-    resident = int(Path(f"/proc/{loop}/status").read_text().split("VmRSS:")[1].split()[0]) << 10
-    (group / "memory.max").write_text(str(resident + (4 << 20)))  # enough for the loop alone
-    wait(lambda: "oom_kill 1" in (group / "memory.events").read_text(), "the kernel has ended a process", 10.0)
-    (group / "memory.max").write_text(limit)
-    wait(lambda: (now := children.read_text().split()) and now != bridge, "there is another bridge", 10.0)
+
+    def bridge() -> list[str]:
+        return [pid for pid in (group / "cgroup.procs").read_text().split() if pid != loop]
+
+    old = bridge()
+    current = int((group / "memory.current").read_text())
+    subprocess.run([sys.executable, "-c", HOG, str(group)], check=True, timeout=60.0)
+    wait(lambda: (now := bridge()) and now != old, "there is another bridge", 10.0)
     expect(show("swarm-balancer", "MainPID") == loop, "the loop was ended")
     robot.state = None
     wait(lambda: robot.mode == "balancing", "it stands as before", 20.0)
