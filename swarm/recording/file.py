@@ -195,6 +195,15 @@ class RecordingFile:
             return Known()
 
     def _loop(self) -> None:
+        """Write once a second until closed. A defect ends the recording, never the app whose run is recorded."""
+        try:
+            self._write_on()
+        except Exception as error:  # noqa: BLE001 - whatever it is, the run goes on
+            _log.exception("the recording thread has a defect")
+            self._lose(f"defect of the recording: {error!r}")
+            self.watched(self.problem)
+
+    def _write_on(self) -> None:
         synced = 0.0
         while not self._ending.wait(FLUSH_S):
             self.flush()

@@ -443,3 +443,16 @@ def test_a_journal_of_junk_is_left_out(open_file, tmp_path, caplog):
     file.close()
     assert numbers(tmp_path / "x.mcap")[0] == [1]
     assert "a message of channel 0, which is not described" in caplog.text
+
+
+def test_a_defect_of_the_recording_thread_ends_the_recording_and_nothing_else(open_file, monkeypatch, caplog):
+    monkeypatch.setattr(module, "FLUSH_S", 0.01)
+    told = []
+    file = open_file()
+    file.watched = told.append
+    monkeypatch.setattr(file, "flush", lambda: {}["a defect"])
+    file._thread.join(30.0)
+    assert not file._thread.is_alive()
+    assert told == ["defect of the recording: KeyError('a defect')"]
+    assert "the recording thread has a defect" in caplog.text
+    monkeypatch.undo()
