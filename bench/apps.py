@@ -20,12 +20,12 @@ from bench.rows import Row, number
 from bench.simulation import simulate
 from services.apps import loader
 from services.apps.localization.leastsquares import refine
-from services.apps.rehearsal.scene import PLACES, TARGET, scene
-from services.apps.rehearsal.sync import SyncRehearsal
-from services.sim.core import noise
-from services.sim.virtual.run import simulate as simulate_virtually
+from sim.core import noise
+from sim.rehearsal.scene import PLACES, TARGET, scene
+from sim.rehearsal.sync import SyncRehearsal
+from sim.virtual.run import simulate as simulate_virtually
 from swarm.messages import Measurement
-from swarm.recordings import read_folder
+from swarm.recording.thesis_ranges import read_folder
 
 Point = tuple[float, float]
 Measure = Callable[[str, int], Measurement]

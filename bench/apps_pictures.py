@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib as mpl
 
 from bench.apps import KNOWN_ROUNDS, biased, consensus, localization, place, value
-from services.apps.rehearsal.scene import TARGET
+from sim.rehearsal.scene import TARGET
 
 mpl.use("Agg")
 

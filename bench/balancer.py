@@ -30,13 +30,13 @@ from bench.balancer_world import World
 from bench.cpu import cpu_s
 from bench.rows import Row
 from services.balancer.realtime import PRIORITY
-from services.sim import footprint
-from services.sim.processes import Child, Processes
+from sim import footprint
+from sim.processes import Child, Processes
 from swarm import clock
-from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
 from swarm.messages import BalancerState
+from swarm.messages.codec import decode
 
 PERIOD_S = 0.01
 START_S = 120.0

@@ -1,6 +1,6 @@
 """`python -m bench.balancer_body TICKS [--in-process]`: a simulated robot's balancer that notes each tick's lateness.
 
-The very program of a simulated robot (`services.sim.body`). With `--in-process` its process has a Zenoh session of its
+The very program of a simulated robot (`sim.body`). With `--in-process` its process has a Zenoh session of its
 own besides, whose callbacks run beside the loop's thread: as the threads of the thesis' one process did, and the
 reason why ours are two. At the end TICKS holds pairs of doubles: monotonic time and lateness, s.
 """
@@ -12,11 +12,11 @@ from pathlib import Path
 from services.balancer import loop
 from services.balancer.core.lateness import Lateness
 from services.balancer.i2c import I2CBus
-from services.sim.wiring import simulated_bus
+from sim.wiring import simulated_bus
 from swarm import clock
-from swarm.bus import Bus
+from swarm.bus.zenoh_bus import Bus
 from swarm.config import Config
-from swarm.paths import runtime_dir
+from swarm.process.paths import runtime_dir
 
 CALLBACK_S = 200e-6
 """What a message costs a process that does something with it."""

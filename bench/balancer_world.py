@@ -1,11 +1,11 @@
-"""What the bench's robot tells of its true pose, as `services.sim.world` hears it."""
+"""What the bench's robot tells of its true pose, as `sim.world` hears it."""
 
 import math
 import socket
 import threading
 from pathlib import Path
 
-from services.sim.world import SOCKET, BodyReport, read_report
+from sim.world import SOCKET, BodyReport, read_report
 
 FALLEN = math.radians(45.0)
 """rad of tilt."""

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from bench import one_sim
 from bench.rows import Row
 from bench.simulation import Simulation
-from swarm.simulations import pid_file
+from swarm.process.simulations import pid_file
 
 NAMES = tuple(f"r{index}" for index in range(6))
 SERVICES = ("bus", "mesh", "app/consensus")
@@ -42,7 +42,7 @@ ONE = Kind("one robot", ("bench.one_sim",), (one_sim.ROBOT,))
 KINDS = (
     ONE,
     Kind("six on two cores", ("bench.socket_sim",), NAMES),
-    Kind("six on two cores, simulated links", ("swarm.cli", "sim"), NAMES),
+    Kind("six on two cores, simulated links", ("laptop.cli", "sim"), NAMES),
 )
 
 

@@ -14,28 +14,33 @@ from typing import Any
 import msgpack
 
 from bench.decoders_run import MIB, Target
+from laptop.fleet import collect, journal, versions
 from services.balancer import link
 from services.balancer.core import balboa, imu, intel_hex, uwb
 from services.dwm.core import calibration_file, calls, shell, tlv
 from services.dwm.core.exchange import Exchange
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position
 from services.mesh import monikers
-from swarm import codec, keyfile, messages
+from swarm import messages
+from swarm.bluetooth import hci
+from swarm.bus import batch
+from swarm.config import keyfile
 from swarm.config.load import parse as parse_config
-from swarm.core import hci, jsontext, state, together
+from swarm.core import state
 from swarm.core.asynchronous import Asynchronous
 from swarm.core.epoch_notes import NONE, Ballot, Kept, Note, Offer, Vote, first, following
 from swarm.core.epochs import Epochs
 from swarm.core.lockstep import Channel, Lockstep
 from swarm.core.lockstep_frames import Heard, Snapshot, decode_frame, encode_step, encode_want
-from swarm.core.recording import Writer
 from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, RecordingError, RemoteError
-from swarm.fleet import collect, journal, versions
-from swarm.fleet.robot import dbus_wire
-from swarm.recording import thesis
+from swarm.messages import codec
+from swarm.onboard.bootstrap import dbus_wire
+from swarm.recording import thesis_csv
+from swarm.recording.core import json_text
+from swarm.recording.core.writer import Writer
 from swarm.recording.reader import Reader
 from swarm.recording.survey import survey
-from swarm.recordings import read_recording
+from swarm.recording.thesis_ranges import read_recording
 
 Made = tuple[Sequence[bytes], Callable[[bytes], object]]
 Prepare = Callable[[random.Random], Made]
@@ -283,7 +288,9 @@ def _csv(rng: random.Random) -> Made:
             (Path(kept.name) / "0.csv").write_bytes(data)
             read_recording(Path(kept.name), 0)
         else:
-            for _ in thesis.read(data.decode("ascii", "replace"), ("consensus", "localization")[len(data) % 2], "x"):
+            for _ in thesis_csv.read(
+                data.decode("ascii", "replace"), ("consensus", "localization")[len(data) % 2], "x"
+            ):
                 pass
 
     row = "1600000000.5,10.0,20.0,0.0,0.0,0.0,0.0"
@@ -353,19 +360,19 @@ def _as_config(data: bytes) -> object:
 
 
 TARGETS = (
-    Target("messages of the bus", ("swarm/codec.py",), _messages, (PayloadError,)),
-    Target("gathered batches, datagrams of the lane", ("swarm/core/together.py",),
-           simple([together.pack([("swarm/r0/a/b", b"x" * 20), ("k", b"")])], lambda data: list(together.unpack(data))),
+    Target("messages of the bus", ("swarm/messages/codec.py",), _messages, (PayloadError,)),
+    Target("gathered batches, datagrams of the lane", ("swarm/core/batch.py",),
+           simple([batch.pack([("swarm/r0/a/b", b"x" * 20), ("k", b"")])], lambda data: list(batch.unpack(data))),
            (PayloadError,)),
     Target("lockstep: frames and channels", ("swarm/core/lockstep_frames.py",),
            simple([encode_step(1, bytes(8), bytes(8)), b"00000000000000a1-0-3-9f3c21aa"],
                   lambda data: decode_frame(data, 8), text(Channel.parse)), (FrameError,)),
     Target("lockstep: frames to a core", ("swarm/core/lockstep_frames.py",), _lockstep),
     Target("asynchronous: frames to a core", ("swarm/core/asynchronous.py",), _asynchronous),
-    Target("epochs: notes", ("swarm/core/epoch_notes.py", "swarm/codec.py"), simple(_NOTES, Note.decode),
+    Target("epochs: notes", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"), simple(_NOTES, Note.decode),
            (PayloadError,)),
     Target("epochs: notes to a core", ("swarm/core/epoch_notes.py",), _epochs),
-    Target("ballots", ("swarm/core/epoch_notes.py", "swarm/codec.py"),
+    Target("ballots", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"),
            simple([codec.encode(Kept(1, 2, Note.decode(note))) for note in _NOTES],
                   lambda data: codec.decode(Kept, data, "ballot")), (PayloadError,)),
     Target("snapshots", ("swarm/core/lockstep_frames.py",), _snapshots, (LocalError,)),
@@ -378,31 +385,31 @@ TARGETS = (
     Target("ATmega and IMU: registers", ("services/balancer/core/balboa.py", "services/balancer/core/imu.py"),
            simple(_REGISTERS, balboa.decode_motion, balboa.decode_housekeeping, balboa.decode_progress, imu.decode),
            (RemoteError,)),
-    Target("balancer: datagrams of the loop", ("swarm/codec.py",), simple(_DATAGRAMS, link.unpack), (PayloadError,)),
-    Target("Bluetooth: HCI events", ("swarm/core/hci.py",), simple(_HCI, hci.reading, hci.written_supervision),
+    Target("balancer: datagrams of the loop", ("swarm/messages/codec.py",), simple(_DATAGRAMS, link.unpack), (PayloadError,)),
+    Target("Bluetooth: HCI events", ("swarm/bluetooth/hci.py",), simple(_HCI, hci.reading, hci.written_supervision),
            (FrameError,)),
-    Target("D-Bus messages", ("swarm/fleet/robot/dbus_wire.py",),
+    Target("D-Bus messages", ("swarm/onboard/bootstrap/dbus_wire.py",),
            simple(_DBUS, dbus_wire.decode, text(dbus_wire.split), lambda data: dbus_wire.unmarshal("a{sv}", data)),
            (dbus_wire.WireError,)),
     Target("Intel HEX", ("services/balancer/core/intel_hex.py",),
            simple([_HEX], text(lambda each: intel_hex.parse(each, 28 * 1024))), (LocalError,)),
     Target("recordings (MCAP)",
-           ("swarm/core/mcap.py", "swarm/recording/reader.py", "swarm/recording/survey.py", "swarm/core/jsontext.py"),
+           ("swarm/recording/core/mcap.py", "swarm/recording/reader.py", "swarm/recording/survey.py", "swarm/core/json_text.py"),
            _recordings, (RecordingError,), room=8),
-    Target("recorded messages (JSON)", ("swarm/core/jsontext.py",),
-           simple([jsontext.encode({"t": 1.5, "a": [1, {"b": None}]})], jsontext.decode), (ValueError, RecursionError)),
+    Target("recorded messages (JSON)", ("swarm/core/json_text.py",),
+           simple([json_text.encode({"t": 1.5, "a": [1, {"b": None}]})], json_text.decode), (ValueError, RecursionError)),
     Target("recordings of the thesis (CSV)", (), _csv, (RecordingError,)),
     Target("swarm.toml", ("swarm/config/load.py",), simple([_CONFIG], _as_config), (ConfigError,), room=8),
     Target("calibration file", ("services/dwm/core/calibration_file.py",),
            simple([_CALIBRATION], text(lambda each: calibration_file.parse(each, "x"))), (ConfigError,)),
-    Target("key file", ("swarm/keyfile.py",),
+    Target("key file", ("swarm/config/keyfile.py",),
            simple([_KEYS], lambda data: keyfile.parse_keys(data, Path("key"))), (LocalError,)),
     Target("addresses of robots", (), simple([b"tcp:10.0.0.1:4000", b"rfcomm:B8:27:EB:12:34:56"],
                                              text(monikers.parse)), (ConfigError,)),
     Target("fetch: list of files", (), simple([_LIST], text(collect.parse_list)), (RemoteError,)),
     Target("fetch: stream of files", (), _stream, (RemoteError,)),
-    Target("fetch: journal", ("swarm/fleet/journal.py",),
+    Target("fetch: journal", ("laptop/fleet/journal.py",),
            simple([_ENTRY, b"123 s=1;i=2\n"], text(journal.entry), text(journal.Mark.of))),
-    Target("fleet: versions of robots", ("swarm/fleet/versions.py",),
+    Target("fleet: versions of robots", ("laptop/fleet/versions.py",),
            simple([b'{"value": {"revision": 3, "layout": 2}}'], text(versions.firmware))),
 )  # fmt: skip

@@ -5,28 +5,31 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 from bench.decoders_run import Target
-from services.mesh.core import around, frames, packets, pieces, probe
-from services.mesh.core.clock import Claim, encode_claim
+from services.mesh.core.bulk import pieces
+from services.mesh.core.bulk.pieces import Id, Packet
 from services.mesh.core.events import Received
-from services.mesh.core.flow import encode_ack
-from services.mesh.core.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
-from services.mesh.core.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, SYNC, UNICAST, Bind, Heartbeat, Hello
 from services.mesh.core.gather import Gather
-from services.mesh.core.handshake import Local
-from services.mesh.core.linking import Start
+from services.mesh.core.link import probe
+from services.mesh.core.link.clock import Claim, encode_claim
+from services.mesh.core.link.flow import encode_ack
+from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.overlays import Overlays
-from services.mesh.core.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
-from services.mesh.core.pieces import Id, Packet
+from services.mesh.core.overlays import around
+from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.viewing import KEYS, Viewing
 from services.mesh.core.relay import Relay
-from services.mesh.core.session import Session
-from services.mesh.core.topology import Ground, Topology
-from services.mesh.core.viewing import KEYS, Viewing
-from swarm.codec import decode, encode
+from services.mesh.core.routing.topology import Ground, Topology
+from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.wire import frames, packets
+from services.mesh.core.wire.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, SYNC, UNICAST, Bind, Heartbeat, Hello
+from services.mesh.core.wire.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.lockstep_frames import encode_step
 from swarm.errors import FrameError, PayloadError
 from swarm.messages import Watch
+from swarm.messages.codec import decode, encode
 
 Made = tuple[Sequence[bytes], Callable[[bytes], object]]
 
@@ -335,5 +338,5 @@ TARGETS = (
     Target("mesh: fragments put together", (f"{_CORE}fragments.py",), _fragments, (FrameError,)),
     Target("mesh: topologies, and their file", (f"{_CORE}topology.py",), _topologies, (FrameError,)),
     Target("mesh: frames of lockstep that wait", ("swarm/core/lockstep_frames.py",), _gathered),
-    Target("mesh: views of a robot", ("swarm/codec.py",), _view, (PayloadError,)),
+    Target("mesh: views of a robot", ("swarm/messages/codec.py",), _view, (PayloadError,)),
 )

@@ -89,7 +89,7 @@ def _first_and_again(folder: Path, count: int, release: Path) -> tuple[tuple[flo
 
 def _deploy(robots: FakeRobots, release: Path) -> tuple[float, int]:
     where = ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config)]
-    command = [sys.executable, "-m", "swarm.cli", "deploy", str(release), *where, "--json"]
+    command = [sys.executable, "-m", "laptop.cli", "deploy", str(release), *where, "--json"]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     report = json.loads(done.stdout)
     sent = (outcome["text"].rpartition("(")[2].split()[0] for outcome in report["robots"].values())

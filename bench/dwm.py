@@ -12,10 +12,10 @@ from services.dwm.core.diagnosis import Watch
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.poller import Poller, Report
 from services.dwm.core.tlv import Position, encode_location
-from services.sim.core.uwb import Module, Tag
-from services.sim.run import SERVICE_MODULES
-from swarm.codec import encode
+from sim.core.uwb import Module, Tag
+from sim.run import SERVICE_MODULES
 from swarm.config.types import Anchor, Dwm
+from swarm.messages.codec import encode
 
 MEMORY_MIB = 35.0
 UPDATE_S = 0.002

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Sequence
 
 from bench.simulation import Simulation, SimulationError
+from sim.control.link_cuts import silence
 from swarm import clock
-from swarm.air import silence
-from swarm.simulations import pid_file
+from swarm.process.simulations import pid_file
 
 BACK_WITHIN_S = 120.0
 """All robots have gone on by then, after the last fault."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from bench.fault_player import BACK_WITHIN_S, Player
 from bench.rows import Row
 from bench.simulation import Simulation
-from services.sim.virtual.run import simulate as virtual
+from sim.virtual.run import simulate as virtual
 from swarm import clock
 from swarm.core.graph import Graph
 from swarm.recording.trajectory import Trajectory

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rows import Row
-from services.sim import footprint, options, scenario
-from services.sim.module import ModuleBoard
-from services.sim.processes import Processes
-from services.sim.run import APP_SERVICE, SERVICE_MODULES
+from sim import footprint, options, scenario
+from sim.module import ModuleBoard
+from sim.processes import Processes
+from sim.run import APP_SERVICE, SERVICE_MODULES
 from swarm import clock
 from swarm.config.dump import dump
 

@@ -13,16 +13,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
+from laptop.cli.measure.i2c_direct import measure
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.chores import Chores
 from services.balancer.core.body import body_model
 from services.balancer.core.display import ScreenText
 from services.balancer.drivers import Balboa
-from services.balancer.rates import measure
-from services.sim.core.balboa import BalboaBody
-from services.sim.core.devices import SimulatedRobot, draw_errors
-from services.sim.i2c import SimulatedBus
+from sim.core.balboa import BalboaBody
+from sim.core.devices import SimulatedRobot, draw_errors
+from sim.i2c import SimulatedBus
 from swarm import clock
 from swarm.config.types import Body
 from swarm.messages import MeasureI2C, ModuleRequest

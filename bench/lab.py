@@ -15,7 +15,7 @@ from lab.inside import run_tests
 from lab.shapes import config
 from lab.vm.build import image
 from lab.vm.machine import PLAIN, Machine
-from swarm.keyfile import new_key_file
+from swarm.config.keyfile import new_key_file
 
 GOAL = 1.5
 

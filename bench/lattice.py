@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from swarm import SyncApp, parameter
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 
 class Lattice(SyncApp):

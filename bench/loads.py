@@ -7,10 +7,10 @@
 import sys
 import time
 
-from swarm.bus import Bus
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import SetVelocity
-from swarm.paths import runtime_dir
-from swarm.process import die_with_parent
+from swarm.process.edges import die_with_parent
+from swarm.process.paths import runtime_dir
 
 RATE_HZ = 2000.0
 SIZE = 200

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from bench import lockstep_model, talking_sim
 from bench.rows import Row, number
 from bench.simulation import SWARM_SIM, Simulation, simulate
-from services.mesh.core.delay import AirModel
-from swarm.bus import Bus
+from services.mesh.core.radio_model import AirModel
+from swarm.bus.zenoh_bus import Bus
 from swarm.core.graph import Graph
 from swarm.recording import trajectory
 from swarm.recording.trajectory import Trajectory

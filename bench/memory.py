@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bench.rows import Row
 from bench.simulation import Simulation
-from swarm.simulations import pid_file
+from swarm.process.simulations import pid_file
 
 ROBOTS = ("r0", "r1")
 APP = "app/localization"

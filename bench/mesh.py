@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from bench.rows import Row
-from services.sim.processes import Child, Processes
-from swarm import air, clock
-from swarm.bus import Bus
-from swarm.codec import decode
+from sim.control import link_cuts
+from sim.processes import Child, Processes
+from swarm import clock
+from swarm.app.overlays import Overlays
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import SwarmError
 from swarm.messages import Members, Status
-from swarm.overlays import Overlays
+from swarm.messages.codec import decode
 
 LATENCY_S = 0.03
 """One way, as the thesis' radio at small payloads."""
@@ -90,7 +91,7 @@ class Swarm:
 
     def runs(self) -> bool:
         """Whether every mesh has opened its end of the simulated radio."""
-        return all((self._home / name / air.SOCKET).exists() for name in self.names)
+        return all((self._home / name / link_cuts.SOCKET).exists() for name in self.names)
 
     def mesh(self, name: str) -> Child:
         """The mesh process of a robot."""
@@ -106,7 +107,7 @@ class Swarm:
     def cut(self, a: str, b: str, seconds: float) -> None:
         """Silence a link; both ends must notice it themselves."""
         for name, peer in ((a, b), (b, a)):
-            air.silence(self._home, name, peer, seconds)
+            link_cuts.silence(self._home, name, peer, seconds)
 
     def counters(self) -> dict[str, int]:
         """Counters of all meshes, added up."""

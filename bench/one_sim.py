@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench import socket_sim
-from services.sim import __main__ as sim
-from services.sim import run
-from services.sim.core import patience
-from services.sim.monitor import Monitor
-from services.sim.run import Run
-from swarm import service
+from laptop.cli.runs import sim as sim
+from sim import run
+from sim.core import patience
+from sim.monitor import Monitor
+from sim.run import Run
 from swarm.messages import LedChange, Target, Truth
+from swarm.process import service
 
 ROBOT = "r2"
 """The one that is there; on a line it has two neighbours."""

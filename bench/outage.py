@@ -16,8 +16,8 @@ from bench.lockstep import JITTER_GOAL, JITTER_S, LATENCY_S, NAMES, TOPOLOGIES
 from bench.lockstep_model import Outage
 from bench.rows import Row
 from bench.simulation import SWARM_SIM, Simulation
-from services.mesh.core.delay import AirModel
-from services.sim.virtual.run import simulate as virtual
+from services.mesh.core.radio_model import AirModel
+from sim.virtual.run import simulate as virtual
 from swarm.core.graph import Graph
 from swarm.core.lockstep import WANT_AFTER
 from swarm.core.lockstep_links import SILENT_AFTER, SILENT_AFTER_RTTS

@@ -16,25 +16,26 @@ from services.apps.host import schema_of
 from services.apps.runner import Runner as App
 from services.mesh.__main__ import local_of
 from services.mesh.core.events import Received
-from services.mesh.core.frames import NONCE_SIZE
 from services.mesh.core.gather import by_app
-from services.mesh.core.linking import Start
 from services.mesh.core.node import Node
-from services.mesh.core.overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
-from services.mesh.core.topology import Ground
+from services.mesh.core.routing.topology import Ground
+from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.network import Network
 from services.mesh.runner import Runner
-from swarm import clock, log, service
-from swarm.app import SyncApp
+from swarm import clock
+from swarm.app.sync_app import SyncApp
+from swarm.bus.lane import Lane
 from swarm.config import Config, load
 from swarm.core.lockstep import Channel, Compute, Lockstep, Send
 from swarm.core.lockstep_actions import address_of
 from swarm.errors import FrameError
-from swarm.keys import key
-from swarm.lane import Lane
-from swarm.paths import runtime_dir
-from swarm.process import die_with_parent
+from swarm.messages.keys import key
+from swarm.process import log, service
+from swarm.process.edges import die_with_parent
+from swarm.process.paths import runtime_dir
 
 APP = "consensus"
 LOOK_S = 0.05

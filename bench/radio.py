@@ -10,7 +10,7 @@ import selectors
 from functools import partial
 from typing import cast
 
-from swarm.process import die_with_parent
+from swarm.process.edges import die_with_parent
 
 LATENCY_S = 0.03
 

@@ -22,11 +22,12 @@ from bench import restless_rule
 from bench.fault_player import BACK_WITHIN_S, Player
 from bench.rows import Row
 from bench.simulation import Simulation
-from swarm import clock, power
+from sim.control import power_switch
+from swarm import clock
 from swarm.core.graph import Graph
+from swarm.process.simulations import pid_file
 from swarm.recording.reader import SUFFIX
 from swarm.recording.trajectory import Trajectory
-from swarm.simulations import pid_file
 
 APP = "restless"
 APP_FILE = Path(__file__).with_name("restless.py")
@@ -164,7 +165,7 @@ def _faults(simulation: Simulation, draw: random.Random, done: Done, until: int,
         if kind == REBOOT:
             if now >= away.get(robot, 0.0):
                 off = draw.uniform(*OFF_S)
-                power.reboot(simulation.run_dir, robot, off)
+                power_switch.reboot(simulation.run_dir, robot, off)
                 away[robot] = now + off
                 player.forget(robot)
                 done.reboots[robot] += 1

@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
-from services.mesh.core import frames
-from services.mesh.core.auth import Tagger
-from services.mesh.core.clock import MeshClock
-from services.mesh.core.handshake import Local
-from services.mesh.core.session import Session
+from services.mesh.core.link.clock import MeshClock
+from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.session import Session
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.auth import Tagger
 
 KEYS = {1: bytes(range(32))}
 KEY = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"

@@ -13,7 +13,7 @@ from swarm.recording.reader import SUFFIX
 from swarm.recording.trajectory import Trajectory, TrajectoryReader
 
 POLL_S = 0.02
-SWARM_SIM = ("swarm.cli", "sim")
+SWARM_SIM = ("laptop.cli", "sim")
 
 
 Start = Callable[..., "subprocess.Popen[str]"]
@@ -76,7 +76,7 @@ class Simulation:
     def kill(self, robot: str, service: str, signal: str = "KILL") -> None:
         """`swarm kill`: end (or stop, or continue) one service of one robot."""
         command = ["kill", robot, service, "--signal", signal, "--run-dir", str(self.run_dir)]
-        subprocess.run([sys.executable, "-m", "swarm.cli", *command], check=True, capture_output=True)
+        subprocess.run([sys.executable, "-m", "laptop.cli", *command], check=True, capture_output=True)
 
     def finish(self, timeout_s: float = 180.0) -> dict[str, object]:
         """Wait for the end; the object of `--json`. Raises `SimulationError` when it failed."""

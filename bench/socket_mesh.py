@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from bench import radio
 from services.mesh import __main__ as mesh
-from swarm import service
 from swarm.config import Config, load, who_am_i
 from swarm.config.dump import dump
 from swarm.config.load import parse
-from swarm.paths import runtime_dir
+from swarm.process import service
+from swarm.process.paths import runtime_dir
 
 PORT, KEY = "BENCH_PORT", "BENCH_KEY"
 """Environment: where all robots listen, each at an address of its own; the file with their key."""

@@ -12,10 +12,10 @@ import time
 from pathlib import Path
 
 from bench import radio, socket_mesh
-from services.sim import __main__ as sim
-from services.sim import run
-from swarm import service
-from swarm.keyfile import new_key_file
+from laptop.cli.runs import sim as sim
+from sim import run
+from swarm.config.keyfile import new_key_file
+from swarm.process import service
 
 ROBOTS = 6
 

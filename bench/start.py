@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from bench.mesh import LATENCY_S, WAIT_S, Swarm, line
 from bench.rows import Row
 from swarm import clock
-from swarm.codec import decode
 from swarm.messages import Links
+from swarm.messages.codec import decode
 
 DIALS_S = (0.0, 2.0)
 """Without any, what counts is when the last attempt before the other robot's mesh was there is repeated. A Bluetooth

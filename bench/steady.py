@@ -11,7 +11,7 @@ from pathlib import Path
 from bench.cpu import cpu_s
 from bench.rows import Row
 from bench.simulation import Simulation
-from swarm.simulations import pid_file
+from swarm.process.simulations import pid_file
 
 ROBOT = "r0"
 SERVICES = ("bus", "mesh", "balancer", "dwm", "app/localization")

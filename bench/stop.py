@@ -24,14 +24,14 @@ from bench.rows import Row
 from bench.stop_estop import NewerStop
 from bench.stop_robots import RobotsOnALine
 from bench.transfer import FULL as TRANSFER
+from laptop.cli.stop import halt_ssh
+from laptop.view import control
 from swarm import clock
-from swarm.cli import halt_ssh
-from swarm.codec import encode
+from swarm.app.overlays import Overlays
 from swarm.errors import LocalError
-from swarm.keys import STOP
 from swarm.messages import Stop
-from swarm.overlays import Overlays
-from swarm.view import control
+from swarm.messages.codec import encode
+from swarm.messages.keys import STOP
 
 COUNT = 34
 """Stops a cell: 1020 in all."""
@@ -68,7 +68,7 @@ def _by_page(robots: RobotsOnALine, *, newer: bool) -> float:
 
 
 def _by_estop(robots: RobotsOnALine, *, newer: bool) -> None:
-    program = "bench.stop_estop" if newer else "swarm.cli"
+    program = "bench.stop_estop" if newer else "laptop.cli"
     command = [sys.executable, "-m", program, "estop", "bench"]
     subprocess.run(command, env=robots.environment("r0"), capture_output=True, check=False)
 
@@ -80,7 +80,7 @@ def _by_hops(robots: RobotsOnALine, *, newer: bool) -> float:
 
 
 def _by_ssh(robots: RobotsOnALine, *, newer: bool) -> None:
-    robots.program("bench.stop_estop" if newer else "swarm.cli")
+    robots.program("bench.stop_estop" if newer else "laptop.cli")
     halt_ssh.command((robots.host,), robots.ssh, stop=True, reason="bench")
 
 

@@ -1,6 +1,6 @@
 """`python -m bench.stop_body SOCKET`: a simulated robot's balancer that tells when its motors go on and off.
 
-The very program of a simulated robot (`services.sim.body`). After each control step that changes the mode, or whether
+The very program of a simulated robot (`sim.body`). After each control step that changes the mode, or whether
 the motors are driven, it sends a datagram to SOCKET: monotonic time, s; whether the motors are driven; the mode.
 """
 
@@ -10,9 +10,9 @@ import sys
 
 from services.balancer.balancer import Balancer
 from services.balancer.loop import main as balance
-from services.sim.wiring import simulated_bus
+from sim.wiring import simulated_bus
 from swarm import clock
-from swarm.process import run
+from swarm.process.edges import run
 
 TRUTH = struct.Struct("<d?")
 """What stands in front of the mode's name."""

@@ -3,7 +3,8 @@
 It stands in for `swarm estop` where a robot must obey a release that it does not know.
 """
 
-from swarm.cli import halt, main
+from laptop.cli import main
+from laptop.cli.stop import halt
 from swarm.frozen import frozen
 
 

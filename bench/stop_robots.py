@@ -18,19 +18,19 @@ from pathlib import Path
 from typing import TypeVar
 
 from bench.stop_body import TRUTH
-from services.sim.door import WORLD_SOCKET
-from services.sim.processes import Processes
+from laptop.fleet.ssh import Host, Ssh
+from laptop.view.control import Control
+from laptop.view.hands import Act
+from laptop.view.robots import Robots
+from sim.door import WORLD_SOCKET
+from sim.processes import Processes
 from swarm import clock
-from swarm.bus import Bus
-from swarm.codec import Value
+from swarm.bus.zenoh_bus import Bus
 from swarm.config import load
 from swarm.errors import LocalError
-from swarm.fleet.ssh import Host, Ssh
-from swarm.keys import STOP, key
 from swarm.messages import Arm, BalancerState, SetMode, Stop, Stopped, read
-from swarm.view.control import Control
-from swarm.view.hands import Act
-from swarm.view.robots import Robots
+from swarm.messages.codec import Value
+from swarm.messages.keys import STOP, key
 
 NAMES = ("r0", "r1", "r2", "r3")
 FAULT, MOVING = "fault", ("standing_up", "balancing")
@@ -124,7 +124,7 @@ class RobotsOnALine:
         self.buses["r0"].subscribe([STOP, key("r0", "balancer", "state")], self._take)
         self._wait(lambda: self._mode == "idle", START_S, "r0's balancer is ready")
         self._await_links()
-        self._write_ssh("swarm.cli")
+        self._write_ssh("laptop.cli")
         self.ssh, self.host = Ssh(), Host("r0", "r0")
         self.view = Robots(load(config), [self.host], self.ssh)
         self._stack.callback(self.view.close)

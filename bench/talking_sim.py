@@ -6,9 +6,9 @@ computer's two, and with that hold up what on a robot they do not.
 `python -m bench.talking_sim ARGUMENTS`, as of `swarm sim`, with an app that neither moves nor measures.
 """
 
-from services.sim import __main__ as sim
-from services.sim import run
-from swarm import service
+from laptop.cli.runs import sim as sim
+from sim import run
+from swarm.process import service
 
 PROGRAM = ("bench.talking_sim",)
 """For `bench.simulation`."""

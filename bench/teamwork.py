@@ -12,10 +12,10 @@ from typing import Any
 
 from bench.rows import Row
 from bench.simulation import simulate
-from services.sim.options import parse
-from services.sim.scenario import build
-from services.sim.scene import CONTACT_M
-from services.sim.virtual.run import PLACE, Run
+from sim.options import parse
+from sim.scenario import build
+from sim.scene import CONTACT_M
+from sim.virtual.run import PLACE, Run
 
 LINKS = ("--robots", "6", "--topology", "line", "--latency", "30ms", "--jitter", "10ms")
 NEIGHBOURS_MS, ALL_MS, TOGETHER_S = 10.0, 20.0, 30.0

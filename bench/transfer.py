@@ -11,8 +11,8 @@ from pathlib import Path
 from bench.rows import Row
 from bench.simulation import Simulation, SimulationError
 from swarm import clock
-from swarm.bus import Bus
-from swarm.overlays import Overlays
+from swarm.app.overlays import Overlays
+from swarm.bus.zenoh_bus import Bus
 
 LATENCY_S = 0.03
 BANDWIDTH = 78_000.0

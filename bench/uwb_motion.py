@@ -15,7 +15,7 @@ from services.dwm.core.ekf import Innovation
 from services.dwm.core.filters import PlaceFilter
 from services.dwm.core.multilateration import Fix, multilaterate
 from services.dwm.core.tracker import Tracker
-from services.sim.core.uwb import multilaterate as plain_multilaterate
+from sim.core.uwb import multilaterate as plain_multilaterate
 
 ANCHORS = {"D001": (0.0, 0.0, 0.0), "D002": (1.94, 0.0, 0.0), "D003": (1.0, 1.94, 0.0), "C933": (0.5, 1.0, 0.0)}
 """The thesis' table: three anchors and the target."""

@@ -22,10 +22,10 @@ from typing import Any
 from bench.cpu import cpu_s
 from bench.rows import Row
 from bench.simulation import Simulation
+from laptop.view import chromium
 from swarm import clock
-from swarm.core import jsontext
+from swarm.recording.core import json_text
 from swarm.recording.reader import SUFFIX, Reader
-from swarm.view import chromium
 
 NAMES = tuple(f"r{index}" for index in range(6))
 SIZE = (1400, 1000)
@@ -116,7 +116,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     with tempfile.TemporaryDirectory(prefix="swarm-") as folder:
         seconds = sizes.crowd_s + 2 * sizes.settle_s
         options = ["--virtual", "--robots", str(sizes.crowd), "--seconds", str(seconds), "--record", folder]
-        command = [sys.executable, "-m", "swarm.cli", "sim", "consensus", *options]
+        command = [sys.executable, "-m", "laptop.cli", "sim", "consensus", *options]
         subprocess.run(command, check=True, capture_output=True)
         crowd = Seen()
         _turn([folder], sizes.crowd_s, sizes.settle_s, crowd)
@@ -157,7 +157,7 @@ def _pairs(how: str, seen: Seen, sizes: Sizes, cores: tuple[int, int] | None = N
 
 def _turn(arguments: list[str], seconds: float, settle_s: float, seen: Seen) -> tuple[float, float]:
     """Watch with a page for a while; from when to when."""
-    command = [sys.executable, "-m", "swarm.cli", "view", "--no-open", *arguments]
+    command = [sys.executable, "-m", "laptop.cli", "view", "--no-open", *arguments]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert server.stdout is not None
@@ -230,7 +230,7 @@ def _each(
         messages = [
             (message["t"], message)
             for sample in reader.samples()
-            if sample.topic == f"swarm/{name}/{topic}" and isinstance(message := jsontext.decode(sample.data), dict)
+            if sample.topic == f"swarm/{name}/{topic}" and isinstance(message := json_text.decode(sample.data), dict)
         ]
         for window, (begin, end) in zip(found, windows, strict=True):
             window.append(of([row for row in messages if begin <= row[0] <= end]))

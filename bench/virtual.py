@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
-from services.sim.options import parse
-from services.sim.scenario import build
-from services.sim.virtual.run import PLACE, Run
+from sim.options import parse
+from sim.scenario import build
+from sim.virtual.run import PLACE, Run
 
 SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 60.0, 120.0
 FLAT = 1.3

@@ -9,10 +9,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from swarm.app import SyncApp
+    from swarm.app.event_app import EventApp, PeriodicApp, channel
+    from swarm.app.parameters import parameter
+    from swarm.app.sync_app import SyncApp
     from swarm.core.state import Matrix, Vector, float32
-    from swarm.event_app import EventApp, PeriodicApp, channel
-    from swarm.parameters import parameter
 
 __version__ = "0.1.0"
 
@@ -21,11 +21,11 @@ __all__ = [
 ]  # fmt: skip
 
 _HOME = {
-    "SyncApp": "swarm.app",
-    "EventApp": "swarm.event_app",
-    "PeriodicApp": "swarm.event_app",
-    "channel": "swarm.event_app",
-    "parameter": "swarm.parameters",
+    "SyncApp": "swarm.app.sync_app",
+    "EventApp": "swarm.app.event_app",
+    "PeriodicApp": "swarm.app.event_app",
+    "channel": "swarm.app.event_app",
+    "parameter": "swarm.app.parameters",
     "Matrix": "swarm.core.state",
     "Vector": "swarm.core.state",
     "float32": "swarm.core.state",

@@ -21,7 +21,7 @@ import pytest
 if TYPE_CHECKING:
     from xdist.scheduler import LoadScopeScheduling
 
-    from swarm.bus import Bus
+    from swarm.bus.zenoh_bus import Bus
 
 with contextlib.suppress(ImportError):  # a machine of the lab has none
     from hypothesis import settings
@@ -254,8 +254,8 @@ def processes(runtime: Path) -> Iterator[Processes]:
 @pytest.fixture
 def router(runtime: Path) -> Iterator[None]:
     """The bus of `runtime`, in this process: it starts a hundred times faster than `bus_service`."""
-    from swarm.bus import Router
-    from swarm.paths import bus_endpoint
+    from swarm.bus.zenoh_bus import Router
+    from swarm.process.paths import bus_endpoint
 
     with Router(bus_endpoint(runtime)):
         yield

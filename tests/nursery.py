@@ -31,18 +31,18 @@ PACKAGES = (
     "services.dwm",
     "services.dwm.calibrate",
     "services.mesh",
-    "services.sim",
+    "sim",
 )
 MODULES = (
     "bench.talking_sim",
     "services.balancer.bridge",
     "services.dwm.tool",
-    "services.sim.body",
-    "swarm.cli.z_sub",
+    "sim.body",
+    "swarm.onboard.z_sub",
 )
-SIMULATIONS = ("services.sim", "bench.talking_sim")
+SIMULATIONS = ("laptop.cli.runs.sim", "bench.talking_sim")
 """They start services themselves."""
-COMMAND = "swarm.cli"
+COMMAND = "laptop.cli"
 """Its `__main__` is one line, and does something when imported."""
 
 _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
@@ -151,7 +151,7 @@ def _nurse(words: list[str], chosen: dict[str, str]) -> list[str]:
     """Give this simulation, which has not begun, a nursery of its own, a copy of it; returns the words of the order in
     the simulation and in each process that its nursery forks."""
     global _door
-    from services.sim import processes
+    from sim import processes
 
     _door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     nursery = os.fork()

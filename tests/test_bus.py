@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from conftest import Processes, wait_until
 
-from swarm.bus import Bus, Outlet, Router
-from swarm.codec import MAX_BINARY, MAX_PAYLOAD
+from swarm.bus.zenoh_bus import Bus, Outlet, Router
 from swarm.errors import BusError, LocalError
 from swarm.messages import Gathered, Leds, Stop, read
+from swarm.messages.codec import MAX_BINARY, MAX_PAYLOAD
 from swarm.messages.service import MAX_STOP_TEXT
-from swarm.paths import bus_endpoint
+from swarm.process.paths import bus_endpoint
 
 Open = Callable[[], Bus]
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from conftest import Processes, stop, wait_until
 
-from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Status
+from swarm.messages.codec import decode
 
 
 def refused(processes: Processes, **environment: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import swarm
-from swarm.cli import HANDED_ON, MODULES, VERBS, help_of, main
+from laptop.cli import HANDED_ON, MODULES, VERBS, help_of, main
 from swarm.config.example import EXAMPLE
 
 
@@ -99,10 +99,10 @@ def test_verbs_of_the_simulation_are_handed_on_untouched(verb, first, monkeypatc
     monkeypatch.setattr(os, "execv", lambda *arguments: called.append(arguments) or sys.exit(7))
     assert run(verb, "--help", "--robots", "3", "--", "-x") == 7
     rest = ["--help", "--robots", "3", "--", "-x"]
-    assert called == [(sys.executable, [sys.executable, "-m", "services.sim", *first, *rest])]
+    assert called == [(sys.executable, [sys.executable, "-m", "laptop.cli.runs.sim", *first, *rest])]
 
 
-SWARM = "from swarm.cli import main; main()"
+SWARM = "from laptop.cli import main; main()"
 
 
 def test_a_reader_that_leaves_is_no_fault():
@@ -132,7 +132,7 @@ def test_a_full_disk_is_one_line():
 
 def test_nothing_heavy_is_imported():
     look = (
-        "import sys; from swarm.cli import main\n"
+        "import sys; from laptop.cli import main\n"
         "try: main(['config', '--example'])\n"
         "except SystemExit: sys.stderr.write(' '.join(sys.modules))"
     )
@@ -143,15 +143,15 @@ def test_nothing_heavy_is_imported():
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_the_help_of_a_verb_is_that_of_its_module(verb):
-    assert help_of(verb) == importlib.import_module(f"swarm.cli.{MODULES.get(verb, verb)}").HELP
+    assert help_of(verb) == importlib.import_module(f"laptop.cli.{MODULES.get(verb, verb)}").HELP
 
 
 def test_help_imports_no_verb():
     look = (
-        "import sys; from swarm.cli import main\n"
+        "import sys; from laptop.cli import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: sys.stderr.write(' '.join(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60, check=True)
-    assert [name for name in done.stderr.split() if name.startswith("swarm.cli.")] == []
+    assert [name for name in done.stderr.split() if name.startswith("laptop.cli.")] == []
     assert all(f"\n  {verb:<9} " in done.stdout for verb in (*VERBS, "sim", "sweep"))

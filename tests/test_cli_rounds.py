@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from swarm.bus import Bus
-from swarm.cli.epoch import View
-from swarm.cli.topology import ROUND, Views
-from swarm.codec import encode
+from laptop.cli.mesh.epoch import View
+from laptop.cli.mesh.topology import ROUND, Views
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import AppEpoch, Topology
+from swarm.messages.codec import encode
 
 TOPOLOGY = Topology(0.0, 0, 0, "", False, 0.0, (), (), (), (), {})
 EPOCH = AppEpoch(0.0, 0, 0, ("r0",), (), (), False, 0)

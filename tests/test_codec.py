@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from swarm.codec import MAX_PAYLOAD, Value, decode, encode, unpack
 from swarm.errors import LocalError, PayloadError
+from swarm.messages.codec import MAX_PAYLOAD, Value, decode, encode, unpack
 
 KEY = "swarm/r0/test/thing"
 

@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from swarm import conduct
+from swarm.app import run_options
 
 
 @pytest.mark.parametrize("last", [[], ["--iterations", "7"]])
@@ -15,7 +15,7 @@ from swarm import conduct
 def test_its_words_say_the_same(last: list[str], end: list[str], away: list[str]) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--iterations", type=int)
-    conduct.add_arguments(parser)
-    found = conduct.of(parser.parse_args([*last, *end, *away]))
+    run_options.add_arguments(parser)
+    found = run_options.of(parser.parse_args([*last, *end, *away]))
     assert found.words == [*last, *end, *away]
     assert found.last == (7 if last else None)

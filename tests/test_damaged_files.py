@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from laptop.fleet.journal import Mark
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
@@ -19,12 +20,11 @@ from services.balancer.core.gyro import Zero
 from services.balancer.zero_file import ZeroFile
 from services.dwm.localizer import load_calibration
 from services.mesh import keep
-from services.mesh.core.topology import Ground
-from swarm.codec import encode
+from services.mesh.core.routing.topology import Ground
 from swarm.config import load
+from swarm.config.keyfile import new_key_file, read_keys
 from swarm.errors import LocalError, SwarmError
-from swarm.fleet.journal import Mark
-from swarm.keyfile import new_key_file, read_keys
+from swarm.messages.codec import encode
 from swarm.recording import folder
 from swarm.recording.journal import Journal
 

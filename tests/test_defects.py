@@ -5,10 +5,10 @@ import subprocess
 import pytest
 from conftest import Processes, ask, wait_until
 
-from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Status
-from swarm.process import DEFECT
+from swarm.messages.codec import decode
+from swarm.process.edges import DEFECT
 
 MESH = """
 import resource

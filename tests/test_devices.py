@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from swarm.codec import encode
-from swarm.devices import DRIVE_CLAIM, DRIVE_REPEAT, LED_CLAIM, LED_REPEAT, POSE_LOST, SILENT, Devices, PoseView
+from swarm.app.devices import DRIVE_CLAIM, DRIVE_REPEAT, LED_CLAIM, LED_REPEAT, POSE_LOST, SILENT, Devices, PoseView
 from swarm.errors import AppError
 from swarm.messages import BalancerState, Battery, Buttons, Pose, SetDisplay, SetLeds, SetMode, SetVelocity
+from swarm.messages.codec import encode
 
 
 class FakeBus:

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strand_world import World as StrandWorld
 
-from swarm.codec import MAX_COUNT, decode, encode
 from swarm.core.epoch_actions import Keep, Tell
 from swarm.core.epoch_notes import (
     MAX_EPOCH,
@@ -25,6 +24,7 @@ from swarm.core.epoch_notes import (
 from swarm.core.epochs import MAX_FOUND, Epochs
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import PayloadError
+from swarm.messages.codec import MAX_COUNT, decode, encode
 
 LINE = (("r0", "r1"), ("r1", "r2"))
 NAMES = ("r0", "r1", "r2")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm.errors import PayloadError
-from swarm.json_input import MAX_DEPTH, read_json
+from swarm.messages.json_input import MAX_DEPTH, read_json
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(st.characters()),

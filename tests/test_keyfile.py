@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.cli import main
+from laptop.cli import main
+from swarm.config.keyfile import new_key_file, parse_keys, read_keys, retire, rotate
 from swarm.errors import LocalError
-from swarm.keyfile import new_key_file, parse_keys, read_keys, retire, rotate
 
 NOW = 1_760_000_000.5
 FILE = Path("key")

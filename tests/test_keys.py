@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm import paths
 from swarm.errors import BusError, LocalError, PayloadError
-from swarm.keys import MAX_KEY_LENGTH, Key, is_name, key, parse, whose_token
+from swarm.messages.keys import MAX_KEY_LENGTH, Key, is_name, key, parse, whose_token
+from swarm.process import paths
 
 CHUNK = st.from_regex(r"[A-Za-z0-9_.:-]{1,12}", fullmatch=True)
 

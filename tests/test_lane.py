@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from swarm.core import together
+from swarm.bus import batch
+from swarm.bus.lane import MESH, Lane, of_app
 from swarm.errors import BusError, LocalError
-from swarm.lane import MESH, Lane, of_app
 
 PARTS = [("swarm/r1/app/x/sync/a", b"1"), ("swarm/r2/app/x/sync/a", b"")]
 
@@ -21,10 +21,10 @@ def test_what_is_sent_arrives(runtime: Path) -> None:
     assert select.select([mesh], [], [], 60)[0] == [mesh]
     data = mesh.take()
     assert data is not None
-    assert list(together.unpack(data)) == PARTS
+    assert list(batch.unpack(data)) == PARTS
     assert mesh.take() is None
     assert mesh.send(of_app("x"), PARTS)
-    assert app.wait() == together.pack(PARTS)
+    assert app.wait() == batch.pack(PARTS)
     for lane in (mesh, app):
         lane.close()
     assert list(runtime.iterdir()) == []
@@ -72,7 +72,7 @@ def test_who_waits_comes_back_when_woken(runtime: Path) -> None:
     assert got == [None]
     assert app.send(of_app("x"), PARTS)
     app.wake()
-    assert app.wait() == together.pack(PARTS)
+    assert app.wait() == batch.pack(PARTS)
     app.close()
 
 
@@ -81,7 +81,7 @@ def test_waking_does_not_wait_for_who_does_not_read(runtime: Path) -> None:
     while app.send(of_app("x"), PARTS):
         pass
     app.wake()
-    assert app.wait() == together.pack(PARTS)
+    assert app.wait() == batch.pack(PARTS)
     app.close()
 
 

@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm import messages
-from swarm.codec import decode, encode
 from swarm.errors import PayloadError
-from swarm.keys import STOP, key
 from swarm.messages import AppState, SetLeds, SetMode, Status, Stop, read, topics, type_of
+from swarm.messages.codec import decode, encode
+from swarm.messages.keys import STOP, key
 from swarm.messages.service import MAX_STOP_TEXT, stop_payload
 
 MAPS = st.dictionaries(

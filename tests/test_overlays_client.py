@@ -4,12 +4,13 @@ from collections.abc import Callable
 
 import pytest
 
-from swarm import clock, mesh_clock, overlays
-from swarm.codec import MAX_BINARY, encode
+from swarm import clock
+from swarm.app import mesh_clock, overlays
+from swarm.app.mesh_clock import MeshClock
+from swarm.app.overlays import MAX_COLLECTED, MAX_OPEN, Message, Overlays
 from swarm.errors import LocalError
-from swarm.mesh_clock import MeshClock
 from swarm.messages import Clock, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
-from swarm.overlays import MAX_COLLECTED, MAX_OPEN, Message, Overlays
+from swarm.messages.codec import MAX_BINARY, encode
 
 
 class FakeBus:

@@ -1,13 +1,13 @@
 import pytest
 from conftest import wait_until
 
-from swarm.bus import Bus
+from swarm.app.ranging import Ranging
+from swarm.app.robot import Robot
+from swarm.bus.zenoh_bus import Bus
 from swarm.core.graph import Graph
 from swarm.core.ranging import FRESH, RangeTable
 from swarm.errors import AppError
 from swarm.messages import Range, Ranges
-from swarm.ranging import Ranging
-from swarm.robot import Robot
 
 
 def message(*items, t=1000.0):

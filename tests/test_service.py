@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from conftest import Processes, stop, wait_until
 
-from swarm import log
-from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Status
-from swarm.service import notify
+from swarm.messages.codec import decode
+from swarm.process import log
+from swarm.process.service import notify
 
 SERVICE = """
 import sys, threading

@@ -2,9 +2,9 @@
 
 import pytest
 
+from swarm.app.settings import Setting, on_top, parse
 from swarm.config.types import App
 from swarm.errors import AppError, ConfigError
-from swarm.settings import Setting, on_top, parse
 
 NAMES = ("r0", "r1", "r2")
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from conftest import Processes, wait_until
 
-from swarm.cli import kill
+from laptop.cli.hand import kill
 from swarm.errors import BusError, LocalError
-from swarm.simulations import claim, default_run_dir, is_live, pid_file, pid_of, robots
+from swarm.process.simulations import claim, default_run_dir, is_live, pid_file, pid_of, robots
 
 CLAIM = """
 import sys
 from pathlib import Path
-from swarm.simulations import claim
+from swarm.process.simulations import claim
 with claim(Path(sys.argv[1])):
     print("claimed", flush=True)
     sys.stdin.read()
@@ -72,7 +72,7 @@ def test_looking_does_not_get_in_the_way_of_a_claim(processes: Processes, runtim
     code = """
 import sys
 from pathlib import Path
-from swarm.simulations import is_live
+from swarm.process.simulations import is_live
 print("looking", flush=True)
 while True:
     is_live(Path(sys.argv[1]))
@@ -180,6 +180,6 @@ def test_what_kill_refuses(run: Path, runtime: Path) -> None:
 
 def test_the_module_is_a_verb() -> None:
     code = (
-        "import argparse; from swarm.cli import kill; kill.add_arguments(argparse.ArgumentParser()); print(kill.HELP)"
+        "import argparse; from laptop.cli import kill; kill.add_arguments(argparse.ArgumentParser()); print(kill.HELP)"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == kill.HELP

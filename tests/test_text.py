@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import swarm
-from swarm import log, terminal
-from swarm.cli.samples import Sample, as_json, as_text
-from swarm.codec import MAX_PAYLOAD, encode
-from swarm.fleet import journal
-from swarm.fleet.ssh import last_words
-from swarm.terminal import Guarded, steer, write_lines
-from swarm.text import printable
+from laptop.fleet import journal
+from laptop.fleet.ssh import last_words
+from swarm.messages.codec import MAX_PAYLOAD, encode
+from swarm.onboard.samples import Sample, as_json, as_text
+from swarm.process import log, terminal
+from swarm.process.terminal import Guarded, steer, write_lines
+from swarm.process.text import printable
 
 ANY_TEXT = st.text(st.characters()) | st.text(
     st.sampled_from(
@@ -135,7 +135,7 @@ def test_what_a_robot_writes_to_its_journal_is_kept_in_printable_form(text: str)
 
 def test_an_error_that_names_what_a_peer_has_sent_is_printable(tmp_path: Path) -> None:
     """As the command line and a service end with it."""
-    for program in ("swarm.cli:main()", "swarm.process:run(main)"):
+    for program in ("laptop.cli:main()", "swarm.process.edges:run(main)"):
         module, _, call = program.partition(":")
         code = (
             f"import {module} as module\nfrom swarm.errors import LocalError\n"
@@ -148,7 +148,7 @@ def test_an_error_that_names_what_a_peer_has_sent_is_printable(tmp_path: Path) -
         assert all(map(is_harmless, done.stderr.splitlines()))
 
 
-PROGRAMS_OF_JSON = {"swarm/fleet/lookout.py", "swarm/fleet/listen.py", "services/apps/rehearsal/examine.py"}
+PROGRAMS_OF_JSON = {"swarm/onboard/lookout.py", "swarm/onboard/listen.py", "sim/rehearsal/examine.py"}
 """What they write is for programs: msgpack and JSON in ASCII."""
 
 

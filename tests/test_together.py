@@ -6,42 +6,42 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.codec import MAX_PAYLOAD, encode
-from swarm.core import together
+from swarm.bus import batch
+from swarm.bus.throttle import GATHERED_BYTES, GATHERED_S, Gathering, Slow
 from swarm.errors import PayloadError
 from swarm.messages import Clock, Gathered, Pose
-from swarm.recording.watch import Watch
-from swarm.slow import GATHERED_BYTES, GATHERED_S, Gathering, Slow
+from swarm.messages.codec import MAX_PAYLOAD, encode
+from swarm.recording.recorded_topics import Watch
 
 keys = st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=255)
 
 
 def test_golden_bytes() -> None:
-    assert together.pack([("ab", b"\x01\x02"), ("c", b"")]) == bytes.fromhex("02 02000000 6162 0102 01 00000000 63")
-    assert list(together.unpack(b"")) == []
+    assert batch.pack([("ab", b"\x01\x02"), ("c", b"")]) == bytes.fromhex("02 02000000 6162 0102 01 00000000 63")
+    assert list(batch.unpack(b"")) == []
 
 
 @given(st.lists(st.tuples(keys, st.binary(max_size=300)), max_size=8))
 def test_parts_come_back(parts: list[tuple[str, bytes]]) -> None:
-    assert list(together.unpack(together.pack(parts))) == parts
+    assert list(batch.unpack(batch.pack(parts))) == parts
 
 
 @given(st.lists(st.tuples(keys, st.binary(max_size=30)), min_size=1, max_size=4), st.data())
 def test_what_is_cut_short_is_refused(parts: list[tuple[str, bytes]], data: st.DataObject) -> None:
-    whole = together.pack(parts)
-    ends = {len(together.pack(parts[:count])) for count in range(len(parts))}
+    whole = batch.pack(parts)
+    ends = {len(batch.pack(parts[:count])) for count in range(len(parts))}
     size = data.draw(st.integers(0, len(whole) - 1).filter(lambda size: size not in ends))
     with pytest.raises(PayloadError):
-        list(together.unpack(whole[:size]))
+        list(batch.unpack(whole[:size]))
 
 
 @given(st.binary(max_size=200))
 def test_any_bytes_are_parts_or_refused(noise: bytes) -> None:
     try:
-        parts = list(together.unpack(noise))
+        parts = list(batch.unpack(noise))
     except PayloadError:
         return
-    assert together.pack(parts) == noise
+    assert batch.pack(parts) == noise
 
 
 class Notes:

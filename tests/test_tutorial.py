@@ -21,7 +21,7 @@ def blocks() -> list[tuple[str, str, str]]:
 
 def commands_on_the_path(folder: Path) -> dict[str, str]:
     """An environment in which `swarm`, `pytest` and `python` are this checkout's."""
-    for name, module in (("swarm", "-m swarm.cli"), ("pytest", "-m pytest -p no:cacheprovider"), ("python", "")):
+    for name, module in (("swarm", "-m laptop.cli"), ("pytest", "-m pytest -p no:cacheprovider"), ("python", "")):
         script = folder / name
         script.write_text(f'#!/bin/sh\nexec {sys.executable} {module} "$@"\n')
         script.chmod(script.stat().st_mode | stat.S_IXUSR)

@@ -14,13 +14,13 @@ from conftest import Processes, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.bus import Bus
-from swarm.cli.samples import Sample, as_json, as_text, value_text
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Leds
-from swarm.paths import bus_endpoint
-from swarm.simulations import claim
+from swarm.onboard.samples import Sample, as_json, as_text, value_text
+from swarm.process.paths import bus_endpoint
+from swarm.process.simulations import claim
 
-Z_SUB = ("-m", "swarm.cli.z_sub")
+Z_SUB = ("-m", "swarm.onboard.z_sub")
 RED = Leds(1.0, red=True, yellow=False, green=False)
 
 

@@ -1,6 +1,6 @@
 """In a machine of the lab, as root: its simulated robot behind a live /dev/i2c-1, until the machine goes off.
 
-The body and the devices are those of `services.sim.body`. At a datagram socket faults are ordered, JSON of fields of
+The body and the devices are those of `sim.body`. At a datagram socket faults are ordered, JSON of fields of
 `Faults`; each order is answered with how the robot is.
 """
 
@@ -16,10 +16,10 @@ from typing import Self
 from lab.i2c.cuse import LARGEST, Cuse
 from lab.i2c.ioctls import I2CDevice
 from lab.i2c.robot import RobotAdapter
-from services.sim.wiring import simulated_bus
+from sim.wiring import simulated_bus
 from swarm import clock
 from swarm.config import Config
-from swarm.process import notify
+from swarm.process.edges import notify
 
 NAME = "i2c-1"
 LOOK_MS = 50

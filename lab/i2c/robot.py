@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from lab.i2c.ioctls import Message, failure
-from services.sim.core.devices import NOBODY
-from services.sim.i2c import SimulatedBus
+from sim.core.devices import NOBODY
+from sim.i2c import SimulatedBus
 from swarm.errors import LocalError
 
 ANY = 0

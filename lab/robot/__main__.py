@@ -2,7 +2,7 @@
 
     python -m lab.robot RUN_DIR
 
-SWARM_CONFIG, SWARM_ROBOT and SWARM_RUNTIME as for `services.sim.body`. RUN_DIR/orders is where faults of the bus are
+SWARM_CONFIG, SWARM_ROBOT and SWARM_RUNTIME as for `sim.body`. RUN_DIR/orders is where faults of the bus are
 ordered. systemd is notified when all parts are there. The module is a process of its own, forked from what both have
 imported: imports are half of what a robot's boot takes.
 """

@@ -3,8 +3,8 @@
 import shutil
 from pathlib import Path
 
-from services.sim.core.module_line import TTY
-from services.sim.module import ModuleBoard
+from sim.core.module_line import TTY
+from sim.module import ModuleBoard
 from swarm.config import Config
 
 POLL_S = 1.0

@@ -156,7 +156,7 @@ def _lock(file: IO[str]) -> bool:
 INSTALL = """
 set -eu
 mkdir -p /run/lab /etc/systemd/system/swarm-balancer.service.d
-printf '[Service]\\nExecStart=\\nExecStart=/opt/swarm/current/bin/python -m services.sim.body\\n' \
+printf '[Service]\\nExecStart=\\nExecStart=/opt/swarm/current/bin/python -m sim.body\\n' \
     >/etc/systemd/system/swarm-balancer.service.d/90-lab.conf
 /opt/release/install --name r0 --config /opt/release/lab.toml
 systemctl disable --quiet swarm.target swarm-bus swarm-mesh swarm-balancer swarm-dwm

@@ -15,18 +15,18 @@ from services.apps.event_runner import EventRunner
 from services.apps.host import Host, Part
 from services.apps.measurements import source_of
 from services.apps.recording import Recording, place_of
-from swarm import conduct
-from swarm.app import SyncApp
+from swarm.app import run_options
+from swarm.app.devices import Devices
+from swarm.app.event_app import EventApp
+from swarm.app.mesh_clock import MeshClock
+from swarm.app.overlays import Overlays
+from swarm.app.ranging import Ranging
+from swarm.app.settings import Setting, parse, with_settings
+from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
-from swarm.devices import Devices
 from swarm.errors import AppError, LocalError
-from swarm.event_app import EventApp
-from swarm.mesh_clock import MeshClock
-from swarm.overlays import Overlays
-from swarm.ranging import Ranging
-from swarm.service import Service, run
-from swarm.settings import Setting, parse, with_settings
+from swarm.process.service import Service, run
 
 FAULT = 3
 """Exit code of a host whose app is in fault."""
@@ -66,7 +66,7 @@ def main() -> int:
             instance.robot.recording = recording.recorder.value
             overlays.asked = recording.watch.asked
         code = (app.source, app.digest)
-        how = conduct.of(options)
+        how = run_options.of(options)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
             host = EventHost(service, app.name, events, code, number, links, how, overlays, devices, recorder)
@@ -88,7 +88,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="services.apps", description="Run one app on this robot.")
     parser.add_argument("app", help=f"{' or '.join(loader.BUILT_IN)}, or the path of a Python file with an app")
     parser.add_argument("--iterations", type=_iterations, metavar="K", help="the last iteration (without: no last one)")
-    conduct.add_arguments(parser)
+    run_options.add_arguments(parser)
     parser.add_argument(
         "--run",
         metavar="HEX",

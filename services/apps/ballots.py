@@ -6,12 +6,12 @@ the disk loses later takes nothing away. Where both are damaged the robot has lo
 """
 
 from services.apps.slots import SlotFile
-from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.core.epoch_notes import Epoch, Kept
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write, make_folder
 from swarm.messages import AppEpoch
-from swarm.paths import state_dir
+from swarm.messages.codec import MAX_PAYLOAD, decode, encode
+from swarm.process.paths import state_dir
 
 _COPIES = 2
 _ROOM = MAX_PAYLOAD + 4096

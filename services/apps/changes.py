@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Protocol
 
 from swarm import clock
-from swarm.app import App
-from swarm.bus_protocol import BusLike, Clock
-from swarm.codec import Value, decode, encode
+from swarm.app.sync_app import App
+from swarm.bus.protocol import BusLike, Clock
 from swarm.errors import AppError, PayloadError
 from swarm.files import atomic_write
 from swarm.frozen import frozen
-from swarm.keys import key
 from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
-from swarm.paths import VOLATILE
+from swarm.messages.codec import Value, decode, encode
+from swarm.messages.keys import key
+from swarm.process.paths import VOLATILE
 
 
 class Refuse(Protocol):

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from swarm import SyncApp, Vector
-from swarm.codec import Value
 from swarm.core import spectrum
 from swarm.errors import AppError
+from swarm.messages.codec import Value
 
 ROOM = 53
 """Robots that `flood` has room for: a value of 8 bytes each, in a state of at most 440."""

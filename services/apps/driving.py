@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from services.apps.core import places, unicycle
 from services.apps.core.avoidance import Barrier, Point
 from swarm import Matrix, PeriodicApp, parameter
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 SEEK_SPEED, SEEK_TURN = 0.1, 0.8
 """A circle of 12 cm: UWB ranges tell the heading of a robot only while it moves."""

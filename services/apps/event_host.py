@@ -21,18 +21,18 @@ from services.apps.hold import Hold
 from services.apps.host import Host, Part
 from services.apps.recorder import Recorder
 from swarm import clock
-from swarm.codec import Value, decode, encode
-from swarm.conduct import Conduct
+from swarm.app.devices import Devices
+from swarm.app.event_app import channels_of
+from swarm.app.overlays import Message, Overlays
+from swarm.app.run_options import Conduct
+from swarm.bus.throttle import APP_STATE_S, Slow
 from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
 from swarm.core.lockstep_frames import Channel
-from swarm.devices import Devices
 from swarm.errors import AppError, FrameError, PayloadError, SwarmError
-from swarm.event_app import channels_of
-from swarm.keys import key
 from swarm.messages import AppProgress, AppState, Topology
-from swarm.overlays import Message, Overlays
-from swarm.service import Service
-from swarm.slow import APP_STATE_S, Slow
+from swarm.messages.codec import Value, decode, encode
+from swarm.messages.keys import key
+from swarm.process.service import Service
 
 TICK = 0.1
 """s between two looks of the ticker: state goes out at 10 Hz at most, for people and programs that watch."""

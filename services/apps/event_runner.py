@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from services.apps.runner import AppRunner
-from swarm.codec import Value
+from swarm.app.event_app import EventApp, PeriodicApp
 from swarm.core.asynchronous import Call, Known
 from swarm.core.graph import Graph
 from swarm.errors import AppError, FrameError
-from swarm.event_app import EventApp, PeriodicApp
+from swarm.messages.codec import Value
 
 HANDLERS = ("on_button", "on_message", "on_answer", "on_announced", "on_neighbour", "on_timer")
 """Those that are only called where the app has them."""

@@ -7,7 +7,7 @@ from typing import Any
 from services.apps.core import formation
 from services.apps.driving import DrivingApp
 from swarm import parameter
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 REST_M = 0.015
 """Nearer than this to its place in the shape a robot rests; it goes on when it is `WAKE_M` off: the noise of poses

@@ -7,8 +7,8 @@ from typing import Any
 from services.apps.core.avoidance import Point
 from services.apps.driving import DrivingApp
 from swarm import parameter
-from swarm.codec import Value
 from swarm.errors import AppError
+from swarm.messages.codec import Value
 
 SLOWING = 1.0
 """1/s: within speed / SLOWING of a waypoint the robot slows down in proportion."""

@@ -1,6 +1,6 @@
 """What an app has taken of its robot, for as long as it is well: LEDs, display and drive."""
 
-from swarm.devices import Devices
+from swarm.app.devices import Devices
 
 
 class Hold:

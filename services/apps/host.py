@@ -24,18 +24,18 @@ from services.apps.runner import Runner
 from services.apps.steps import Steps
 from services.apps.worker import CLOSE_WITHIN, Arrival, Latest, Queue, Worker
 from swarm import clock
-from swarm.app import SyncApp
-from swarm.codec import Value, decode
-from swarm.conduct import Conduct
-from swarm.core import together
+from swarm.app.run_options import Conduct
+from swarm.app.sync_app import SyncApp
+from swarm.bus import batch
+from swarm.bus.lane import Lane, of_app
 from swarm.core.lockstep import WANT_AFTER, Channel
 from swarm.core.lockstep_actions import address_of
 from swarm.errors import FrameError, PayloadError, SwarmError
 from swarm.frozen import frozen
-from swarm.keys import key
-from swarm.lane import Lane, of_app
 from swarm.messages import Links, SetAppEpoch, Topology
-from swarm.service import Service
+from swarm.messages.codec import Value, decode
+from swarm.messages.keys import key
+from swarm.process.service import Service
 
 TICK = 0.1
 """s between two looks of the ticker while there is something to see: state goes out at 10 Hz at most, for people and
@@ -179,7 +179,7 @@ class Host:
         """Neighbours' frames that came together: each worker gets its own at once."""
         arrived: dict[Worker, list[Arrival]] = {}
         try:
-            for part, frame in together.unpack(payload):
+            for part, frame in batch.unpack(payload):
                 self._on_sync(part, frame, arrived)
         except PayloadError as error:
             self._refuse(error)

@@ -12,15 +12,15 @@ from pathlib import Path
 from types import ModuleType
 
 from services.apps.runner import describe
-from swarm.app import App as AnyApp
-from swarm.app import SyncApp
-from swarm.codec import Value
+from swarm.app.event_app import EventApp, PeriodicApp, channels_of
+from swarm.app.robot import Robot
+from swarm.app.sync_app import App as AnyApp
+from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.errors import AppError
-from swarm.event_app import EventApp, PeriodicApp, channels_of
 from swarm.frozen import frozen
-from swarm.keys import is_name
-from swarm.robot import Robot
+from swarm.messages.codec import Value
+from swarm.messages.keys import is_name
 
 KINDS = " or ".join(kind.__name__ for kind in (SyncApp, EventApp, PeriodicApp))
 """What an app may be derived from, in words."""

@@ -7,11 +7,11 @@ import threading
 from typing import Protocol
 
 from swarm import clock
-from swarm.codec import decode
 from swarm.errors import AppError, PayloadError
-from swarm.keys import key
 from swarm.messages import Measurement, Pose, Ranges
-from swarm.service import Service
+from swarm.messages.codec import decode
+from swarm.messages.keys import key
+from swarm.process.service import Service
 
 ASK_AGAIN = 0.2
 """A row that did not come is asked for again after this, s: dwm or bus may be starting anew."""

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from swarm.codec import Value
-from swarm.keys import key
 from swarm.messages import AppEpoch, AppParameters, AppProgress, Measurement
+from swarm.messages.codec import Value
+from swarm.messages.keys import key
 
 
 class Sink(Protocol):

@@ -8,14 +8,14 @@ from pathlib import Path
 from services.apps import loader
 from services.apps.recorder import Recorder
 from swarm import clock
+from swarm.app.settings import Setting
 from swarm.config.dump import dump
+from swarm.process.service import Service
 from swarm.recording import folder
 from swarm.recording.budget import Budget
 from swarm.recording.file import RecordingFile
 from swarm.recording.reader import CLOCK, EPOCH, RUN, SUFFIX, run_of
-from swarm.recording.watch import Watch
-from swarm.service import Service
-from swarm.settings import Setting
+from swarm.recording.recorded_topics import Watch
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 """Names the machine's clock, which began when the machine did. Robots' services do not see it (ProcSubset of

@@ -9,13 +9,13 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeVar
 
-from swarm.app import App, SyncApp
-from swarm.codec import Value, as_value
-from swarm.conduct import TOLERANCE
+from swarm.app.run_options import TOLERANCE
+from swarm.app.sync_app import App, SyncApp
 from swarm.core.graph import Graph
 from swarm.core.state import pack_private, unpack_private
 from swarm.errors import AppError, LocalError
 from swarm.messages import Measurement
+from swarm.messages.codec import Value, as_value
 
 T = TypeVar("T")
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from swarm import PeriodicApp
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 LOOK_S = 0.1
 """Between two looks at the own posture."""

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from swarm.lane import Lane
+from swarm.bus.lane import Lane
 
 T = TypeVar("T")
 

@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 from swarm import clock
-from swarm.codec import decode, encode
 from swarm.config import Config
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Channel
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write
 from swarm.frozen import frozen
-from swarm.keys import key
 from swarm.messages import AppProgress, Topology
-from swarm.paths import VOLATILE
-from swarm.service import Service
+from swarm.messages.codec import decode, encode
+from swarm.messages.keys import key
+from swarm.process.paths import VOLATILE
+from swarm.process.service import Service
 
 CONFIGURED = 0
 """The epoch of the configuration's links."""

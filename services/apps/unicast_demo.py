@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from swarm import EventApp
-from swarm.codec import Value
 from swarm.messages import Flooded, Sent
+from swarm.messages.codec import Value
 
 BUTTONS = ("a", "b", "c")
 SHOWN_S = 3.0

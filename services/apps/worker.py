@@ -14,18 +14,18 @@ from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.snapshot import SnapshotFile
 from swarm import clock
-from swarm.codec import Value, encode
-from swarm.core import together
+from swarm.bus import batch
+from swarm.bus.lane import MESH, Lane
+from swarm.bus.throttle import APP_STATE_S, Slow
 from swarm.core.epoch_actions import Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import LOST, first
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Save, Send
 from swarm.errors import AppError, SwarmError
 from swarm.frozen import frozen
-from swarm.keys import key
-from swarm.lane import MESH, Lane
 from swarm.messages import AppEpoch, AppProgress, AppState, Measurement, SetAppEpoch, Topology
-from swarm.service import Service
-from swarm.slow import APP_STATE_S, Slow
+from swarm.messages.codec import Value, encode
+from swarm.messages.keys import key
+from swarm.process.service import Service
 
 EVERY = 1.0
 """s between two messages of progress and state when nothing changes; a measurement that late is given as a
@@ -412,7 +412,7 @@ class Worker:
         that runs this app finds out that it is not the only one (R6)."""
         if self._said != self._sync:
             self._said = self._sync
-            self._service.bus.publish(self._hosts, together.pack([(name, data)]), urgent=True)
+            self._service.bus.publish(self._hosts, batch.pack([(name, data)]), urgent=True)
         if not self._lane.send(MESH, [(name, data)]):
             self._service.bus.publish(name, data, urgent=True)
 

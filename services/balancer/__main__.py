@@ -1,7 +1,7 @@
 """`python -m services.balancer`: the balancer of a real robot."""
 
 from services.balancer.loop import main
-from swarm.process import run
+from swarm.process.edges import run
 
 if __name__ == "__main__":
     run(main)

@@ -22,10 +22,9 @@ from services.balancer.core.requests import check
 from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
 from swarm import clock
-from swarm.codec import encode
+from swarm.bus.lane import DWM, Sender
+from swarm.bus.throttle import SLOW, Gathering, Slow
 from swarm.errors import LocalError, PayloadError
-from swarm.keys import STOP, key, parse
-from swarm.lane import DWM, Sender
 from swarm.messages import (
     AppState,
     BalancerFault,
@@ -47,8 +46,9 @@ from swarm.messages import (
     Uwb,
     read,
 )
-from swarm.service import Service, run
-from swarm.slow import SLOW, Gathering, Slow
+from swarm.messages.codec import encode
+from swarm.messages.keys import STOP, key, parse
+from swarm.process.service import Service, run
 
 SILENCE_S = 1.0
 """A loop that said nothing for so long is stuck."""

@@ -1,6 +1,6 @@
 """The I2C bus as the drivers see it, and the real one of a Raspberry Pi.
 
-The same driver code meets the real bus, the simulated robot (services/sim) and the firmware in a simulator: each is an
+The same driver code meets the real bus, the simulated robot (sim) and the firmware in a simulator: each is an
 `I2CBus`. A transfer that the other side did not acknowledge raises OSError, as the kernel does (121 EREMOTEIO, 110
 ETIMEDOUT, 5 EIO for one that ended too early), on every kind of bus.
 """

@@ -10,7 +10,6 @@ import struct
 from typing import get_args
 
 from services.balancer.core.display import ScreenText
-from swarm.codec import MAX_PAYLOAD, decode, encode
 from swarm.errors import PayloadError
 from swarm.messages import (
     BalancerFault,
@@ -37,6 +36,7 @@ from swarm.messages import (
     Stop,
     Uwb,
 )
+from swarm.messages.codec import MAX_PAYLOAD, decode, encode
 
 Told = (
     BalancerState

@@ -26,11 +26,12 @@ from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.orders import halt, moves, obey
 from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
-from swarm import clock, log
+from swarm import clock
 from swarm.config import Config, load, who_am_i
 from swarm.messages import BalancerState, Firmware, Leds
-from swarm.paths import runtime_dir
-from swarm.process import die_with_parent, notify
+from swarm.process import log
+from swarm.process.edges import die_with_parent, notify
+from swarm.process.paths import runtime_dir
 
 TELEMETRY_TICKS = 4
 """25 Hz."""

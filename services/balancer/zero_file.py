@@ -10,7 +10,7 @@ from pathlib import Path
 
 from services.balancer.core.gyro import Zero
 from swarm.files import atomic_write
-from swarm.paths import VOLATILE
+from swarm.process.paths import VOLATILE
 
 NAME = "balancer.zero"
 USED_S = 10.0

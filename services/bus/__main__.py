@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 
 from services.bus.claim import claim
-from swarm.bus import Router
-from swarm.paths import bus_endpoint, runtime_dir
-from swarm.service import Service, die_with_parent, run
+from swarm.bus.zenoh_bus import Router
+from swarm.process.paths import bus_endpoint, runtime_dir
+from swarm.process.service import Service, die_with_parent, run
 
 UMASK = 0o007
 """Connecting takes write permission on the socket, which follows the umask: owner and group, nobody else."""

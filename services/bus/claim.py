@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from swarm.errors import BusError
-from swarm.paths import BUS_SOCKET
+from swarm.process.paths import BUS_SOCKET
 
 LOCK = "bus.lock"
 

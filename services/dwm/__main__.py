@@ -2,8 +2,8 @@
 
 from services.dwm import balancer_block, replay, serial_port
 from services.dwm.source import Balancer, Replay, parse_source
-from swarm.recordings import read_recording
-from swarm.service import Service, run
+from swarm.process.service import Service, run
+from swarm.recording.thesis_ranges import read_recording
 
 
 def main() -> None:

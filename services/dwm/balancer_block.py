@@ -9,9 +9,9 @@ from services.dwm.localizer import Localizer
 from services.dwm.requests import Requests
 from swarm import clock
 from swarm.errors import FrameError, PayloadError
-from swarm.keys import key
 from swarm.messages import ModuleAnswer, Uwb, read
-from swarm.service import Service
+from swarm.messages.keys import key
+from swarm.process.service import Service
 
 _WATCHDOG_PERIOD = 1.0
 _POLL = 0.25

@@ -14,11 +14,11 @@ from services.dwm.core import calls, shell
 from services.dwm.core.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, Exchange, Trouble
 from services.dwm.core.tlv import Call
 from swarm import clock
-from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError, RemoteError
-from swarm.keys import key
 from swarm.messages import ModuleAnswer, ModuleRequest
+from swarm.messages.codec import decode
+from swarm.messages.keys import key
 
 if TYPE_CHECKING:
     pass

@@ -11,15 +11,15 @@ from services.dwm.core.diagnosis import Watch
 from services.dwm.core.motion import Increments
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.tlv import Location
-from swarm.bus_protocol import BusLike
-from swarm.codec import decode
+from swarm.bus import batch
+from swarm.bus.lane import DWM, Lane
+from swarm.bus.protocol import BusLike
+from swarm.bus.throttle import Gathering
 from swarm.config import Config
-from swarm.core import together
 from swarm.errors import ConfigError, PayloadError
-from swarm.keys import key
-from swarm.lane import DWM, Lane
 from swarm.messages import Odometry
-from swarm.slow import Gathering
+from swarm.messages.codec import decode
+from swarm.messages.keys import key
 
 _MAX_WAITING = 250
 """Odometry messages that wait for a report of the module: ten seconds of them. Then the oldest go."""
@@ -61,7 +61,7 @@ def known_modules(config: Config) -> dict[str, str]:
 
 
 class Host(Protocol):
-    """What is used of the service: `swarm.service.Service` in a process."""
+    """What is used of the service: `swarm.process.service.Service` in a process."""
 
     config: Config
     robot: str
@@ -122,7 +122,7 @@ class Localizer:
         come."""
         while self._lane is not None and (data := self._lane.take()) is not None:
             try:
-                for name, payload in together.unpack(data):
+                for name, payload in batch.unpack(data):
                     self._take(name, payload)
             except PayloadError as error:
                 self._refuse(error)

@@ -7,13 +7,13 @@ on the recording alone: the same however often and by whomever it is asked. Past
 import queue
 
 from swarm import clock
-from swarm.codec import encode
+from swarm.bus.throttle import Gathering
 from swarm.frozen import frozen
-from swarm.keys import key
 from swarm.messages import Measurement, Pose, Range, Ranges
-from swarm.recordings import Recording
-from swarm.service import Service
-from swarm.slow import Gathering
+from swarm.messages.codec import encode
+from swarm.messages.keys import key
+from swarm.process.service import Service
+from swarm.recording.thesis_ranges import Recording
 
 NOBODY = "0000"
 """Address under which the target is published where the config names none."""

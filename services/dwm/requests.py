@@ -9,11 +9,11 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from swarm import clock
-from swarm.codec import decode
 from swarm.errors import PayloadError
-from swarm.keys import key
 from swarm.messages import ModuleAnswer, ModuleRequest
-from swarm.service import Service
+from swarm.messages.codec import decode
+from swarm.messages.keys import key
+from swarm.process.service import Service
 
 MAX_OPEN = 16
 """Tickets remembered."""

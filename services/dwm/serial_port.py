@@ -14,7 +14,7 @@ from services.dwm.localizer import Localizer
 from services.dwm.requests import Requests
 from swarm import clock
 from swarm.errors import LocalError
-from swarm.service import Service
+from swarm.process.service import Service
 
 if TYPE_CHECKING:
     import serial

@@ -23,12 +23,12 @@ from services.dwm.core.diagnosis import Finding
 from services.dwm.core.tlv import Location, Position
 from services.dwm.line import BusLine, Line, NoAnswerError, PortLine
 from services.dwm.localizer import known_modules, load_calibration
-from swarm.cli import buses
 from swarm.config import Config, load
 from swarm.config.load import DEFAULT_PATH
 from swarm.errors import ConfigError, LocalError, SwarmError
-from swarm.simulations import CONFIG
-from swarm.terminal import guard
+from swarm.onboard import buses
+from swarm.process.simulations import CONFIG
+from swarm.process.terminal import guard
 
 SECONDS = 3.0
 """s that `check` and `anchors` listen to ranges."""

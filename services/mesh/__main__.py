@@ -9,31 +9,32 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from services.mesh import keep
-from services.mesh.core.dialler import can_link, dials
 from services.mesh.core.events import Received
-from services.mesh.core.frames import BULK, NONCE_SIZE
 from services.mesh.core.gather import by_app
-from services.mesh.core.handshake import Local
-from services.mesh.core.linking import Start
+from services.mesh.core.link.dialler import can_link, dials
+from services.mesh.core.link.handshake import Local
 from services.mesh.core.node import Node
-from services.mesh.core.overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
-from services.mesh.core.topology import Ground
+from services.mesh.core.routing.topology import Ground
+from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.wire.frames import BULK, NONCE_SIZE
 from services.mesh.door import Door
 from services.mesh.links.pipe import describe
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from services.mesh.tell import Tell
-from swarm import clock, service
+from swarm import clock
+from swarm.bus import batch
+from swarm.bus.lane import MESH, Lane, of_app
 from swarm.config import Config
-from swarm.core import together
+from swarm.config.keyfile import read_keys
 from swarm.core.lockstep_actions import address_of
-from swarm.keyfile import read_keys
-from swarm.keys import key
-from swarm.lane import MESH, Lane, of_app
 from swarm.messages import Clock, Links
-from swarm.paths import state_dir
-from swarm.service import Service
+from swarm.messages.keys import key
+from swarm.process import service
+from swarm.process.paths import state_dir
+from swarm.process.service import Service
 
 _REPORT_PERIOD = 1.0
 """s between two publications of `mesh/links` and `mesh/clock` when nothing changes."""
@@ -111,7 +112,7 @@ class _Mesh(Runner):
         # Hosts of apps hear this one message, and whoever listens to the frames themselves hears those.
         for app, frames in by_app(messages).items():
             if not self._lane.send(of_app(app), frames):
-                self._bus.publish(f"{self._frames_key}/{app}", together.pack(frames), urgent=True)
+                self._bus.publish(f"{self._frames_key}/{app}", batch.pack(frames), urgent=True)
         frames_wanted = self._bus.wanted(_FRAMES)
         for each in messages:
             if not frames_wanted and address_of(each.key) is not None:

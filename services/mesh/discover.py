@@ -10,7 +10,7 @@ import sys
 from services.mesh.links import pybluez
 from swarm.config import load
 from swarm.errors import ConfigError, LocalError
-from swarm.terminal import guard, write_lines
+from swarm.process.terminal import guard, write_lines
 
 
 def main() -> None:

@@ -5,12 +5,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Protocol, TypeVar
 
-from services.mesh.core.clock import ClockState
-from services.mesh.core.overlays import Overlays
-from swarm.bus_protocol import BusLike
-from swarm.codec import encode
+from services.mesh.core.link.clock import ClockState
+from services.mesh.core.overlays.robot_overlays import Overlays
+from swarm.bus.protocol import BusLike
 from swarm.errors import PayloadError
-from swarm.keys import STOP, key
 from swarm.messages import (
     Arm,
     Clock,
@@ -23,6 +21,8 @@ from swarm.messages import (
     TopologyRequest,
     read,
 )
+from swarm.messages.codec import encode
+from swarm.messages.keys import STOP, key
 
 T = TypeVar("T")
 

@@ -6,7 +6,7 @@ Its checksum tells a damaged file, which counts for nothing.
 import logging
 from pathlib import Path
 
-from services.mesh.core.topology import Ground, Topology
+from services.mesh.core.routing.topology import Ground, Topology
 from swarm.errors import FrameError
 from swarm.files import atomic_write, make_folder
 

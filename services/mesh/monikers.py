@@ -11,7 +11,7 @@ from pathlib import Path
 from swarm.config.types import Robot
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
-from swarm.paths import socket_path
+from swarm.process.paths import socket_path
 
 
 @frozen

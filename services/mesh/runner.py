@@ -15,17 +15,17 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from services.mesh.core.clock import ClockState
 from services.mesh.core.events import Received
+from services.mesh.core.link.clock import ClockState
+from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
-from services.mesh.core.overlays import Overlays
-from services.mesh.core.session import Session
+from services.mesh.core.node_actions import Action, Close, Dial, LinksChanged, Note, Write
+from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
-from swarm.core import together
+from swarm.bus import batch
+from swarm.bus.lane import MESH, Lane
 from swarm.errors import PayloadError
-from swarm.lane import MESH, Lane
 from swarm.messages import EchoRequest, HoldLink, LinkState
 
 _CHUNK = 4096
@@ -379,7 +379,7 @@ class Runner:
         if (data := self._lane.take()) is None:
             return
         try:
-            parts = list(together.unpack(data))
+            parts = list(batch.unpack(data))
         except PayloadError as error:
             _log.warning("%s: %s", MESH, error)
             return

@@ -6,15 +6,15 @@ What is told is heard by a session of its own, which is there only while somebod
 import threading
 from pathlib import Path
 
-from services.mesh.core.frames import BULK
-from services.mesh.core.viewing import KEYS, Viewing
+from services.mesh.core.overlays.viewing import KEYS, Viewing
+from services.mesh.core.wire.frames import BULK
 from services.mesh.door import Mesh
 from swarm import clock
-from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import PayloadError
-from swarm.keys import key, parse
 from swarm.messages import Watch
+from swarm.messages.codec import decode
+from swarm.messages.keys import key, parse
 
 _ASK_S = 2.0
 """s that services may take to say how they are."""

@@ -12,12 +12,12 @@ from pathlib import Path
 
 from swarm.config import sections
 from swarm.config.reader import Table, listed, shown
+from swarm.config.toml_input import read_toml
 from swarm.config.types import DEFAULT_RELAY, MAX_RFCOMM_LINKS, Config, RelayRule, Robot
 from swarm.core.graph import SHAPES, Graph
 from swarm.errors import ConfigError, LocalError, PayloadError
-from swarm.keys import MAX_KEY_LENGTH, ROOT, is_name
-from swarm.paths import MAX_SOCKET_PATH
-from swarm.toml_input import read_toml
+from swarm.messages.keys import MAX_KEY_LENGTH, ROOT, is_name
+from swarm.process.paths import MAX_SOCKET_PATH
 
 DEFAULT_PATH = Path("/etc/swarm/swarm.toml")
 

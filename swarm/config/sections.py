@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from swarm.codec import Value
 from swarm.config.reader import Table, finite, vector
 from swarm.config.types import Affine, Anchor, App, Balancing, Body, Dwm, Linear, Mesh, Recordings, Simulation
-from swarm.keys import is_name
+from swarm.messages.codec import Value
+from swarm.messages.keys import is_name
 
 HOST_PORT = re.compile(r"(?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}")
 """A host name, an IPv4 address or an IPv6 address in brackets, then a port."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from swarm.codec import Value
 from swarm.core.graph import Graph
 from swarm.frozen import frozen
+from swarm.messages.codec import Value
 
 DEFAULT_KEY_FILE = "/etc/swarm/key"
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Annotated
 
-from swarm.codec import MAX_COUNT, MAX_PAYLOAD, Between, decode, encode
 from swarm.core.graph import Graph
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import PayloadError
 from swarm.frozen import frozen
+from swarm.messages.codec import MAX_COUNT, MAX_PAYLOAD, Between, decode, encode
 
 MAX_NEIGHBOURS = 255
 """Of one robot in an epoch: a snapshot of the lockstep counts them in one byte."""

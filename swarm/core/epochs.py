@@ -29,12 +29,12 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 
-from swarm.codec import MAX_COUNT
 from swarm.core.epoch_actions import Action, Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import NONE, Ballot, Epoch, Kept, Note, Offer, Vote, following
 from swarm.core.epoch_roster import Roster
 from swarm.core.graph import Graph
 from swarm.errors import PayloadError
+from swarm.messages.codec import MAX_COUNT
 
 COLLECT = 1.0
 """s for which a ballot waits for answers of members who may be slow, and ..."""

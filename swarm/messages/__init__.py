@@ -4,19 +4,19 @@ module for each service, all of them to be had from here.
 Each is imported when something of it is first asked for: a robot's processes take those they speak, and making all of
 these classes is a third of what a small service needs until it runs.
 
-Payloads are msgpack maps with these field names (`swarm.codec`). SI units: m, rad, s, V. `t` is the sender's
+Payloads are msgpack maps with these field names (`swarm.messages.codec`). SI units: m, rad, s, V. `t` is the sender's
 monotonic clock in seconds, common to all processes of one robot; the mesh relates the robots' clocks. The
 only binary payloads are what apps send each other: frames of the synchronous overlay (`swarm.core.lockstep`) and
-what they flood and send (`swarm.overlays`).
+what they flood and send (`swarm.app.overlays`).
 """
 
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from swarm.codec import decode
 from swarm.errors import PayloadError
-from swarm.keys import STOP, parse
+from swarm.messages.codec import decode
+from swarm.messages.keys import STOP, parse
 
 if TYPE_CHECKING:
     from swarm.messages.apps import (

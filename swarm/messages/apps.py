@@ -1,7 +1,7 @@
 """Messages of the hosts of apps."""
 
-from swarm.codec import Value, with_telemetry
 from swarm.frozen import frozen
+from swarm.messages.codec import Value, with_telemetry
 from swarm.messages.service import Status
 
 

@@ -1,7 +1,7 @@
 """Messages of the balancer."""
 
-from swarm.codec import with_telemetry
 from swarm.frozen import frozen
+from swarm.messages.codec import with_telemetry
 from swarm.messages.service import Gathered
 
 

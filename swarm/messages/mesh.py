@@ -2,8 +2,8 @@
 
 from dataclasses import field
 
-from swarm.codec import MAX_BINARY, with_telemetry
 from swarm.frozen import frozen
+from swarm.messages.codec import MAX_BINARY, with_telemetry
 
 
 @frozen
@@ -273,7 +273,7 @@ class MeshGraph:
 class Clock:
     """The mesh clock C(t') = t' + offset + rate (t' - t), on `swarm/<robot>/mesh/clock`, once a second and on change.
 
-    `swarm.mesh_clock` reads it. It slews, but may step, also backwards, when robots or swarms meet.
+    `swarm.app.mesh_clock` reads it. It slews, but may step, also backwards, when robots or swarms meet.
     """
 
     t: float

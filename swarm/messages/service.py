@@ -2,9 +2,9 @@
 
 import math
 
-from swarm.codec import encode, unpack, with_telemetry
 from swarm.errors import LocalError, PayloadError
 from swarm.frozen import frozen
+from swarm.messages.codec import encode, unpack, with_telemetry
 
 MAX_STOP_TEXT = 100
 """Characters of a stop's origin and reason that are kept. They come back in every state message of a balancer: others'

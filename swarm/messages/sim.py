@@ -1,7 +1,7 @@
 """Messages of the simulated world."""
 
-from swarm.codec import with_telemetry
 from swarm.frozen import frozen
+from swarm.messages.codec import with_telemetry
 
 
 @frozen

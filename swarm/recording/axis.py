@@ -2,7 +2,7 @@
 
 Recordings of one machine since one start of it share a clock. Others are brought together by the mesh clock, whose
 samples every robot records: C(t') = t' + offset + rate (t' - t), with robots of one root on one time
-(`swarm.mesh_clock`). Where a clock has no such sample, its time of day has to do, and a note says so.
+(`swarm.app.mesh_clock`). Where a clock has no such sample, its time of day has to do, and a note says so.
 """
 
 from bisect import bisect_right

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from swarm.frozen import frozen
-from swarm.locks import is_held
+from swarm.process.locks import is_held
 from swarm.recording.reader import SUFFIX
 
 RESTING_S = 120.0

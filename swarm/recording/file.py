@@ -15,10 +15,10 @@ from itertools import pairwise
 from pathlib import Path
 
 from swarm import __version__
-from swarm.core import mcap
-from swarm.core.recording import Known, Writer
 from swarm.errors import RecordingError
 from swarm.recording.budget import hold
+from swarm.recording.core import mcap
+from swarm.recording.core.writer import Known, Writer
 from swarm.recording.journal import Journal
 from swarm.recording.survey import survey
 

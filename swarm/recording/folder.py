@@ -15,10 +15,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from swarm import __version__
+from swarm.config.toml_input import read_toml
 from swarm.errors import PayloadError, RecordingError
 from swarm.files import atomic_write, make_folder
-from swarm.paths import state_dir
-from swarm.toml_input import read_toml
+from swarm.process.paths import state_dir
 
 RUN_FILE = "run.toml"
 CONFIG_FILE = "swarm.toml"

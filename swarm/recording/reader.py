@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from swarm.core import jsontext, mcap
 from swarm.errors import RecordingError
+from swarm.recording.core import json_text, mcap
 
 SUFFIX = ".mcap"
 
@@ -35,7 +35,7 @@ class Sample(NamedTuple):
     def message(self) -> dict[str, Any]:
         """The message's fields. What was None is missing; raises `RecordingError` where the text is no JSON."""
         try:
-            message = jsontext.decode(self.data)
+            message = json_text.decode(self.data)
         except (ValueError, RecursionError) as error:
             raise RecordingError(f"{self.topic}: a message is not JSON: {error}") from None
         if not isinstance(message, dict):

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from itertools import groupby
 from pathlib import Path
 
-from swarm.core.mcap import Schema
 from swarm.errors import RecordingError
 from swarm.recording import folder
 from swarm.recording.axis import Axis, Clocks, Relation
+from swarm.recording.core.mcap import Schema
 from swarm.recording.reader import SUFFIX, Reader, Sample
 from swarm.recording.trajectory import Builder, Trajectory, epoch_topic, is_state
 

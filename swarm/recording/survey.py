@@ -2,9 +2,9 @@
 
 import os
 
-from swarm.core import mcap
-from swarm.core.recording import Known, recall
 from swarm.errors import RecordingError
+from swarm.recording.core import mcap
+from swarm.recording.core.writer import Known, recall
 
 _CHUNK_HEAD = 40
 """Bytes of a chunk record's content before its messages, where they are not compressed."""

@@ -13,12 +13,12 @@ from typing import Any
 import nursery
 import pytest
 
-from swarm.bus import Bus, Router
-from swarm.codec import decode, encode
-from swarm.core import together
+from swarm.bus import batch
+from swarm.bus.zenoh_bus import Bus, Router
 from swarm.core.lockstep_actions import address_of
 from swarm.messages import AppEpoch, AppProgress, AppState, Topology
-from swarm.paths import bus_endpoint
+from swarm.messages.codec import decode, encode
+from swarm.process.paths import bus_endpoint
 from swarm.recording import trajectory
 
 NAMES = ("r0", "r1", "r2")
@@ -196,7 +196,7 @@ class Rig:
             crosses = address.to in (None, there) and address.around == self.silent
             if crosses and int.from_bytes(payload[1:5], "little") <= self.gate:
                 frames = f"swarm/{there}/mesh/frames/{address.app}"
-                self.buses[there].publish(frames, together.pack([(key, payload)]), urgent=True)
+                self.buses[there].publish(frames, batch.pack([(key, payload)]), urgent=True)
 
         self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)
         latest = self.buses[there].publish

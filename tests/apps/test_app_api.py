@@ -9,10 +9,10 @@ import pytest
 
 from services.apps.runner import Runner
 from swarm import SyncApp, Vector, float32, parameter
+from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import Measurement
-from swarm.robot import Robot
 
 LINE = Graph.of_shape("line", ["r0", "r1", "r2"])
 

@@ -8,11 +8,11 @@ import pytest
 
 from services.apps.goto import read_waypoints
 from services.apps.stand_up import StandUp
-from services.sim.virtual.run import simulate
+from sim.virtual.run import simulate
+from swarm.app.robot import Robot
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.recording.run import Run
-from swarm.robot import Robot
 
 SIX = ("--robots", "6", "--topology", "line", "--jitter", "10ms")
 

@@ -13,7 +13,7 @@ PAIR = """
 import sys
 from services.apps import loader, topology
 from services.apps.host import Host, Part
-from swarm.conduct import Conduct
+from swarm.app.run_options import Conduct
 from swarm.service import Service, run
 
 def main():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from services.apps import loader
-from services.apps.rehearsal import check, examine, new, rehearse, trends
+from sim.rehearsal import check, examine, new, rehearse, trends
 from swarm.errors import AppError, LocalError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -160,7 +160,7 @@ def test_good_apps_are_told_what_they_are(short: None) -> None:
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "swarm.cli", *arguments]
+    command = [sys.executable, "-m", "laptop.cli", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
 
 

@@ -11,12 +11,12 @@ import pytest
 
 from services.apps.event_runner import EventRunner, version
 from swarm import EventApp, Matrix, PeriodicApp, SyncApp, channel, parameter
+from swarm.app.overlays import Message
+from swarm.app.robot import Robot
 from swarm.core.asynchronous import Call, Known
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import AppOutput
-from swarm.overlays import Message
-from swarm.robot import Robot
 
 LINE = Graph.of_shape("line", ["r0", "r1", "r2"])
 

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from apps_rig import NAMES, Rig
 
-from swarm.cli import main
-from swarm.cli import param as swarm_param
-from swarm.codec import decode, encode
+from laptop.cli import main
+from laptop.cli.app import param as swarm_param
 from swarm.messages import (
     AppOutput,
     AppParameters,
@@ -24,6 +23,7 @@ from swarm.messages import (
     SetLeds,
     SetVelocity,
 )
+from swarm.messages.codec import decode, encode
 
 MakeRig = Callable[..., Rig]
 

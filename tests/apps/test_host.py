@@ -20,11 +20,11 @@ from memory_swarm import PLACES, TARGET, MeasurementOf, MemorySwarm, config_of
 from services.apps import loader
 from services.apps.host import schema_of
 from services.apps.runner import Runner
-from swarm.codec import decode, encode
+from swarm.bus import batch
 from swarm.config import load
-from swarm.core import together
 from swarm.core.lockstep_frames import Channel
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
+from swarm.messages.codec import decode, encode
 from swarm.recording.run import Run
 
 START = "".join(f"[apps.consensus.robots.r{i}]\nvalue = {x}\n" for i, x in enumerate((0.5, 3.0, 5.0)))
@@ -176,7 +176,7 @@ def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
         ("swarm/r1/app/consensus/sync/no-channel", b"x"),
         (f"{channel}/r0/x", b"no frame's key"),
     ]
-    for data in (together.pack(frames), b"no frames at all"):
+    for data in (batch.pack(frames), b"no frames at all"):
         rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", data)
     counters: dict[str, int] = {}
 
@@ -266,11 +266,11 @@ def test_an_app_stops_that_hears_of_a_newer_process_of_its_own(make_rig: MakeRig
     rig.buses["r0"].subscribe("swarm/r0/mesh/frames/consensus", lambda key, payload: said.append(payload))
     rig.start("r0", "apps", "consensus", SWARM_RUN="a1")
     wait_until(lambda: bool(said))
-    ((name, frame),) = together.unpack(said[0])
+    ((name, frame),) = batch.unpack(said[0])
     sync, channel = name.rsplit("/", 1)
     newer = replace(Channel.parse(channel), incarnation=2)
     assert (sync, Channel.parse(channel).incarnation) == ("swarm/r0/app/consensus/sync", 1)
-    rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", together.pack([(f"{sync}/{newer.text}", frame)]))
+    rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", batch.pack([(f"{sync}/{newer.text}", frame)]))
     rig.until_phase("fault", "r0")
     assert "another process runs this app on r0" in rig.progress["r0"].reason
 

@@ -9,7 +9,7 @@ from memory_swarm import TARGET, MemorySwarm, config_of
 from test_localization import exact, noisy
 
 from services.apps import loader
-from services.apps.rehearsal.events import EventRehearsal
+from sim.rehearsal.events import EventRehearsal
 from swarm.errors import AppError
 from swarm.messages import SetDisplay, SetLeds
 

@@ -6,8 +6,8 @@ import pytest
 
 from services.apps import loader
 from services.apps.localization.leastsquares import refine
-from services.apps.rehearsal.scene import PLACES, TARGET, scene
-from services.apps.rehearsal.sync import SyncRehearsal
+from sim.rehearsal.scene import PLACES, TARGET, scene
+from sim.rehearsal.sync import SyncRehearsal
 from swarm.core.graph import Graph
 from swarm.messages import Measurement
 

@@ -8,9 +8,9 @@ from services.balancer.balancer import Balancer
 from services.balancer.core.body import BodyModel, body_model
 from services.balancer.core.gyro import Zero
 from services.balancer.core.lqr import PERIOD_S
-from services.sim.core.balboa import BalboaBody
-from services.sim.core.devices import NO_ERRORS, ImuErrors, SimulatedRobot, draw_errors
-from services.sim.i2c import SimulatedBus
+from sim.core.balboa import BalboaBody
+from sim.core.devices import NO_ERRORS, ImuErrors, SimulatedRobot, draw_errors
+from sim.i2c import SimulatedBus
 from swarm.config.types import Balancing, Body
 
 CONFIGURED = body_model("zero2w", Body())

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from services.balancer.core import balboa
 from services.balancer.loop import main
-from services.sim.wiring import simulated_bus
-from swarm.process import run
+from sim.wiring import simulated_bus
+from swarm.process.edges import run
 
 record = Path(sys.argv[1])
 

@@ -16,9 +16,9 @@ import msgpack
 import pytest
 from conftest import Processes, stop, wait_until
 
-from swarm.bus import Bus
-from swarm.core import together
-from swarm.lane import DWM, Lane
+from swarm.bus import batch
+from swarm.bus.lane import DWM, Lane
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import (
     AppState,
     BalancerState,
@@ -35,7 +35,7 @@ from swarm.messages import (
     Stop,
     read,
 )
-from swarm.process import DEFECT
+from swarm.process.edges import DEFECT
 
 RECORDING = str(Path(__file__).with_name("recording_body.py"))
 
@@ -89,7 +89,7 @@ def alive(pid: int) -> bool:
 
 
 def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Watcher, runtime: Path) -> None:
-    body = processes.start_ready("-m", "services.sim.body")
+    body = processes.start_ready("-m", "sim.body")
     state = watcher.wait_mode("balancing")
     assert abs(state.tilt) < 0.2
     wait_until(lambda: watcher.lamps() == (False, False, True))
@@ -105,7 +105,7 @@ def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Wat
     lane = Lane(runtime, DWM)
     wait_until(lambda: (data := lane.take()) is not None and took.append(data) is None and len(took) >= 5)
     lane.close()
-    parts = [part for data in took for part in together.unpack(data)]
+    parts = [part for data in took for part in batch.unpack(data)]
     assert {name for name, _ in parts} == {"swarm/r0/balancer/odometry"}
     told = [read(name, payload).sequence for name, payload in parts]
     assert all(a < b for a, b in pairwise(told))
@@ -146,7 +146,7 @@ def test_a_robot_stands_talks_obeys_and_stops(processes: Processes, watcher: Wat
 
 
 def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, watcher: Watcher) -> None:
-    body = processes.start("-m", "services.sim.body")
+    body = processes.start("-m", "sim.body")
     before = watcher.wait_mode("balancing")
     (bridge,) = children(body.pid)
     os.kill(bridge, signal.SIGKILL)
@@ -160,7 +160,7 @@ def test_the_loop_outlives_its_bridge_and_starts_another(processes: Processes, w
 
 
 def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher: Watcher) -> None:
-    processes.start("-m", "services.sim.body")
+    processes.start("-m", "sim.body")
     watcher.wait_mode("balancing")
 
     start = watcher.last("odometry").x
@@ -194,7 +194,7 @@ def test_driving_over_the_bus_and_what_is_refused(processes: Processes, watcher:
 def test_a_robot_has_the_controller_and_body_that_the_file_gives_it(processes: Processes, watcher: Watcher) -> None:
     with processes.config.open("a") as file:
         file.write('[balancing.robots.r0]\ncontroller = "pololu"\nmax_speed = 0.3\n[body.robots.r0]\ntrim = 0.19\n')
-    processes.start("-m", "services.sim.body")
+    processes.start("-m", "sim.body")
     state = watcher.wait_mode("balancing")
     assert state.posture == "upright", "with its trim taken out"
     wait_until(lambda: watcher.last("parameters") is not None, what="the parameters")
@@ -210,7 +210,7 @@ def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as world:
         world.bind(str(runtime / "world.sock"))
         world.settimeout(60)
-        body = processes.start_ready("-m", "services.sim.body", SWARM_RUNTIME=str(robot), SWARM_SEED="3")
+        body = processes.start_ready("-m", "sim.body", SWARM_RUNTIME=str(robot), SWARM_SEED="3")
         # A world that does not answer costs it half a second, no more.
         assert msgpack.unpackb(world.recv(4096)) == {"robot": "r0"}
         report = msgpack.unpackb(world.recv(4096))
@@ -222,7 +222,7 @@ def test_the_loop_needs_no_bus(processes: Processes, runtime: Path) -> None:
 
 
 def test_the_bridge_dies_with_the_loop(processes: Processes, watcher: Watcher) -> None:
-    body = processes.start("-m", "services.sim.body")
+    body = processes.start("-m", "sim.body")
     wait_until(watcher.last, what="the bridge works")
     (bridge,) = children(body.pid)
     body.kill()
@@ -297,7 +297,7 @@ def test_systemd_hears_of_progress_and_the_next_process_is_ready_sooner(processe
         systemd.settimeout(60)
 
         def progress_before_ready() -> int:
-            process = processes.start("-m", "services.sim.body", NOTIFY_SOCKET=str(runtime / "systemd"))
+            process = processes.start("-m", "sim.body", NOTIFY_SOCKET=str(runtime / "systemd"))
             count = 0
             while (message := systemd.recv(4096).decode()) != "READY=1":
                 assert message == "WATCHDOG=1"
@@ -322,7 +322,7 @@ def test_systemd_hears_of_the_end(processes: Processes, runtime: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(runtime / "systemd"))
         systemd.settimeout(60)
-        process = processes.start("-m", "services.sim.body", NOTIFY_SOCKET=str(runtime / "systemd"))
+        process = processes.start("-m", "sim.body", NOTIFY_SOCKET=str(runtime / "systemd"))
         assert systemd.recv(4096) == b"WATCHDOG=1"
         stop(process)
         while (last := systemd.recv(4096)) in (b"WATCHDOG=1", b"READY=1"):
@@ -334,19 +334,19 @@ def test_the_loop_stays_light(processes: Processes) -> None:
     """What the process with the deadline loads: no Zenoh, no asyncio, no numpy, no threads."""
     code = (
         "import sys, services.balancer.loop;"
-        "print(*{'zenoh', 'swarm.bus', 'swarm.service', 'asyncio', 'numpy', 'subprocess', 'smbus2'} & set(sys.modules))"
+        "print(*{'zenoh', 'swarm.bus.zenoh_bus', 'swarm.process.service', 'asyncio', 'numpy', 'subprocess', 'smbus2'} & set(sys.modules))"
     )
     assert processes.start("-c", code).communicate(timeout=60)[0].strip() == ""
 
 
 def test_a_wrong_seed_is_named(processes: Processes) -> None:
-    process = processes.start("-m", "services.sim.body", SWARM_SEED="lucky")
+    process = processes.start("-m", "sim.body", SWARM_SEED="lucky")
     assert process.communicate(timeout=60)[1] == "body.py: SWARM_SEED='lucky': expected an integer\n"
     assert process.returncode == 2
 
 
 def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> None:
-    processes.start_ready("-m", "services.sim.body")
+    processes.start_ready("-m", "sim.body")
     watcher.wait_mode("balancing")
     wait_until(lambda: watcher.last("battery") is not None and watcher.last("battery").voltage == 7.4)
     wait_until(lambda: watcher.last("buttons") is not None and watcher.last("buttons").presses_a == 0)
@@ -388,9 +388,9 @@ def test_the_devices_over_the_bus(processes: Processes, watcher: Watcher) -> Non
 
 
 def test_swarm_measure_i2c_asks_the_balancer(processes: Processes, watcher: Watcher) -> None:
-    processes.start_ready("-m", "services.sim.body")
+    processes.start_ready("-m", "sim.body")
     watcher.wait_mode("balancing")
-    command = [sys.executable, "-m", "swarm.cli", "measure", "i2c", "--sizes", "8", "--count", "20", "--json"]
+    command = [sys.executable, "-m", "laptop.cli", "measure", "i2c", "--sizes", "8", "--count", "20", "--json"]
     done = subprocess.run(command, env=processes.environment(), capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     (found,) = json.loads(done.stdout)["sizes"]

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from services.balancer.core import balboa, imu
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import PATIENCE_S, RETRY_S, KernelBus, open_patiently
-from services.sim.core.balboa import BalboaBody
-from services.sim.core.devices import SimulatedRobot, draw_errors
-from services.sim.i2c import SimulatedBus
+from sim.core.balboa import BalboaBody
+from sim.core.devices import SimulatedRobot, draw_errors
+from sim.i2c import SimulatedBus
 from swarm.errors import LocalError, RemoteError
 
 words = st.integers(-0x8000, 0x7FFF)

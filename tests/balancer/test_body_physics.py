@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.balancer.core.body import GRAVITY
-from services.sim.core.balboa import LONGEST_S, REST_TILT, BalboaBody
+from sim.core.balboa import LONGEST_S, REST_TILT, BalboaBody
 
 
 def test_a_held_body_stays_until_its_motors_start() -> None:

@@ -18,7 +18,7 @@ from services.balancer.core.mailbox import check_request
 from services.balancer.core.requests import check
 from services.balancer.core.transfers import Transfer, duration, read
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
-from services.sim.core.devices import SimulatedRobot
+from sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import (
     Battery,

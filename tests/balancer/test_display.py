@@ -10,7 +10,7 @@ from services.balancer.core.display import ADDRESS, LINES, RETRY_S, SETUP, Scree
 from services.balancer.core.font import LETTERS
 from services.balancer.core.screen import Composer, wrap
 from services.balancer.core.transfers import LONGEST, duration
-from services.sim.core.display import DisplayDevice
+from sim.core.display import DisplayDevice
 from swarm.messages import AppState, BalancerState
 
 GOLDEN = """\

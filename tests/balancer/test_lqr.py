@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from services.balancer.core import lqr
 from services.balancer.core.body import bare_body_model, body_model
 from services.balancer.core.estimator import SPEED_TIME_S
-from services.sim.core.balboa import STEP_S, BalboaBody
+from sim.core.balboa import STEP_S, BalboaBody
 from swarm.config.types import Body
 from swarm.errors import LocalError
 

@@ -7,7 +7,7 @@ from balancer_rig import CONFIGURED, OTHER, PLANTS, Rig, upright
 
 from services.balancer.core import lie_down, posture
 from services.balancer.core.gyro import STILL_RANGE
-from services.sim.core.balboa import REST_TILT
+from sim.core.balboa import REST_TILT
 from swarm.errors import LocalError
 
 BODIES = pytest.mark.parametrize("plant", [CONFIGURED, OTHER], ids=["configured", "other"])

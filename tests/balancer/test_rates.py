@@ -8,11 +8,10 @@ import pytest
 from test_balancer_registers import Bench
 from test_chores import Ticking
 
-from services.balancer import rates
+from laptop.cli.measure import i2c, i2c_direct
 from services.balancer.core.rates import FAILURES, check_measurement
 from services.balancer.core.transfers import duration
-from services.sim.i2c import SimulatedBus
-from swarm.cli import i2c
+from sim.i2c import SimulatedBus
 from swarm.errors import LocalError
 from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
 
@@ -20,13 +19,13 @@ from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
 @pytest.mark.parametrize("size", [1, 8, 28])
 def test_rates_in_the_simulation_are_those_of_the_wire(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench()
-    monkeypatch.setattr(rates.clock, "now", lambda: bench.now)
+    monkeypatch.setattr(i2c_direct.clock, "now", lambda: bench.now)
 
     def sleep(seconds: float) -> None:
         bench.now += seconds
 
     bench.balboa._sleep = sleep
-    found = rates.measure(bench.bus, bench.balboa, MeasureI2C("t", size, 10))
+    found = i2c_direct.measure(bench.bus, bench.balboa, MeasureI2C("t", size, 10))
     assert (found.count, found.failed, found.problem, found.ticket) == (10, 0, "", "t")
     # 100 kHz, 9 bits a byte, START and STOP; the ATmega's hold of 25 us with each byte; pauses of 150 us.
     read_s = (4 + 9 * (3 + size)) * 10e-6 + (3 + size) * 25e-6 + 2 * 150e-6
@@ -38,14 +37,14 @@ def test_rates_in_the_simulation_are_those_of_the_wire(size: int, monkeypatch: p
 def test_failed_transfers_are_counted_and_not_in_the_rates() -> None:
     bench = Bench()
     bench.robot.failures = [121, 0, 0, 110, 0, 5]
-    found = rates.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
+    found = i2c_direct.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
     assert (found.count, found.failed, found.problem) == (3, 3, "")
 
 
 def test_a_dead_bus_is_given_up() -> None:
     bench = Bench()
     bench.robot.failures = [121] * 100
-    found = rates.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
+    found = i2c_direct.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
     assert (found.read, found.write, found.failed) == (None, None, FAILURES)
     assert found.problem == "I2C: Remote I/O error"
 
@@ -152,15 +151,15 @@ def test_without_a_balancer_the_bus_is_taken_directly(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     real = Real()
-    monkeypatch.setattr(rates, "KernelBus", real.open)
+    monkeypatch.setattr(i2c_direct, "KernelBus", real.open)
     monkeypatch.setattr("sys.argv", ["rates", "r4", "--sizes", "4", "--count", "3"])
-    rates.main()
+    i2c_direct.main()
     assert capsys.readouterr().out.startswith("r4: I2C with the ATmega")
     assert real.closed
     assert real.robot.atmega.motors == (0.0, 0.0)
     del real.robot.devices[20]
     with pytest.raises(LocalError, match="the ATmega does not answer"):
-        rates.main()
+        i2c_direct.main()
 
 
 def test_a_balancer_of_a_simulation_that_is_silent_is_no_reason_to_touch_a_bus(

@@ -11,7 +11,7 @@ from services.balancer.core import faults
 from services.balancer.core.battery import EMPTY, LOW, OK, WINDOW_S, BatteryGuard
 from services.balancer.core.controller import STUCK_TICKS
 from services.balancer.core.leds import CLAIM_S, shown
-from services.sim.core.balboa import REST_TILT
+from sim.core.balboa import REST_TILT
 from swarm.errors import LocalError
 from swarm.messages import SetLeds
 

@@ -27,7 +27,7 @@ class Held:
     """A balancing robot whose loop is held, so that what the bridge hands over waits for it."""
 
     def __init__(self, processes: Processes, watcher: Watcher) -> None:
-        self.body = processes.start_ready("-m", "services.sim.body")
+        self.body = processes.start_ready("-m", "sim.body")
         self.watcher = watcher
         watcher.wait_mode("balancing")
         self.body.send_signal(signal.SIGSTOP)
@@ -70,7 +70,7 @@ def test_a_command_from_before_a_stop_moves_nothing_after_it(processes: Processe
 
 
 def test_any_sample_of_the_stop_key_stops_the_robot(processes: Processes, watcher: Watcher) -> None:
-    processes.start_ready("-m", "services.sim.body")
+    processes.start_ready("-m", "sim.body")
     for payload, why in PAYLOADS.values():
         watcher.command("mode", SetMode("stand"))
         wait_until(lambda: watcher.last() is not None and watcher.last().mode in ("standing_up", "balancing"))

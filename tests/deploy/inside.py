@@ -30,7 +30,7 @@ MODULE = """
 import shutil, sys
 from pathlib import Path
 from typing import Any
-from services.sim.module import ModuleBoard
+from sim.module import ModuleBoard
 from swarm.config import load
 
 board = ModuleBoard(Path("/run/rig"), load(), 1)
@@ -137,7 +137,7 @@ def surroundings(phase: str) -> None:
         return
     drop_in = Path("/etc/systemd/system/swarm-balancer.service.d/90-rig.conf")
     drop_in.parent.mkdir(exist_ok=True)
-    drop_in.write_text(f"[Service]\nExecStart=\nExecStart={PYTHON} -m services.sim.body\n")
+    drop_in.write_text(f"[Service]\nExecStart=\nExecStart={PYTHON} -m sim.body\n")
     # A disk of its own for the recordings, so small that it can be filled.
     DISK.mkdir(parents=True, exist_ok=True)
     sh("mount", "-t", "tmpfs", "-o", "size=96m", "recordings", str(DISK))
@@ -321,8 +321,8 @@ def a_full_disk_costs_recordings_only() -> dict[str, float]:
 
 STATUS = """
 import dataclasses, json, subprocess
-from swarm.cli import status
-from swarm.fleet import journal, versions
+from laptop.cli import status
+from laptop.fleet import journal, versions
 
 def ask(command):
     return subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout

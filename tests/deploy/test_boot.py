@@ -24,8 +24,8 @@ from neighbour import Neighbour
 from room import ANCHORS
 
 from bench import restless_rule
+from swarm.config.keyfile import new_key_file
 from swarm.core.graph import Graph
-from swarm.keyfile import new_key_file
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -21,11 +21,11 @@ from pathlib import Path
 import debian
 import pytest
 
-from swarm.cli import doctor, provision, status
-from swarm.fleet import debs
-from swarm.fleet.core.wish import PACKAGES, SUITES
-from swarm.fleet.provision import Rig
-from swarm.keyfile import new_key_file
+from laptop.cli.robots import doctor, provision, status
+from laptop.fleet import debs
+from laptop.fleet.core.wish import PACKAGES, SUITES
+from laptop.fleet.provision import Rig
+from swarm.config.keyfile import new_key_file
 
 ROOT = Path(__file__).parents[2]
 TOOLS = ("systemd-nspawn", "mmdebstrap", "ssh", "ssh-keygen", "apt-get")
@@ -58,7 +58,7 @@ UsePAM no
 
 BODY = """[Service]
 ExecStart=
-ExecStart=/opt/swarm/current/bin/python -m services.sim.body
+ExecStart=/opt/swarm/current/bin/python -m sim.body
 Environment=SWARM_RUNTIME=/run/swarm SWARM_SIM_LYING=front
 """
 """The simulated body lies on its front: one that stands would fall where a busy machine holds up its loop, which has no
@@ -225,7 +225,7 @@ def test_status_and_z_sub_see_its_services(pi: Booted, capsys: pytest.CaptureFix
     assert row["release"].startswith("0.1.0-")
     assert row["battery_v"] > 5.0
     watch = ["--robot", "r0", "swarm/*/balancer/state", "--count", "3", "--seconds", "60", "--json"]
-    lines = [json.loads(line) for line in sh(sys.executable, "-m", "swarm.cli.z_sub", *watch, *where).splitlines()]
+    lines = [json.loads(line) for line in sh(sys.executable, "-m", "swarm.onboard.z_sub", *watch, *where).splitlines()]
     assert [line["key"] for line in lines] == ["swarm/r0/balancer/state"] * 3
     assert lines[0]["value"]["ticks"] < lines[2]["value"]["ticks"]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import Processes, wait_until
 
-from swarm.bus import Bus
+from swarm.bus.zenoh_bus import Bus
 
 FED = "WATCHDOG=1"
 

@@ -3,7 +3,7 @@
 import contextlib
 import threading
 
-from services.sim.module import ModuleBoard
+from sim.module import ModuleBoard
 
 ANCHORS = """
 [[anchors]]

@@ -16,9 +16,9 @@ from services.dwm.calibrate.session import Hearing, hold
 from services.dwm.core import calibration_file
 from services.dwm.core.guide import QUARTERS, Guide
 from services.dwm.core.samples import HEADER, Sample, read, write
-from services.sim.core import uwb
+from sim.core import uwb
 from swarm import config as configuration
-from swarm.bus import Bus
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import BusError
 from swarm.messages import Buttons
 

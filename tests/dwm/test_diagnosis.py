@@ -11,7 +11,7 @@ from services.dwm.core.calls import ModuleStatus, Settings, UpdateRate, Version
 from services.dwm.core.diagnosis import Watch
 from services.dwm.core.exchange import Trouble
 from services.dwm.core.tlv import AnchorRange, Location, Position
-from services.sim.core.uwb import ErrorModel, Module, Tag
+from sim.core.uwb import ErrorModel, Module, Tag
 from swarm.config.types import Anchor
 
 ANCHORS = (

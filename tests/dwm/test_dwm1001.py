@@ -11,7 +11,7 @@ from services.dwm.core import calls, shell
 from services.dwm.core.calls import Settings, UpdateRate
 from services.dwm.core.shell import Info, Reader
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Decoder, Location, Position, encode_location
-from services.sim.core.dwm1001 import (
+from sim.core.dwm1001 import (
     BYTE,
     FACTORY_RATE,
     JOINING,

@@ -12,9 +12,9 @@ from services.dwm.core.calls import CFG_GET, VER_GET
 from services.dwm.core.tlv import encode_refusal
 from services.dwm.line import BusLine, NoAnswerError
 from swarm import config as configuration
-from swarm.bus import Bus
-from swarm.codec import decode
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import ModuleAnswer, ModuleRequest, Ranges, Status, Uwb, UwbRange
+from swarm.messages.codec import decode
 
 REPORT = Uwb(0.0, "ok", 0, 0, 1, 0, 0.02, 2.635, 1.055, 3.74, 100, 4, tuple(
     UwbRange(r.anchor, r.distance, r.quality, r.position.x, r.position.y, r.position.z, r.position.quality)

@@ -15,10 +15,10 @@ from services.dwm.core.calibration import RangeModel
 from services.dwm.core.calibration_file import CalibrationFile, Evidence, layout_of, text_of
 from swarm import clock
 from swarm import config as configuration
-from swarm.bus import Bus
-from swarm.codec import decode, encode
-from swarm.lane import DWM, Sender
+from swarm.bus.lane import DWM, Sender
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Measurement, Odometry, read
+from swarm.messages.codec import decode, encode
 
 LIVE = (
     ANCHORS

@@ -16,9 +16,9 @@ from services.dwm.core.calls import NODE_ID_GET, Settings, UpdateRate
 from services.dwm.core.tlv import NOWHERE, AnchorRange, Position
 from services.dwm.line import NoAnswerError, PortLine
 from swarm import config as configuration
-from swarm.bus import Bus
+from swarm.app.ranging import Ranging
+from swarm.bus.zenoh_bus import Bus
 from swarm.config.types import Anchor
-from swarm.ranging import Ranging
 
 ROBOTS = CONFIG.replace('name = "r1"', 'name = "r1"\nuwb = "DE01"\nuwb_role = "anchor"')
 

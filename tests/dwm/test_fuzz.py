@@ -14,7 +14,7 @@ from services.dwm.core.calls import Settings, UpdateRate
 from services.dwm.core.exchange import Exchange
 from services.dwm.core.shell import Reader
 from services.dwm.core.tlv import LOC_GET, OK, Decoder, Location, Position, encode_location, encode_part, encode_refusal
-from services.sim.core.dwm1001 import VERSION, Dwm1001, Flash
+from sim.core.dwm1001 import VERSION, Dwm1001, Flash
 from swarm.errors import FrameError
 
 SHORT, LONG = 2_000, 1_000_000

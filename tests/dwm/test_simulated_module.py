@@ -15,7 +15,7 @@ from dwm_frames import GOLDEN
 
 from services.dwm.core.calls import CFG_GET, POS_GET, RESET, Settings, cfg_set
 from services.dwm.core.tlv import LOC_GET, NOWHERE, Decoder, Location, Position, Refusal
-from services.sim.module import ModuleBoard
+from sim.module import ModuleBoard
 from swarm.config import Anchor, Config, Dwm, Robot, Simulation
 
 CONFIG = Config(

@@ -20,7 +20,7 @@ from services.dwm.core.fitting import (
 )
 from services.dwm.core.multilateration import Fix, multilaterate
 from services.dwm.core.samples import TARGET, TARGET_PLACE, Group, groups, of_recording, spots
-from swarm.recordings import read_folder
+from swarm.recording.thesis_ranges import read_folder
 
 MODULES = {TARGET: (*TARGET_PLACE, 0.0)}
 THESIS = RangeModel(0.946976, -0.05964849)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from services.dwm.core.tlv import LOC_GET, Decoder, Position, encode_location
-from services.sim.core.uwb import ErrorModel, Module, Tag, multilaterate
+from sim.core.uwb import ErrorModel, Module, Tag, multilaterate
 
 QUIET = ErrorModel(1.0, 0.0, heading=0, noise=0, hidden=0, outlier=0, missing=0, engine_offset=0)
 PLACES = {

@@ -7,9 +7,9 @@ from avr_bench import Bench
 from elf_robot import ElfRobot
 
 from services.balancer.core.body import body_model
-from services.sim.core.balboa import BalboaBody
-from services.sim.core.devices import NO_ERRORS, SimulatedRobot
-from services.sim.i2c import SimulatedBus
+from sim.core.balboa import BalboaBody
+from sim.core.devices import NO_ERRORS, SimulatedRobot
+from sim.i2c import SimulatedBus
 from swarm.config.types import Body
 
 CONFIGURED = body_model("zero2w", Body())
@@ -17,7 +17,7 @@ STEP = 0.0005
 
 
 class Simulated:
-    """services/sim on a clock set by hand."""
+    """sim on a clock set by hand."""
 
     def __init__(self) -> None:
         self.now = 100.0

@@ -14,8 +14,8 @@ from firmware_layout import CONSTANTS
 
 from services.balancer.core import imu
 from services.balancer.core.body import BodyModel
-from services.sim.core.balboa import STEP_S, BalboaBody
-from services.sim.core.devices import ImuDevice, draw_errors
+from sim.core.balboa import STEP_S, BalboaBody
+from sim.core.devices import ImuDevice, draw_errors
 
 
 class ElfRobot:

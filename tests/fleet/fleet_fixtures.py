@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from fake_robots import FakeRobots, Run
 
-from swarm.cli import main
+from laptop.cli import main
 
 
 @pytest.fixture

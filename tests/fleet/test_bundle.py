@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from swarm.cli import bundle as command
+from laptop.cli.robots import bundle as command
+from laptop.fleet import bundle, debs
 from swarm.errors import LocalError
-from swarm.fleet import bundle, debs
 
 
 def test_a_folder_without_a_bundle(tmp_path: Path) -> None:

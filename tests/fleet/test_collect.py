@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from laptop.fleet import collect
+from laptop.fleet.collect import Data, End, File, Stream, Wanted
+from laptop.fleet.journal import Mark, entry
 from swarm.errors import RemoteError
-from swarm.fleet import collect
-from swarm.fleet.collect import Data, End, File, Stream, Wanted
-from swarm.fleet.journal import Mark, entry
 
 
 def test_a_list_is_read() -> None:

@@ -14,11 +14,12 @@ from fake_robots import FakeRobots
 from needs import needs_ssh
 
 from bench.simulation import Simulation
-from swarm.cli import doctor, main
-from swarm.fleet.core import doctor as core
-from swarm.fleet.provision import Rig
-from swarm.keyfile import new_key_file
-from swarm.simulations import claim
+from laptop.cli import main
+from laptop.cli.robots import doctor
+from laptop.fleet.core import doctor as core
+from laptop.fleet.provision import Rig
+from swarm.config.keyfile import new_key_file
+from swarm.process.simulations import claim
 
 Report = dict[str, dict[str, dict[str, str]]]
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
+from laptop.fleet.core import doctor
+from laptop.fleet.core.checkup import Robot
+from laptop.fleet.core.packages import FIRMWARE
+from laptop.fleet.core.settings import CLOUD, LIMITS, LIMITS_TEXT, MODULES, NETWORK_CONF, NETWORK_TEXT
+from laptop.fleet.core.texts import with_block
+from laptop.fleet.core.wish import PACKAGES
 from swarm.config import parse
-from swarm.fleet.core import doctor
-from swarm.fleet.core.checkup import Robot
-from swarm.fleet.core.packages import FIRMWARE
-from swarm.fleet.core.settings import CLOUD, LIMITS, LIMITS_TEXT, MODULES, NETWORK_CONF, NETWORK_TEXT
-from swarm.fleet.core.texts import with_block
-from swarm.fleet.core.wish import PACKAGES
 
 CONFIG = parse(
     """network = "x"

@@ -7,7 +7,7 @@ import pytest
 from fake_robots import FakeRobots, outcomes
 from needs import needs_ssh
 
-from services.balancer import flash
+from laptop.fleet import flash
 from services.balancer.core import balboa, image
 
 pytest_plugins = ["fleet_fixtures"]

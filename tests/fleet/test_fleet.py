@@ -10,9 +10,9 @@ import pytest
 from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
-from swarm.cli import status
-from swarm.fleet.everyone import Outcome
-from swarm.keyfile import new_key_file
+from laptop.cli.robots import status
+from laptop.fleet.everyone import Outcome
+from swarm.config.keyfile import new_key_file
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh

@@ -13,11 +13,11 @@ from conftest import Processes, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.bus import Bus
-from swarm.codec import MAX_PAYLOAD
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
-from swarm.fleet.lookout import MAX_KEYS, MAX_WAITING, Lookout, publish
 from swarm.messages import Stop, read
+from swarm.messages.codec import MAX_PAYLOAD
+from swarm.onboard.lookout import MAX_KEYS, MAX_WAITING, Lookout, publish
 
 FLOOD = bytes(60_000)
 
@@ -40,7 +40,7 @@ def test_lookout_publishes_a_stop_at_once_while_nobody_reads_its_telemetry(proce
     heard: list[object] = []
     with Bus.of(runtime) as bus:
         bus.subscribe("swarm/stop", lambda key, payload: heard.append(read(key, payload)))
-        lookout = processes.start("-m", "swarm.fleet.lookout", "r0")
+        lookout = processes.start("-m", "swarm.onboard.lookout", "r0")
         assert lookout.stdin is not None
 
         def full() -> bool:
@@ -61,7 +61,7 @@ def test_lookout_publishes_a_stop_at_once_while_nobody_reads_its_telemetry(proce
 
 @pytest.mark.usefixtures("router")
 def test_lookout_ends_when_nobody_can_read_its_telemetry_any_more(processes: Processes) -> None:
-    lookout = processes.start("-m", "swarm.fleet.lookout", "r0")
+    lookout = processes.start("-m", "swarm.onboard.lookout", "r0")
     assert lookout.stdout is not None
     os.read(lookout.stdout.fileno(), 1)
     lookout.stdout.close()
@@ -75,7 +75,7 @@ def test_lookout_ends_when_nobody_can_read_its_telemetry_any_more(processes: Pro
     "garbage", [b"\xc1", b"\x91" * 4000, b"\xa4\xff\xff\xff\xff", b"\x81\x90\x90", b"\xc9" + b"\xff" * 4]
 )
 def test_lookout_ends_with_a_reason_where_its_input_is_no_msgpack(processes: Processes, garbage: bytes) -> None:
-    lookout = processes.start("-m", "swarm.fleet.lookout", "r0")
+    lookout = processes.start("-m", "swarm.onboard.lookout", "r0")
     assert lookout.stdin is not None
     os.write(lookout.stdin.fileno(), garbage)
     assert lookout.stderr is not None

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_doctor_core import WELL, bus
 
-from swarm.cli import status
-from swarm.fleet.core import doctor
-from swarm.fleet.everyone import Outcome
+from laptop.cli.robots import status
+from laptop.fleet.core import doctor
+from laptop.fleet.everyone import Outcome
 
 SAID: dict[str, Any] = {
     "balancer/state": {"mode": "balancing", "battery": 7.4, "battery_left": 9000, "fault": ""},

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from fake_robots import SSHD, FakeRobots
 
-from swarm.cli import main
+from laptop.cli import main
+from laptop.fleet import remote
+from laptop.fleet.ssh import Host, Ssh
 from swarm.config import load
-from swarm.fleet import remote
-from swarm.fleet.ssh import Host, Ssh
 
 PYTHON = "/usr/bin/python3"
 """Debian's own, which has python3-dbus and python3-gi."""
@@ -173,7 +173,7 @@ def test_a_robot_that_is_away_costs_its_own_links_only(air: Air, pair: Pair, mon
     air.add("r2")
     air.add("r3", deaf=True)
     air.start(config("r0 r1 r2 r3"))
-    monkeypatch.setattr("swarm.fleet.pair.INQUIRY_S", 2.0)
+    monkeypatch.setattr("laptop.fleet.pair.INQUIRY_S", 2.0)
     code, links, robots = pair()
     assert code == 1
     assert links["r0 r2"] == "paired"

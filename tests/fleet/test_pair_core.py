@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from laptop.fleet.core.pairing import Bond, Schedule, check, edges, ordered, plan, with_addresses
 from swarm.config import parse
-from swarm.fleet.core.pairing import Bond, Schedule, check, edges, ordered, plan, with_addresses
-from swarm.fleet.robot import dbus_wire as wire
-from swarm.fleet.robot.dbus_wire import Message, WireError
+from swarm.onboard.bootstrap import dbus_wire as wire
+from swarm.onboard.bootstrap.dbus_wire import Message, WireError
 
 bonds = st.none() | st.builds(Bond, st.booleans(), st.booleans())
 

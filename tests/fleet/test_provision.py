@@ -13,9 +13,9 @@ from fake_pis import PLACES, add_pi, make_bundle
 from fake_robots import FakeRobots
 from needs import needs_ssh
 
-from swarm.cli import provision
-from swarm.fleet.provision import Rig
-from swarm.keyfile import new_key_file
+from laptop.cli.robots import provision
+from laptop.fleet.provision import Rig
+from swarm.config.keyfile import new_key_file
 
 pytestmark = [pytest.mark.slow, needs_ssh]
 

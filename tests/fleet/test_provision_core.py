@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from laptop.fleet import bundle
+from laptop.fleet.core import packages, settings, steps, texts
+from laptop.fleet.core.wish import Packages, Wish
 from swarm.errors import LocalError
-from swarm.fleet import bundle
-from swarm.fleet.core import packages, settings, steps, texts
-from swarm.fleet.core.wish import Packages, Wish
 
 WISH = Wish("r0", "zero2w", "r0", 0.0)
 lines = st.lists(st.sampled_from([texts.BEGIN, texts.END, "[pi4]", "dtparam=i2c_arm=off", "", "# x"]), max_size=8)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.fleet.traffic import LISTEN_S, MANY, REST_S, Traffic
+from swarm.onboard.traffic import LISTEN_S, MANY, REST_S, Traffic
 
 
 class Bus:

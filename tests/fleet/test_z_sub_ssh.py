@@ -16,16 +16,16 @@ from conftest import wait_until
 from fake_robots import FakeRobots
 from needs import needs_ssh
 
-from swarm.bus import Bus, Router
+from swarm.bus.zenoh_bus import Bus, Router
 from swarm.messages import Leds
-from swarm.paths import bus_endpoint
+from swarm.process.paths import bus_endpoint
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh
 
 RED = Leds(1.0, red=True, yellow=False, green=False)
 FAR = """shift; shift; echo $$ >> $HOME/started
-SWARM_RUNTIME=$HOME exec {python} -m swarm.cli.z_sub "$@"
+SWARM_RUNTIME=$HOME exec {python} -m swarm.onboard.z_sub "$@"
 """
 
 
@@ -48,7 +48,7 @@ def add(robots: FakeRobots) -> Iterator[Callable[[str], Path]]:
 
 def start(robots: FakeRobots, *arguments: str) -> subprocess.Popen[str]:
     robots.ready()
-    command = [sys.executable, "-m", "swarm.cli.z_sub", *arguments]
+    command = [sys.executable, "-m", "swarm.onboard.z_sub", *arguments]
     command += ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config)]
     return nursery.start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

@@ -17,7 +17,7 @@ from lab.waiting import Wait, readable, until
 from services.mesh.links import rfcomm, supervision
 from services.mesh.links.pipe import Pipe
 from swarm import clock
-from swarm.adapter import Adapter
+from swarm.bluetooth.adapter import Adapter
 from swarm.errors import LocalError
 
 CHANNEL = 3

@@ -19,9 +19,9 @@ from inside_swarm import NAMES, Swarm
 from lab.radio.remote import Radio
 from lab.waiting import PATIENCE_S, until
 from swarm import clock
-from swarm.mesh_clock import MeshClock
+from swarm.app.mesh_clock import MeshClock
+from swarm.app.overlays import Handle, Overlays
 from swarm.messages import Flooded, Member, Sent, Stop, Stopped, read
-from swarm.overlays import Handle, Overlays
 
 A = TypeVar("A", Flooded, Sent)
 

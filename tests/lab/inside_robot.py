@@ -19,11 +19,11 @@ from typing import Any
 
 from lab.i2c.order import order
 from lab.waiting import WaitedInVainError, until
+from laptop.fleet.units import kill
 from services.balancer.core import balboa, imu
-from swarm.bus import Bus
-from swarm.codec import decode
-from swarm.fleet.units import kill
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import BalancerFault, BalancerState, Pose, SetMode
+from swarm.messages.codec import decode
 
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
 FOR_GOOD = 10**9

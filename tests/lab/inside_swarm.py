@@ -13,9 +13,9 @@ from conftest import Processes
 from lab.inside import PYTHON
 from lab.shapes import ROBOTS
 from lab.waiting import until
-from swarm.bus import Bus, Router
+from swarm.bus.zenoh_bus import Bus, Router
 from swarm.messages import read
-from swarm.paths import bus_endpoint
+from swarm.process.paths import bus_endpoint
 
 NAMES = [f"r{i}" for i in range(ROBOTS)]
 SHARE = Path("/share")

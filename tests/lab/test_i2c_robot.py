@@ -13,9 +13,9 @@ from services.balancer.core import balboa, imu
 from services.balancer.core.body import body_model
 from services.balancer.core.transfers import BIT_S, HOLD_S
 from services.balancer.i2c import NOBODY
-from services.sim.core.balboa import BalboaBody
-from services.sim.core.devices import NO_ERRORS, SimulatedRobot
-from services.sim.i2c import SimulatedBus
+from sim.core.balboa import BalboaBody
+from sim.core.devices import NO_ERRORS, SimulatedRobot
+from sim.i2c import SimulatedBus
 from swarm.config.types import Body
 from swarm.errors import LocalError
 

@@ -21,8 +21,8 @@ from lab.shapes import ITERATIONS, LINE, ROBOTS, SHAPES, config, line
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
 from lab.waiting import PATIENCE_S, until
+from swarm.config.keyfile import new_key_file
 from swarm.core.graph import Graph
-from swarm.keyfile import new_key_file
 from swarm.recording import trajectory
 from swarm.recording.run import Run
 
@@ -146,7 +146,7 @@ def simulate(folder: Path, shape: str) -> Run:
     own, record = folder / f"{shape}.toml", folder / "simulated" / shape
     own.write_text(config(shape, "insecure = true"))
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
-    command = [sys.executable, "-m", "services.sim", *words, "--record", str(record)]
+    command = [sys.executable, "-m", "laptop.cli.runs.sim", *words, "--record", str(record)]
     waiting.run(f"the simulation of {shape}", command)
     return Run(record)
 

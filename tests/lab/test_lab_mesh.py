@@ -12,7 +12,7 @@ from lab.inside import run_tests
 from lab.shapes import ITERATIONS, LONG, config, hasty
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine
-from swarm.keyfile import new_key_file
+from swarm.config.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(1300)]
@@ -40,7 +40,7 @@ def simulate(shape: str, share: Path, make: Callable[[str, str], str] = config, 
     iterations = LONG if name in ("line", "around") else ITERATIONS
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(iterations), "--json"]
     record = ["--record", str(share / "simulated" / name)]
-    waiting.run(f"the simulation of {name}", [sys.executable, "-m", "services.sim", *words, *record])
+    waiting.run(f"the simulation of {name}", [sys.executable, "-m", "laptop.cli.runs.sim", *words, *record])
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from lab.radio.remote import Radio
 from lab.vm.build import Image
 from lab.vm.machine import PLAIN, Machine, Result
 from lab.waiting import PATIENCE_S, until
-from swarm.keyfile import new_key_file
+from swarm.config.keyfile import new_key_file
 from swarm.recording.run import Run
 
 pytest_plugins = ("lab_fixtures",)
@@ -83,7 +83,7 @@ class Robots:
     def pair(self, *words: str) -> str:
         """`swarm pair` of the host: what it says of the link."""
         asked = ["--config", str(self.config), "--ssh-config", str(self.folder / "ssh_config"), "--json"]
-        command = [sys.executable, "-m", "swarm.cli", "pair", *asked, "--timeout", "200", *words]
+        command = [sys.executable, "-m", "laptop.cli", "pair", *asked, "--timeout", "200", *words]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         output, errors = waiting.finished(f"swarm pair {' '.join(words)}", process)
         assert output, errors
@@ -247,7 +247,7 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
     own.write_text(CONFIG.format(*robots.addresses, "insecure = true"))
     words = ["consensus", "--config", str(own), "--virtual", "--iterations", str(ITERATIONS), "--json"]
     record = ["--record", str(robots.folder / "simulated")]
-    waiting.run("the simulation", [sys.executable, "-m", "services.sim", *words, *record])
+    waiting.run("the simulation", [sys.executable, "-m", "laptop.cli.runs.sim", *words, *record])
     robots.radio.order("medium", latency=0.05)
     for robot in robots.machines:
         (robot.share / "swarm.toml").write_text(robots.config.read_text())

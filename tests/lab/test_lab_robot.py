@@ -17,7 +17,7 @@ from lab.robot import disk
 from lab.vm import build
 from lab.vm.build import Image
 from lab.vm.machine import Machine
-from swarm.keyfile import new_key_file
+from swarm.config.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(1100)]

@@ -22,7 +22,7 @@ from lab.robot import disk
 from lab.vm.build import Image
 from lab.vm.machine import Machine
 from lab.waiting import PATIENCE_S, Wait
-from swarm.keyfile import new_key_file
+from swarm.config.keyfile import new_key_file
 
 pytest_plugins = ("lab_fixtures",)
 pytestmark = [pytest.mark.lab, pytest.mark.timeout(1400)]
@@ -92,7 +92,7 @@ class Laptop:
 
     def words(self, command: str) -> list[str]:
         program, *rest = command.split()
-        module = {"swarm": "swarm.cli", "z_sub": "swarm.cli.z_sub"}[program]
+        module = {"swarm": "laptop.cli", "z_sub": "swarm.onboard.z_sub"}[program]
         own = ["--config", str(self.config), "--ssh-config", str(self._ssh)]
         return [sys.executable, "-m", module, *rest, *own]
 
@@ -138,7 +138,7 @@ def simulated_error(laptop: Laptop) -> float:
 
     def once(seed: int) -> float:
         words = f"sim localization --virtual --iterations 200 --json --seed {seed} --config {laptop.config}".split()
-        said = waiting.run(f"the simulation of seed {seed}", [sys.executable, "-m", "swarm.cli", *words])
+        said = waiting.run(f"the simulation of seed {seed}", [sys.executable, "-m", "laptop.cli", *words])
         return float(json.loads(said.splitlines()[-1])["error_cm"]) / 100
 
     with ThreadPoolExecutor(2) as pool:

@@ -7,11 +7,11 @@ import random
 from collections import Counter
 from collections.abc import Callable
 
-from services.mesh.core.clock import MeshClock
-from services.mesh.core.delay import AirModel, DelayLine
 from services.mesh.core.events import Received
-from services.mesh.core.handshake import Local
-from services.mesh.core.session import Session
+from services.mesh.core.link.clock import MeshClock
+from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.session import Session
+from services.mesh.core.radio_model import AirModel, DelayLine
 
 
 class Side:

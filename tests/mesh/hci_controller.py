@@ -6,7 +6,7 @@ import socket
 import struct
 from collections.abc import Callable
 
-from swarm.core import hci
+from swarm.bluetooth import hci
 
 ADAPTERS = {0: "00:1A:7D:DA:71:13", 3: "B8:27:EB:00:00:0A"}
 PEER = "B8:27:EB:00:00:0B"

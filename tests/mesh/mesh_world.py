@@ -10,18 +10,18 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from services.mesh.core.callers import UNKNOWN, Caller
-from services.mesh.core.delay import AirModel, DelayLine
-from services.mesh.core.dialler import dials
 from services.mesh.core.events import Received
-from services.mesh.core.handshake import Local
-from services.mesh.core.linking import Start
+from services.mesh.core.link.callers import UNKNOWN, Caller
+from services.mesh.core.link.dialler import dials
+from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.orders import Close, Dial, Note, Write
-from services.mesh.core.overlays import Overlays
+from services.mesh.core.node_actions import Close, Dial, Note, Write
+from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.relay import Relay
-from services.mesh.core.session import Session
-from services.mesh.core.topology import Ground, Topology
+from services.mesh.core.routing.topology import Ground, Topology
+from services.mesh.core.routing.wanted_links import Start
 from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
 from swarm.messages import LinkState
 

@@ -10,11 +10,11 @@ from functools import partial
 
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.events import Received
-from services.mesh.core.linking import Start
-from services.mesh.core.overlays import Overlays
-from swarm.codec import decode
-from swarm.keys import parse
+from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.routing.wanted_links import Start
 from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent
+from swarm.messages.codec import decode
+from swarm.messages.keys import parse
 
 SILENCE = 3.0
 """s until both ends notice that a link has died without a word."""

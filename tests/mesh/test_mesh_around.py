@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from overlay_world import World, full, line, ring, thesis_d
 
-from services.mesh.core import around
-from services.mesh.core.around import AROUND, Packet
-from services.mesh.core.frames import SYNC, UNICAST
+from services.mesh.core.overlays import around
+from services.mesh.core.overlays.around import AROUND, Packet
+from services.mesh.core.wire.frames import SYNC, UNICAST
 from swarm.errors import FrameError
 
 KEY = "swarm/r0/app/x/sync/c/r1/around"

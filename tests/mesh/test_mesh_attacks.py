@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from mesh_world import End, Raw, World
 
-from services.mesh.core import callers, frames
-from services.mesh.core.callers import MAX_HALF_OPEN, MAX_PER_SOURCE, Caller, Callers
-from services.mesh.core.dialler import LONGEST_DELAY
-from services.mesh.core.frames import Hello
-from services.mesh.core.session import HANDSHAKE_TIMEOUT
+from services.mesh.core.link import callers
+from services.mesh.core.link.callers import MAX_HALF_OPEN, MAX_PER_SOURCE, Caller, Callers
+from services.mesh.core.link.dialler import LONGEST_DELAY
+from services.mesh.core.link.session import HANDSHAKE_TIMEOUT
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.frames import Hello
 
 KEY_ID, SECRET = 7, bytes(range(32))
 KEYS = {KEY_ID: SECRET}

@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mesh.core import flow, frames
-from services.mesh.core.auth import Keys, Tagger, hkdf, newest_common
-from services.mesh.core.clock import Claim, MeshClock, encode_claim
 from services.mesh.core.events import LinkUp, Received
-from services.mesh.core.frames import Bind, Decoder, Heartbeat, Hello
-from services.mesh.core.handshake import Local
-from services.mesh.core.session import Session
+from services.mesh.core.link import flow
+from services.mesh.core.link.clock import Claim, MeshClock, encode_claim
+from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.session import Session
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.auth import Keys, Tagger, hkdf, newest_common
+from services.mesh.core.wire.frames import Bind, Decoder, Heartbeat, Hello
 from swarm.errors import FrameError
 
 KEY_ID, SECRET = 0x68A1F0C2, bytes(range(32))

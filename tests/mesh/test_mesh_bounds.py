@@ -12,20 +12,23 @@ from overlay_world import World
 from test_mesh_large import inject, line
 from topology_world import TopologyWorld
 
-from services.mesh.core import clock, heartbeat, packets, pieces, transfers, unicast
-from services.mesh.core.clock import Claim, MeshClock, decode_claim, encode_claim
-from services.mesh.core.echo import MAX_WAVES
-from services.mesh.core.fragments import MAX_MESSAGE, Fragment, Reassembly
-from services.mesh.core.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD, UNICAST, Heartbeat
-from services.mesh.core.heartbeat import Pulse
-from services.mesh.core.overlays import Overlays
-from services.mesh.core.packets import Advertisement, Message, Spread
-from services.mesh.core.pieces import OFFER, Id, Packet
-from services.mesh.core.survey import PAGE
-from services.mesh.core.topology import MAX_STEP
-from services.mesh.core.window import Window
-from swarm.codec import encode
+from services.mesh.core.bulk import pieces, transfers
+from services.mesh.core.bulk.pieces import OFFER, Id, Packet
+from services.mesh.core.link import clock, heartbeat
+from services.mesh.core.link.clock import Claim, MeshClock, decode_claim, encode_claim
+from services.mesh.core.link.heartbeat import Pulse
+from services.mesh.core.overlays import unicast
+from services.mesh.core.overlays.echo import MAX_WAVES
+from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.routing.graph_report import PAGE
+from services.mesh.core.routing.topology import MAX_STEP
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.fragments import MAX_MESSAGE, Fragment, Reassembly
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD, UNICAST, Heartbeat
+from services.mesh.core.wire.packets import Advertisement, Message, Spread
+from services.mesh.core.wire.seen_numbers import Window
 from swarm.errors import FrameError
+from swarm.messages.codec import encode
 
 MIB = 1024 * 1024
 

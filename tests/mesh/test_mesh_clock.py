@@ -13,11 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
 
-from services.mesh.core import clock, frames
-from services.mesh.core.clock import Claim, LinkClock, MeshClock, decode_claim, encode_claim
+from services.mesh.core.link import clock
+from services.mesh.core.link.clock import Claim, LinkClock, MeshClock, decode_claim, encode_claim
+from services.mesh.core.wire import frames
+from swarm.app.mesh_clock import mesh_time, monotonic_time
 from swarm.core.graph import Graph
 from swarm.errors import FrameError
-from swarm.mesh_clock import mesh_time, monotonic_time
 from swarm.messages import Clock
 
 

@@ -6,8 +6,8 @@ import pytest
 from conftest import wait_until
 from test_mesh_process import SYNC, Build, Robot, Swarm, build, free_port, log_of
 
-from swarm.cli import mesh, mesh_text
-from swarm.keyfile import new_key_file
+from laptop.cli.mesh import show, tables
+from swarm.config.keyfile import new_key_file
 from swarm.messages import read
 
 __all__ = ["build"]
@@ -56,9 +56,9 @@ def test_a_copy_of_a_robot_takes_no_link_and_is_named_everywhere(swarm: Swarm) -
         swarm.talk("r0", "r1")
         swarm.talk("r2", "r1")
         assert b"from the copy" not in {payload for _, payload in swarm["r1"].samples}
-        seen = mesh.collect({"r2": swarm["r2"].directory})
+        seen = show.collect({"r2": swarm["r2"].directory})
         assert not seen.whole
-        assert mesh_text.text(seen)[0].startswith("WRONG: another robot is called r0, too: r1 ")
+        assert tables.text(seen)[0].startswith("WRONG: another robot is called r0, too: r1 ")
         assert copy.mesh is not None
         log = log_of(copy.mesh)
         assert log.count("another robot is called r0, too") == 1

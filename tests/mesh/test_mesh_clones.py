@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from mesh_world import World
 from test_mesh_session import hello
 
-from services.mesh.core import frames
-from services.mesh.core.callers import Caller
+from services.mesh.core.link.callers import Caller
+from services.mesh.core.wire import frames
 from swarm.messages import FloodRequest, Stop
 
 KEYS = {1000: bytes(range(32))}

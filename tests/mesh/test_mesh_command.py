@@ -10,9 +10,9 @@ from test_mesh_overlay_process import LINE, wait_here
 from test_mesh_process import Build, build
 from test_mesh_stop import Swarm, at, swarm
 
-from swarm.cli import mesh, mesh_text
-from swarm.cli.mesh_plot import places
-from swarm.cli.mesh_view import Mesh, View
+from laptop.cli.mesh import show, tables
+from laptop.cli.mesh.collected import Mesh, View
+from laptop.cli.mesh.graph_plot import places
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
 from swarm.messages import Clock, GraphRobot, Links, LinkState
@@ -44,11 +44,11 @@ def test_one_robot_knows_all_and_tells_what_it_measured_from_what_it_heard() -> 
     found = Mesh({"r0": view(link("r1", rtt=0.061))}, LINE_OF_FOUR)
     assert found.round_trips == {("r0", "r1"): 0.061, ("r1", "r2"): pytest.approx(0.08)}
     assert not found.whole
-    text = mesh_text.text(found)
+    text = tables.text(found)
     assert text[1].split() == ["r0", "self", "0", "1", "yes", "r0+0", "±1.2", "ms"]
     assert text[2].split() == ["r1", "here", "1", "r1", "2", "-"]
     assert text[4].split() == ["r3", "gone", "0", "-"]
-    matrix = mesh_text.graph(found)
+    matrix = tables.graph(found)
     assert matrix[1].split() == ["r0", ".", "61.0", "-", "-"]
     assert matrix[2].split() == ["r1", "61.0", ".", "80.0", "-"]
     assert matrix[-1] == (
@@ -68,13 +68,13 @@ def test_a_link_counts_where_both_ends_tell_of_it_and_nobody_says_it_is_down() -
 
 def test_the_tables_show_every_link_and_counter_of_those_who_were_asked() -> None:
     found = Mesh({"r0": view(link("r1")), "r1": view(link("r0"), link("r2", "down", None), hop=1), "r2": View()})
-    text = "\n".join(mesh_text.text(found))
+    text = "\n".join(tables.text(found))
     assert "r0+1 ±1.2 ms" in text
     assert "host is down" in text
-    assert mesh_text.robots(found)[3].split()[:2] == ["r2", "silent"]
-    assert mesh_text.overlays(found)[1].split() == ["r0", "7", *["0"] * 9, "2"]
-    assert mesh_text.graph(found)[-1] == "3 robots, 1 of 2 links up, median round trip 60.0 ms; 2 parts: r0 r1; r2"
-    shown = mesh.as_json(found)
+    assert tables.robots(found)[3].split()[:2] == ["r2", "silent"]
+    assert tables.overlays(found)[1].split() == ["r0", "7", *["0"] * 9, "2"]
+    assert tables.graph(found)[-1] == "3 robots, 1 of 2 links up, median round trip 60.0 ms; 2 parts: r0 r1; r2"
+    shown = show.as_json(found)
     assert shown["parts"] == [["r0", "r1"], ["r2"]]
     assert shown["edges"] == [{"ends": ["r0", "r1"], "round_trip": 0.06}]
     json.dumps(shown)
@@ -85,7 +85,7 @@ def test_a_large_swarm_is_a_list() -> None:
     found = Mesh(
         {name: view(*(link(peer) for peer in names if abs(int(peer[1:]) - int(name[1:])) == 1)) for name in names}
     )
-    graph = mesh_text.graph(found)
+    graph = tables.graph(found)
     assert graph[1] == "r01: r00 60.0, r02 60.0"
     assert graph[-1].endswith("19 of 19 links up, median round trip 60.0 ms, diameter 19")
 
@@ -127,7 +127,7 @@ def test_from_one_robot_the_whole_swarm_is_seen(
     assert shown["robots"]["r1"]["counters"]["flood_sent"] > 0
     assert plot.stat().st_size > 5000
     with pytest.raises(LocalError, match=r"nowhere/x\.png"):
-        mesh.run(argparse_of(runtime / "nowhere/x.png"))
+        show.run(argparse_of(runtime / "nowhere/x.png"))
     robot = robots["r3"]
     assert robot.mesh is not None
     robot.mesh.kill()
@@ -136,4 +136,4 @@ def test_from_one_robot_the_whole_swarm_is_seen(
 
 
 def argparse_of(plot: Path) -> "mesh.argparse.Namespace":
-    return mesh.argparse.Namespace(run_dir=None, robot=None, json=True, plot=plot)
+    return show.argparse.Namespace(run_dir=None, robot=None, json=True, plot=plot)

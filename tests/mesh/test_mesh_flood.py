@@ -7,10 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from overlay_world import World, full, line, ring, thesis_d
 
-from services.mesh.core import catchup, echo, flood, packets, store
-from services.mesh.core.frames import BULK, CONTROL, FLOOD
-from services.mesh.core.packets import Spread
-from services.mesh.core.requests import MAX_TICKETS
+from services.mesh.core.overlays import catch_up, echo, flood, flood_store
+from services.mesh.core.overlays.requests import MAX_TICKETS
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD
+from services.mesh.core.wire.packets import Spread
 from swarm.messages import FloodRequest
 
 GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(6)}
@@ -256,7 +257,7 @@ def test_what_full_queues_lost_is_repaired_by_comparing() -> None:
         publish(world, "r0", f"x{n}", b"%d" % n)
     world.run(1.0)
     world.loss = 0.0
-    world.run(2.5 * catchup.COMPARE_PERIOD)
+    world.run(2.5 * catch_up.COMPARE_PERIOD)
     for name in world.names[1:]:
         assert sorted(world.got(name, "")) == sorted(b"%d" % n for n in range(20))
 
@@ -356,7 +357,7 @@ def test_whatever_happens_once_to_each_and_all_agree_in_the_end(
     world.run(4.0)
     for edge in world.edges:
         world.join(*sorted(edge))
-    world.run(2.5 * catchup.COMPARE_PERIOD)
+    world.run(2.5 * catch_up.COMPARE_PERIOD)
     for name, bot in world.bots.items():
         floods = [(key.split("/")[1], payload) for key, payload in bot.inbox if key.endswith("/flood")]
         assert len(floods) == len(set(floods)), "delivered twice"
@@ -405,14 +406,14 @@ def test_any_packet_of_a_member_is_taken_or_counted(data: bytes, key: str, kind:
 
 
 def test_the_store_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "KEPT_EACH", 10)
-    monkeypatch.setattr(store, "KEPT_BYTES", 4000)
-    kept = store.Store()
+    monkeypatch.setattr(flood_store, "KEPT_EACH", 10)
+    monkeypatch.setattr(flood_store, "KEPT_BYTES", 4000)
+    kept = flood_store.Store()
     taken = 0
     for sequence in range(1, 200):
         packet = Spread(1, sequence, bytes(sequence % 50 * 40), latest=True)
-        taken += kept.take(f"r{sequence % 3}", f"k{sequence % 40}", packet, BULK) == store.NEW
-        assert kept.take(f"r{sequence % 3}", f"k{sequence % 40}", packet, BULK) == store.DUPLICATE
+        taken += kept.take(f"r{sequence % 3}", f"k{sequence % 40}", packet, BULK) == flood_store.NEW
+        assert kept.take(f"r{sequence % 3}", f"k{sequence % 40}", packet, BULK) == flood_store.DUPLICATE
         assert kept._bytes == sum(each.size for name in ("r0", "r1", "r2") for _, each in kept.kept(name))
         assert kept._bytes <= 4000
         assert len(kept) <= 30
@@ -421,18 +422,18 @@ def test_the_store_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_is_forgotten_does_not_come_back() -> None:
-    kept = store.Store()
+    kept = flood_store.Store()
     packet = Spread(5, 3, b"x", latest=True)
-    assert kept.take("r0", "k", packet, BULK) == store.NEW
+    assert kept.take("r0", "k", packet, BULK) == flood_store.NEW
     kept.forget("r0")
     assert kept.kept("r0") == []
-    assert kept.take("r0", "k", packet, BULK) == store.DUPLICATE
-    assert kept.take("r0", "k", packet._replace(sequence=4), BULK) == store.NEW
+    assert kept.take("r0", "k", packet, BULK) == flood_store.DUPLICATE
+    assert kept.take("r0", "k", packet._replace(sequence=4), BULK) == flood_store.NEW
 
 
 def test_what_was_missed_long_ago_is_new_and_what_is_older_than_the_kept_value_is_not() -> None:
-    kept = store.Store()
-    assert kept.take("r0", "often", Spread(1, 5000, b"x", latest=True), BULK) == store.NEW
-    assert kept.take("r0", "rare", Spread(1, 3, b"y", latest=True), BULK) == store.NEW
-    assert kept.take("r0", "often", Spread(1, 4999, b"older", latest=True), BULK) == store.DUPLICATE
-    assert kept.take("r0", "plain", Spread(1, 4, b"z"), BULK) == store.DUPLICATE
+    kept = flood_store.Store()
+    assert kept.take("r0", "often", Spread(1, 5000, b"x", latest=True), BULK) == flood_store.NEW
+    assert kept.take("r0", "rare", Spread(1, 3, b"y", latest=True), BULK) == flood_store.NEW
+    assert kept.take("r0", "often", Spread(1, 4999, b"older", latest=True), BULK) == flood_store.DUPLICATE
+    assert kept.take("r0", "plain", Spread(1, 4, b"z"), BULK) == flood_store.DUPLICATE

@@ -10,12 +10,13 @@ from flow_world import Link, Side
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mesh.core import flow, fragments, frames
-from services.mesh.core.channels import Channels
-from services.mesh.core.flow import Receipts, Window, decode_ack, encode_ack
-from services.mesh.core.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
-from services.mesh.core.frames import BULK, CONTROL, SYNC
-from services.mesh.core.outbox import FOR_LATEST, LIMITS, MAX_BEGUN, Outbox, Part
+from services.mesh.core.link import flow
+from services.mesh.core.link.flow import Receipts, Window, decode_ack, encode_ack
+from services.mesh.core.link.outbox import FOR_LATEST, LIMITS, MAX_BEGUN, Outbox, Part
+from services.mesh.core.wire import fragments, frames
+from services.mesh.core.wire.channels import Channels
+from services.mesh.core.wire.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
+from services.mesh.core.wire.frames import BULK, CONTROL, SYNC
 from swarm.errors import FrameError
 
 MIB = 1024 * 1024
@@ -328,7 +329,7 @@ def test_a_message_too_long_is_refused_at_its_first_fragment(total: int) -> None
 
 
 def test_a_message_begins_anew_when_its_key_lost_its_handle(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.mesh.core.session.Channels", lambda: Channels(size=2))
+    monkeypatch.setattr("services.mesh.core.link.session.Channels", lambda: Channels(size=2))
     link = Link(latency=0.001)
     payloads = {key: key.encode() * 6000 for key in "abcd"}
     for key, payload in payloads.items():

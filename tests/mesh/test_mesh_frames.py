@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core import frames
-from services.mesh.core.clock import Claim, decode_claim, encode_claim
 from services.mesh.core.counters import COUNTERS
-from services.mesh.core.flow import decode_ack, encode_ack
-from services.mesh.core.fragments import Fragment, decode_fragment, encode_fragment
-from services.mesh.core.frames import Bind, Decoder, Frame, Heartbeat, Hello
+from services.mesh.core.link.clock import Claim, decode_claim, encode_claim
+from services.mesh.core.link.flow import decode_ack, encode_ack
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.fragments import Fragment, decode_fragment, encode_fragment
+from services.mesh.core.wire.frames import Bind, Decoder, Frame, Heartbeat, Hello
 from swarm.errors import FrameError, LocalError
 
 HELLO = Hello("lab", "r0", 0x1122334455667788, bytes(range(16)), dialler=True, insecure=True)

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.events import Received
-from services.mesh.core.frames import SYNC
 from services.mesh.core.gather import HOLD, MAX_HELD, MAX_KEYS, Gather, by_app
+from services.mesh.core.wire.frames import SYNC
 from swarm.core.lockstep_frames import Channel, encode_step, encode_want
 
 CHANNEL = Channel(0xA1, 0, 3, 0x9F3C21AA).text

@@ -6,7 +6,7 @@ import pytest
 from conftest import stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
-from swarm.keyfile import new_key_file, retire, rotate
+from swarm.config.keyfile import new_key_file, retire, rotate
 from swarm.messages import Arm, Stop, read
 
 __all__ = ["build"]

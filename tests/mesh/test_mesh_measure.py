@@ -12,8 +12,8 @@ from test_mesh_overlay_process import LINE, wait_here
 from test_mesh_process import Build, build
 from test_mesh_stop import Swarm, at, swarm
 
-from swarm.cli.measure import path
-from swarm.cli.measuring.figures import Figures, of_bursts, of_times
+from laptop.cli.measure.figures import Figures, of_bursts, of_times
+from laptop.cli.measure.links import path
 from swarm.errors import LocalError
 
 __all__ = ["build", "swarm"]

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from test_mesh_attacks import SYNC, Watched
 from test_mesh_session import hello
 
-from services.mesh.core import frames, packets
-from services.mesh.core.channels import name_of
-from services.mesh.core.fragments import MAX_MESSAGE
-from services.mesh.core.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, UNICAST
-from services.mesh.core.packets import Advertisement, Halt, Mark, Message, Spread, encode_halts
-from swarm.codec import decode
+from services.mesh.core.wire import frames, packets
+from services.mesh.core.wire.channels import name_of
+from services.mesh.core.wire.fragments import MAX_MESSAGE
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, UNICAST
+from services.mesh.core.wire.packets import Advertisement, Halt, Mark, Message, Spread, encode_halts
 from swarm.messages import FloodRequest, Members, Stop
+from swarm.messages.codec import decode
 
 SOON = 0.5
 """s in which one lie, and what comes of it, has crossed the links."""

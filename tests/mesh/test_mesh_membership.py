@@ -8,16 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
-from services.mesh.core import membership, packets
-from services.mesh.core.frames import CONTROL, FLOOD
-from services.mesh.core.halt import REPEAT_PERIOD, SPACING
-from services.mesh.core.membership import Membership
-from services.mesh.core.packets import Halt, Mark, decode_halt, encode_halts
-from services.mesh.core.stops import CONFIRM_AFTER, MAX_NAMED, STOP_PERIOD
-from services.mesh.core.survey import PAGE, Survey
-from swarm.codec import MAX_PAYLOAD, decode, encode
-from swarm.keys import STOP
+from services.mesh.core.overlays.stop_register import REPEAT_PERIOD, SPACING
+from services.mesh.core.overlays.stop_reports import CONFIRM_AFTER, MAX_NAMED, STOP_PERIOD
+from services.mesh.core.routing import membership
+from services.mesh.core.routing.graph_report import PAGE, Survey
+from services.mesh.core.routing.membership import Membership
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import CONTROL, FLOOD
+from services.mesh.core.wire.packets import Halt, Mark, decode_halt, encode_halts
 from swarm.messages import Stop, Stopped
+from swarm.messages.codec import MAX_PAYLOAD, decode, encode
+from swarm.messages.keys import STOP
 
 GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(4)}
 NOTICED = 1.0

@@ -7,7 +7,7 @@ import msgpack
 from conftest import Processes, wait_until
 from test_mesh_process import Build, build
 
-from swarm.cli import mesh, mesh_text
+from laptop.cli.mesh import show, tables
 
 __all__ = ["build"]
 
@@ -48,6 +48,6 @@ def test_a_robot_with_a_later_release_is_shown_and_linked(build: Build, processe
     swarm.talk("r1", "r0")
     wait_until(lambda: bool(said), what="the later release says how its links are")
     assert "of_a_later_release" in said[-1]
-    seen = mesh.collect({name: Path(robot.directory) for name, robot in swarm.robots.items()})
+    seen = show.collect({name: Path(robot.directory) for name, robot in swarm.robots.items()})
     assert seen.whole
-    assert "2 robots, 1 of 1 links up" in "\n".join(mesh_text.text(seen))
+    assert "2 robots, 1 of 1 links up" in "\n".join(tables.text(seen))

@@ -6,8 +6,8 @@ import pytest
 from conftest import ask, stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
+from swarm.app.overlays import Overlays
 from swarm.messages import Member, Stop, Stopped, read
-from swarm.overlays import Overlays
 
 __all__ = ["build"]
 

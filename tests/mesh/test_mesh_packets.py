@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core import around, packets, pieces
-from services.mesh.core.frames import MAX_PAYLOAD
-from services.mesh.core.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
-from services.mesh.core.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, Id, Packet
-from services.mesh.core.window import Window
+from services.mesh.core.bulk import pieces
+from services.mesh.core.bulk.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, Id, Packet
+from services.mesh.core.overlays import around
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import MAX_PAYLOAD
+from services.mesh.core.wire.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
+from services.mesh.core.wire.seen_numbers import Window
 from swarm.errors import FrameError
 
 DOCUMENT = Path(__file__).parents[2] / "docs/overlays.md"

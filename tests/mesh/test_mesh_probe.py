@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
 
-from services.mesh.core import probe
-from services.mesh.core.frames import SYNC
-from services.mesh.core.probe import Prober
-from swarm.codec import decode
+from services.mesh.core.link import probe
+from services.mesh.core.link.probe import Prober
+from services.mesh.core.wire.frames import SYNC
 from swarm.config.types import RelayRule
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest
+from swarm.messages.codec import decode
 
 
 def echoes(world: World, robot: str) -> list[Echo]:

@@ -13,15 +13,15 @@ import msgpack
 import pytest
 from conftest import Processes, ask, stop, wait_until
 
-from services.mesh.core import frames
-from services.mesh.core.frames import Hello
-from swarm.bus import Bus, Router
-from swarm.codec import MAX_BINARY, encode
-from swarm.core import together
-from swarm.keyfile import new_key_file, read_keys, rotate
-from swarm.lane import MESH, Lane, of_app
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.frames import Hello
+from swarm.bus import batch
+from swarm.bus.lane import MESH, Lane, of_app
+from swarm.bus.zenoh_bus import Bus, Router
+from swarm.config.keyfile import new_key_file, read_keys, rotate
 from swarm.messages import HoldLink, LinkState, Status, read
-from swarm.paths import bus_endpoint
+from swarm.messages.codec import MAX_BINARY, encode
+from swarm.process.paths import bus_endpoint
 
 SYNC = "swarm/{}/app/consensus/sync/00000000000000a1-0-3-9f3c21aa"
 
@@ -223,14 +223,14 @@ def test_hosts_of_apps_are_reached_the_short_way_and_others_see_it(build: Build)
         sock.sendto(b"no parts", str(swarm["r0"].directory / MESH))
     assert here.send(MESH, parts)
     # `talk` repeats itself, so another "hello" may come before, or in the same datagram.
-    while parts[0] not in together.unpack(there.wait() or b""):
+    while parts[0] not in batch.unpack(there.wait() or b""):
         pass
     for name in ("r0", "r1"):
         wait_until(lambda name=name: (key, b"by the lane") in swarm[name].samples, what="others see it")
     there.close()
     assert here.send(MESH, parts)
     wait_until(
-        lambda: any(parts[0] in together.unpack(each) for each in list(packed)),
+        lambda: any(parts[0] in batch.unpack(each) for each in list(packed)),
         what="it goes over the bus where the host has no lane",
     )
     here.close()

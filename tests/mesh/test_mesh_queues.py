@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
 
-from services.mesh.core import frames
-from services.mesh.core.channels import Channels
-from services.mesh.core.delay import AGAIN, FLOOR, PACKET, AirModel, DelayLine
-from services.mesh.core.frames import BULK, CONTROL, SYNC, Decoder
-from services.mesh.core.outbox import LIMITS, Outbox
+from services.mesh.core.link.outbox import LIMITS, Outbox
+from services.mesh.core.radio_model import AGAIN, FLOOR, PACKET, AirModel, DelayLine
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.channels import Channels
+from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, Decoder
 from swarm.config.types import RelayRule
 from swarm.errors import ConfigError
 
@@ -99,7 +99,7 @@ def test_a_key_in_use_keeps_its_handle() -> None:
 
 
 def test_more_keys_than_handles_still_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.mesh.core.session.Channels", lambda: Channels(size=3))
+    monkeypatch.setattr("services.mesh.core.link.session.Channels", lambda: Channels(size=3))
     world = World([("r0", "r1")], rules=[RelayRule("swarm/{self}/x/*", queue="all")])
     world.run(1.0)
     sent = [(f"swarm/r0/x/k{number % 7}", bytes((number,))) for number in range(100)]

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core import frames
 from services.mesh.core.relay import Relay, match, matches, may_cross
+from services.mesh.core.wire import frames
 from swarm.config.types import DEFAULT_RELAY, RelayRule
 
 POSE = "swarm/r1/dwm/pose"

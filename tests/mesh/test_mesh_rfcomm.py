@@ -16,25 +16,25 @@ import pytest
 from conftest import wait_until
 from rfcomm_air import RfcommAir
 
-from services.mesh.core import frames
-from services.mesh.core.callers import UNKNOWN, Caller
-from services.mesh.core.dialler import dials
-from services.mesh.core.frames import Hello
-from services.mesh.core.handshake import Local
-from services.mesh.core.linking import Start
+from services.mesh.core.link.callers import UNKNOWN, Caller
+from services.mesh.core.link.dialler import dials
+from services.mesh.core.link.handshake import Local
 from services.mesh.core.node import Node
-from services.mesh.core.overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
-from services.mesh.core.topology import Ground
+from services.mesh.core.routing.topology import Ground
+from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.frames import Hello
 from services.mesh.links import pybluez, rfcomm
 from services.mesh.links.pipe import Pipe
 from services.mesh.links.rfcomm import Radio
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock
+from swarm.bus.lane import Lane
 from swarm.config import parse
 from swarm.errors import LocalError
-from swarm.lane import Lane
 
 A, B, C = (f"B8:27:EB:00:00:0{digit}" for digit in "ABC")
 STRANGER = "00:11:22:33:44:55"

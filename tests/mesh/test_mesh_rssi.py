@@ -16,11 +16,11 @@ from hci_controller import ADAPTERS, HANDLE, PEER, Controller, complete
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm import adapter as adapters
-from swarm.adapter import Adapter
-from swarm.cli.measuring import rssi
-from swarm.cli.measuring.rssi import Signal
-from swarm.core import hci
+from laptop.cli.measure import rssi
+from laptop.cli.measure.rssi import Signal
+from swarm.bluetooth import adapter as adapters
+from swarm.bluetooth import hci
+from swarm.bluetooth.adapter import Adapter
 from swarm.errors import FrameError, LocalError
 
 # -- bytes ---------------------------------------------------------------------------------------------------

@@ -11,10 +11,10 @@ import networkx
 import pytest
 from overlay_world import DATA_OVERHEAD, World, small_world
 
-from services.mesh.core import packets
 from services.mesh.core.actions import Transmit
-from services.mesh.core.frames import FLOOD
-from services.mesh.core.linkstate import REFRESH
+from services.mesh.core.routing.link_state import REFRESH
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import FLOOD
 
 
 @pytest.fixture(autouse=True)

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 
-from services.mesh.core import frames
-from services.mesh.core.callers import MAX_HALF_OPEN
-from services.mesh.core.dialler import FIRST_DELAY, LONGEST_DELAY, Dialler, dials
-from services.mesh.core.frames import Hello
-from services.mesh.core.session import HANDSHAKE_TIMEOUT
+from services.mesh.core.link.callers import MAX_HALF_OPEN
+from services.mesh.core.link.dialler import FIRST_DELAY, LONGEST_DELAY, Dialler, dials
+from services.mesh.core.link.session import HANDSHAKE_TIMEOUT
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.frames import Hello
 from swarm.config.types import Robot
 from swarm.errors import LocalError
 

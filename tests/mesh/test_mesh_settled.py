@@ -5,12 +5,12 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.linkstate import HOLD_DOWN, HOPS, REFRESH, Known, LinkState
-from services.mesh.core.membership import SETTLE
-from services.mesh.core.overlays import MEMBERS_PERIOD, Overlays
-from services.mesh.core.packets import Advertisement
-from services.mesh.core.routing import Edge, routes, routes_by_hops
-from services.sim.virtual.run import simulate
+from services.mesh.core.overlays.robot_overlays import MEMBERS_PERIOD, Overlays
+from services.mesh.core.routing.link_state import HOLD_DOWN, HOPS, REFRESH, Known, LinkState
+from services.mesh.core.routing.membership import SETTLE
+from services.mesh.core.routing.shortest_paths import Edge, routes, routes_by_hops
+from services.mesh.core.wire.packets import Advertisement
+from sim.virtual.run import simulate
 
 NAMES = [f"r{i}" for i in range(9)]
 PAIRS = [(a, b) for a in NAMES for b in NAMES if a < b]

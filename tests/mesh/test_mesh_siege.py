@@ -10,8 +10,8 @@ import pytest
 from conftest import wait_until
 from test_mesh_process import SYNC, Build, Swarm, build, hello
 
-from services.mesh.core import frames
-from swarm.keyfile import new_key_file
+from services.mesh.core.wire import frames
+from swarm.config.keyfile import new_key_file
 
 __all__ = ["build"]
 

@@ -10,10 +10,11 @@ from conftest import stop, wait_until
 from test_mesh_overlay_process import LINE, wait_here
 from test_mesh_process import Build, Robot, build
 
-from swarm.cli import halt, main
-from swarm.cli.halt import Row
+from laptop.cli import main
+from laptop.cli.stop import halt
+from laptop.cli.stop.halt import Row
 from swarm.messages import BalancerState, GraphRobot, Stop, read
-from swarm.simulations import LOCK, claim
+from swarm.process.simulations import LOCK, claim
 
 __all__ = ["build"]
 

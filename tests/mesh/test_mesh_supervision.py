@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.links import supervision
-from swarm.adapter import Adapter
-from swarm.core import hci
+from swarm.bluetooth import hci
+from swarm.bluetooth.adapter import Adapter
 from swarm.errors import LocalError
 
 OWN = ADAPTERS[3]

@@ -11,11 +11,11 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from overlay_world import line, ring
 from topology_world import TopologyWorld, names_of
 
-from services.mesh.core.topology import MAX_LINKS, Ground, Topology
-from swarm.codec import decode
+from services.mesh.core.routing.topology import MAX_LINKS, Ground, Topology
 from swarm.core.graph import Graph
 from swarm.errors import FrameError, LocalError
 from swarm.messages import TopologyRequest, TopologySet
+from swarm.messages.codec import decode
 
 FIVE = names_of(5)
 SIX = names_of(6)

@@ -7,10 +7,10 @@ import pytest
 from conftest import ask, stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
+from laptop.cli import main
 from services.mesh.keep import NAME
-from swarm.cli import main
 from swarm.messages import Topology, read
-from swarm.simulations import LOCK, claim
+from swarm.process.simulations import LOCK, claim
 
 __all__ = ["build"]
 

@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
-from services.mesh.core import linkstate, packets, unicast
-from services.mesh.core.frames import BULK, CONTROL, SYNC, UNICAST
-from services.mesh.core.linkstate import HOPS, TIME, Level, LinkState
-from services.mesh.core.packets import Advertisement, Message, encode_advertisement
-from services.mesh.core.routing import Edge, routes
+from services.mesh.core.overlays import unicast
+from services.mesh.core.routing import link_state
+from services.mesh.core.routing.link_state import HOPS, TIME, Level, LinkState
+from services.mesh.core.routing.shortest_paths import Edge, routes
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, UNICAST
+from services.mesh.core.wire.packets import Advertisement, Message, encode_advertisement
 from swarm.messages import SendRequest
 
 GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(6)}
@@ -172,7 +174,7 @@ def test_a_message_waits_for_a_way() -> None:
     ticket = world.send("r0", "r2", b"x")
     world.run(1.0)
     world.join("r1", "r2")
-    world.run(0.09 + linkstate.HOLD_DOWN + 0.2)
+    world.run(0.09 + link_state.HOLD_DOWN + 0.2)
     sent = world.sent("r0", ticket)
     assert sent is not None
     assert sent.delivered
@@ -465,7 +467,7 @@ def test_an_edge_counts_only_if_both_ends_report_it() -> None:
     each.receive("r2", 1, advertise(r1=300), 0.2)
     assert set(each.routes()) == {"r1", "r2"}
     each.receive("r1", 1, advertise(r2=300), 0.3)
-    run(each, 0.3, linkstate.TRUSTED + 0.1)
+    run(each, 0.3, link_state.TRUSTED + 0.1)
     assert set(each.routes()) == set(), "r1 has given the link up, we have not noticed yet"
 
 
@@ -483,7 +485,7 @@ def test_good_news_wait_bad_news_do_not_and_both_are_rare() -> None:
         each.link_up("r1", 2.0 + n * 0.1)
         run(each, 2.0 + n * 0.1, 2.05 + n * 0.1)
         each.link_down("r1", 2.05 + n * 0.1)
-    assert len(published) <= 2 + linkstate.BURST + 11
+    assert len(published) <= 2 + link_state.BURST + 11
     run(each, 12.0, 20.0)
     assert "r1" not in packets.decode_advertisement(published[-1]).neighbours
 

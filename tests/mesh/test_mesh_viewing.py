@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from overlay_world import World
 from test_mesh_process import SHORT, Build, build, log_of
 
-from services.mesh.core.frames import BULK
-from services.mesh.core.viewing import BUDGET, FULL_EVERY, KEYS, LARGEST, LONGEST_S, REPEAT_S, TYPICAL, Viewing
+from services.mesh.core.overlays.viewing import BUDGET, FULL_EVERY, KEYS, LARGEST, LONGEST_S, REPEAT_S, TYPICAL, Viewing
+from services.mesh.core.wire.frames import BULK
 from swarm import clock
-from swarm.codec import decode, encode, unpack
 from swarm.messages import (
     AppProgress,
     AppState,
@@ -26,6 +25,7 @@ from swarm.messages import (
     View,
     Watch,
 )
+from swarm.messages.codec import decode, encode, unpack
 
 __all__ = ["build"]
 

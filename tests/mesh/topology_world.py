@@ -7,8 +7,8 @@ import networkx as nx
 from overlay_world import World
 
 from services.mesh.core.actions import Connect, Disconnect, Keep, LinkAction
-from services.mesh.core.linking import Linking, Start
-from services.mesh.core.topology import Ground, Topology
+from services.mesh.core.routing.topology import Ground, Topology
+from services.mesh.core.routing.wanted_links import Linking, Start
 from swarm.messages import TopologyRequest
 
 RETRY = 1.0

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm.core import mcap, recording
-from swarm.core.recording import Writer
+from swarm.recording.core import mcap, writer
+from swarm.recording.core.writer import Writer
 from swarm.recording.file import RecordingFile
-from swarm.recording.plain import PlainRecording
 from swarm.recording.reader import Reader
 from swarm.recording.survey import survey
+from swarm.recording.virtual_file import PlainRecording
 
 TOPICS = tuple(f"swarm/r0/{name}" for name in "abcde")
 SMALL = 1000
@@ -21,7 +21,7 @@ SMALL = 1000
 
 @pytest.fixture(autouse=True)
 def small_index(monkeypatch):
-    monkeypatch.setattr(recording, "INDEX_SIZE", SMALL)
+    monkeypatch.setattr(writer, "INDEX_SIZE", SMALL)
 
 
 def written(path, seconds, *, append=False, end=True, journal=None):
@@ -118,7 +118,7 @@ def reads(path, monkeypatch):
     monkeypatch.setattr(os, "pread", count)
     surveyed(path)
     monkeypatch.undo()
-    monkeypatch.setattr(recording, "INDEX_SIZE", SMALL)
+    monkeypatch.setattr(writer, "INDEX_SIZE", SMALL)
     return read
 
 
@@ -142,7 +142,7 @@ def test_a_recording_that_was_gone_on_with_often_is_whole(tmp_path):
 def killed(tmp_path_factory):
     """A recording with checkpoints and no end, and the same without links between them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "INDEX_SIZE", SMALL)
+        patch.setattr(writer, "INDEX_SIZE", SMALL)
         path = tmp_path_factory.mktemp("killed") / "x.mcap"
         written(path, range(60), end=False)
         unlinked = bytearray(path.read_bytes())

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from services.sim.virtual.run import simulate
-from swarm.cli import main
-from swarm.cli.plot import KINDS
-from swarm.cli.plots import figure
-from swarm.plotting import style
-from swarm.plotting.journeys import Leg, Pass, legs
-from swarm.plotting.mesh import layout, spots
+from laptop.cli import main
+from laptop.cli.runs.plot import KINDS
+from laptop.plotting import style
+from laptop.plotting.figure import figure
+from laptop.plotting.journeys import Leg, Pass, legs
+from laptop.plotting.mesh import layout, spots
+from sim.virtual.run import simulate
 from swarm.recording.run import Run
 
 pytest.importorskip("matplotlib")

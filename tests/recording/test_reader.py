@@ -4,8 +4,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from swarm.core.recording import Writer
 from swarm.errors import RecordingError
+from swarm.recording.core.writer import Writer
 from swarm.recording.reader import Reader
 
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.core import jsontext, mcap
-from swarm.core.recording import CHUNK_SIZE, Writer
 from swarm.errors import LocalError
 from swarm.messages import AppState, Links, LinkState, Pose
+from swarm.recording.core import json_text, mcap
+from swarm.recording.core.writer import CHUNK_SIZE, Writer
 from swarm.recording.reader import Reader
 
 POSE = Pose(2.5, 7, 1.25, -0.5, None, 90, "ekf", 0.02, 0.03, 0.1)
@@ -103,9 +103,9 @@ def other_reader():
 
 
 def foxglove(message, log_time):
-    from swarm.core import foxglove as module
+    from swarm.recording.core import foxglove as module
 
-    return module.pose(message, log_time) if isinstance(message, Pose) else jsontext.encode(message)
+    return module.pose(message, log_time) if isinstance(message, Pose) else json_text.encode(message)
 
 
 def test_a_pose_is_one_that_foxglove_draws(tmp_path_factory):
@@ -139,29 +139,29 @@ def test_what_was_written_is_read(tmp_path_factory, messages):
 
 def test_numbers_that_json_has_not():
     state = {"a": float("inf"), "b": -float("inf"), "c": float("nan"), "d": (1.0, float("nan")), "e": 'x"y'}
-    text = jsontext.encode(AppState(1.0, 0, state, {}))
+    text = json_text.encode(AppState(1.0, 0, state, {}))
     assert text == b'{"t":1.0,"k":0,"state":{"a":1e999,"b":-1e999,"c":null,"d":[1.0,null],"e":"x\\"y"},"result":{}}'
-    assert jsontext.decode(text)["state"] == {"a": float("inf"), "b": -float("inf"), "c": None, "d": (1.0, None),
+    assert json_text.decode(text)["state"] == {"a": float("inf"), "b": -float("inf"), "c": None, "d": (1.0, None),
                                               "e": 'x"y'}  # fmt: skip
 
 
 def test_enumerations_go_by_name_and_bytes_as_base64():
-    assert jsontext.encode({"phase": Phase.RIGHT, "raw": b"\xff\x00"}) == b'{"phase":"RIGHT","raw":"/wA="}'
+    assert json_text.encode({"phase": Phase.RIGHT, "raw": b"\xff\x00"}) == b'{"phase":"RIGHT","raw":"/wA="}'
     with pytest.raises(LocalError, match="cannot be recorded: a set has no form in JSON"):
-        jsontext.encode({"x": {1}})
+        json_text.encode({"x": {1}})
     circle = []
     circle.append(circle)
     with pytest.raises(LocalError, match="cannot be recorded"):
-        jsontext.encode({"x": circle})
+        json_text.encode({"x": circle})
 
 
 def test_schemas_say_what_the_fields_are():
-    shape = json.loads(jsontext.schema(AppState(0.0, 1, {"q": (1.0,), "n": 2}, {"on": True}), "x.State"))
+    shape = json.loads(json_text.schema(AppState(0.0, 1, {"q": (1.0,), "n": 2}, {"on": True}), "x.State"))
     assert shape["properties"]["k"] == {"type": "integer"}
     assert shape["properties"]["state"]["properties"] == {
         "q": {"type": "array", "items": {"type": "number"}}, "n": {"type": "integer"}}  # fmt: skip
     assert shape["properties"]["result"]["properties"] == {"on": {"type": "boolean"}}
-    shape = json.loads(jsontext.schema(Links(0.0, ()), "swarm.Links"))
+    shape = json.loads(json_text.schema(Links(0.0, ()), "swarm.Links"))
     assert shape["properties"]["links"]["items"]["properties"].keys() == set(LinkState.__slots__)
 
 

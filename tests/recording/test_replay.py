@@ -7,12 +7,12 @@ import threading
 
 import pytest
 
-from services.sim.virtual.run import simulate
-from swarm.bus import Bus
-from swarm.cli import main
-from swarm.codec import decode
-from swarm.core.recording import Writer
+from laptop.cli import main
+from sim.virtual.run import simulate
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import AppState, Links, LinkState, Pose, type_of
+from swarm.messages.codec import decode
+from swarm.recording.core.writer import Writer
 from swarm.recording.restore import published
 from swarm.recording.run import Run
 
@@ -72,14 +72,14 @@ def test_on_a_bus_that_is_there(recorded, runtime, processes, router):
     with Bus.of(runtime) as bus:
         bus.subscribe("swarm/*/app/*/state", take)
         assert bus.wait_connected(60)
-        process = processes.start("-m", "swarm.cli", "replay", str(recorded), "--speed", "2", "--on", str(runtime))
+        process = processes.start("-m", "laptop.cli", "replay", str(recorded), "--speed", "2", "--on", str(runtime))
         assert done.wait(60)
         assert process.wait(60) == 0
     assert [k for robot, k in seen if robot == "r1"] == list(range(11))
 
 
 def test_on_a_bus_of_its_own_where_z_sub_looks(recorded, runtime, processes):
-    process = processes.start("-m", "swarm.cli", "replay", str(recorded), "--speed", "50",
+    process = processes.start("-m", "laptop.cli", "replay", str(recorded), "--speed", "50",
                               "--run-dir", str(runtime / "play"))  # fmt: skip
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0
@@ -89,7 +89,7 @@ def test_on_a_bus_of_its_own_where_z_sub_looks(recorded, runtime, processes):
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])
 def test_a_speed_is_above_zero(recorded, speed):
-    command = [sys.executable, "-m", "swarm.cli", "replay", str(recorded), "--speed", speed]
+    command = [sys.executable, "-m", "laptop.cli", "replay", str(recorded), "--speed", speed]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "expected a number above 0" in done.stderr

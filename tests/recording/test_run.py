@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.core.recording import Writer
 from swarm.errors import RecordingError
 from swarm.messages import AppState, Clock, Pose
 from swarm.recording.axis import Clocks, Relation
+from swarm.recording.core.writer import Writer
 from swarm.recording.run import Run, natural
 
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_reader import recording
 
-from swarm.core import mcap
-from swarm.core.recording import Known
 from swarm.errors import RecordingError
+from swarm.recording.core import mcap
+from swarm.recording.core.writer import Known
 from swarm.recording.reader import Reader
 from swarm.recording.survey import survey
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim.virtual.run import simulate
-from swarm.cli import main
+from laptop.cli import main
+from sim.virtual.run import simulate
 from swarm.errors import RecordingError
-from swarm.recording import thesis
+from swarm.recording import thesis_csv
 from swarm.recording.run import Run
-from swarm.recordings import read_folder
+from swarm.recording.thesis_ranges import read_folder
 
 DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[2].parent / "shared/thesis-data")
 
@@ -107,10 +107,10 @@ def test_what_is_none_of_the_layouts_is_named(tmp_path, capsys, name, text, word
     assert __import__("re").search(words, capsys.readouterr().err)
 
 
-@given(st.text(max_size=60), st.sampled_from(thesis.FOLDERS))
+@given(st.text(max_size=60), st.sampled_from(thesis_csv.FOLDERS))
 def test_any_text_is_read_or_refused(text, kind):
     try:
-        lines = [raw for raw, _ in thesis.read(text, kind, "x.csv")]
+        lines = [raw for raw, _ in thesis_csv.read(text, kind, "x.csv")]
     except RecordingError:
         return
     assert "".join(lines) == text

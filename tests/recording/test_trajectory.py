@@ -2,10 +2,10 @@ import math
 
 import pytest
 
-from swarm.core.recording import Writer
 from swarm.errors import RecordingError
 from swarm.messages import AppEpoch, AppState
 from swarm.recording import trajectory
+from swarm.recording.core.writer import Writer
 
 TOPIC = "swarm/r0/app/consensus/state"
 

@@ -14,10 +14,10 @@ from conftest import wait_until
 
 from bench import talking_sim
 from bench.simulation import Simulation, SimulationError, simulate
-from services.sim.virtual.run import simulate as virtual
-from swarm.simulations import pid_of
+from sim.virtual.run import simulate as virtual
+from swarm.process.simulations import pid_of
 
-FORKED = {"program": ("services.sim",), "start": nursery.start}
+FORKED = {"program": ("laptop.cli.runs.sim",), "start": nursery.start}
 """A simulation whose processes need not start as a user's do, which takes much longer."""
 RUN = ("consensus", "--iterations", "120", "--latency", "10ms")
 
@@ -116,7 +116,7 @@ def test_a_second_simulation_is_refused_nothing_survives_a_killed_one_and_the_ne
     words = ("consensus", "--robots", "2", "--seconds", "60", "--latency", "10ms")
     with Simulation(*words) as first:
         first.wait_for("r0", 1)
-        command = [sys.executable, "-m", "swarm.cli", "sim", *words, "--run-dir", str(first.run_dir)]
+        command = [sys.executable, "-m", "laptop.cli", "sim", *words, "--run-dir", str(first.run_dir)]
         second = subprocess.run(command, capture_output=True, text=True, check=False)
         assert second.returncode == 2
         assert "already running" in second.stderr

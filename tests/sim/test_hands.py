@@ -12,16 +12,17 @@ from conftest import Processes, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim.core.hands import Hands
-from services.sim.door import WORLD_SOCKET, Door
-from services.sim.world import LedReport, World
-from swarm import clock, datagrams
+from sim.control import datagrams
+from sim.core.action_effects import Hands
+from sim.core.actions import Lay, Place, Press, Push, Unplug, check, pack, unpack
+from sim.door import WORLD_SOCKET, Door
+from sim.world import LedReport, World
+from swarm import clock
 from swarm import config as configuration
-from swarm.bus import Bus
-from swarm.codec import decode
-from swarm.core.hands import Lay, Place, Press, Push, Unplug, check, pack, unpack
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, RemoteError
 from swarm.messages import BalancerState, Buttons, LedChange, SetMode, Truth, read
+from swarm.messages.codec import decode
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "balancer"))
 from balancer_rig import Rig, upright
@@ -29,7 +30,7 @@ from balancer_rig import Rig, upright
 CLAIM = """
 import sys
 from pathlib import Path
-from swarm.simulations import claim
+from swarm.process.simulations import claim
 with claim(Path(sys.argv[1])):
     print("claimed", flush=True)
     sys.stdin.read()
@@ -183,7 +184,7 @@ class Robot:
         self.bus.subscribe(["swarm/r0/balancer/state", "swarm/r0/balancer/buttons"], self.take)
 
     def start(self):
-        return self.processes.start("-m", "services.sim.body", SWARM_RUNTIME=str(self.robot))
+        return self.processes.start("-m", "sim.body", SWARM_RUNTIME=str(self.robot))
 
     def seen(self, message: Truth | LedChange) -> None:
         if isinstance(message, Truth):
@@ -216,7 +217,7 @@ class Robot:
         wait_until(balances, what="it balances")
 
     def hand(self, *words: str) -> str:
-        command = self.processes.start("-m", "swarm.cli", *words, "--run-dir", str(self.run))
+        command = self.processes.start("-m", "laptop.cli", *words, "--run-dir", str(self.run))
         out, error = command.communicate(timeout=60)
         assert command.returncode == 0, error
         return out
@@ -288,7 +289,7 @@ def test_a_world_answers_only_its_own_robots(processes: Processes, runtime: Path
 
 @pytest.mark.parametrize("verb", ["press r9 A", "push r9", "lay r9 back"])
 def test_a_robot_that_is_not_there_is_named(processes: Processes, runtime: Path, verb: str) -> None:
-    command = processes.start("-m", "swarm.cli", *verb.split(), "--run-dir", str(runtime / "none"))
+    command = processes.start("-m", "laptop.cli", *verb.split(), "--run-dir", str(runtime / "none"))
     assert "no simulation is running" in command.communicate(timeout=60)[1]
     assert command.returncode == 2
     holder = processes.start("-c", CLAIM, str(runtime / "run"))
@@ -297,5 +298,5 @@ def test_a_robot_that_is_not_there_is_named(processes: Processes, runtime: Path,
     (runtime / "run" / "swarm.toml").write_text('[[robots]]\nname = "r0"\n')
     for robot, message in (("r9", "no robot 'r9'"), ("r0", "the body of r0 is not running at this moment")):
         words = verb.replace("r9", robot).split()
-        command = processes.start("-m", "swarm.cli", *words, "--run-dir", str(runtime / "run"))
+        command = processes.start("-m", "laptop.cli", *words, "--run-dir", str(runtime / "run"))
         assert message in command.communicate(timeout=60)[1]

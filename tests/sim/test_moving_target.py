@@ -6,8 +6,8 @@ import statistics
 import pytest
 
 from bench.simulation import Simulation
-from services.sim.options import parse
-from services.sim.virtual.run import simulate
+from sim.options import parse
+from sim.virtual.run import simulate
 from swarm.config.types import Simulation as World
 from swarm.errors import ConfigError
 from swarm.recording.reader import SUFFIX, Reader

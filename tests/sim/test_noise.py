@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from services.sim import options, scenario
-from services.sim.core import noise
+from sim import options, scenario
+from sim.core import noise
 from swarm.errors import ConfigError
-from swarm.recordings import read_folder
+from swarm.recording.thesis_ranges import read_folder
 
 PLACES = {"r0": (0.5, 1.5), "r1": (1.0, 0.5), "r2": (1.5, 1.5)}
 TARGET = (0.5, 1.0)
@@ -95,7 +95,7 @@ def test_what_makes_no_sense_is_refused(arguments: list[str], message: str) -> N
 
 def test_the_study_runs_in_virtual_time() -> None:
     """Figure 4.9 (d): errors of some cm that do not go away."""
-    command = [sys.executable, "-m", "services.sim", "localization", "--virtual", "--noise", "thesis", "--json"]
+    command = [sys.executable, "-m", "laptop.cli.runs.sim", "localization", "--virtual", "--noise", "thesis", "--json"]
     command += ["--algorithm", "thesis", "--step-size", "4e-6", "--iterations", "120", "--seed", "3"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
     assert done.returncode == 0, done.stderr

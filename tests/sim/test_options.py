@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim import options, quantities
-from services.sim.quantities import Cut, Off, Press, Setting
+from sim import options, quantities
+from sim.quantities import Cut, Off, Press, Setting
 from swarm.errors import ConfigError
 
 

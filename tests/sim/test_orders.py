@@ -13,9 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.simulation import Simulation
-from services.sim.orders import Orders
-from services.sim.processes import Processes
-from swarm import clock, orders
+from sim.app_requests_server import Orders
+from sim.control import app_requests
+from sim.processes import Processes
+from swarm import clock
 from swarm.errors import LocalError, PayloadError
 from swarm.recording import trajectory
 from swarm.recording.reader import SUFFIX
@@ -23,10 +24,10 @@ from swarm.recording.reader import SUFFIX
 NAMES = st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True)
 
 
-@given(st.sampled_from(orders.ACTS), NAMES, st.lists(NAMES, min_size=1, max_size=5))
+@given(st.sampled_from(app_requests.ACTS), NAMES, st.lists(NAMES, min_size=1, max_size=5))
 def test_an_order_comes_as_it_was_given(act: str, app: str, robots: list[str]) -> None:
-    order = orders.check(act, app, robots)
-    assert orders.unpack(orders.pack(order)) == order
+    order = app_requests.check(act, app, robots)
+    assert app_requests.unpack(app_requests.pack(order)) == order
 
 
 @given(
@@ -35,7 +36,7 @@ def test_an_order_comes_as_it_was_given(act: str, app: str, robots: list[str]) -
 )
 def test_any_other_datagram_is_refused(datagram: bytes) -> None:
     with pytest.raises(PayloadError, match="no order"):
-        orders.unpack(datagram)
+        app_requests.unpack(datagram)
 
 
 @pytest.fixture
@@ -61,7 +62,7 @@ def told(simulation, act: str, app: str, *robots: str) -> str:
 
     def give() -> None:
         try:
-            answers.append(orders.give(folder, act, app, robots))
+            answers.append(app_requests.give(folder, act, app, robots))
         except LocalError as error:
             answers.append(f"refused: {error}")
 
@@ -120,10 +121,10 @@ def test_what_cannot_be_done_is_answered_in_words(simulation, act, app, robots, 
 def test_noise_at_the_door_is_answered_to_who_can_hear_it(simulation) -> None:
     folder, _, ear = simulation
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-        sock.sendto(b"\xff", str(folder / orders.DOOR))
+        sock.sendto(b"\xff", str(folder / app_requests.DOOR))
         assert ear.look() == []
         sock.bind("")
-        sock.sendto(b"\xff", str(folder / orders.DOOR))
+        sock.sendto(b"\xff", str(folder / app_requests.DOOR))
         ear.look()
         assert "no order" in msgpack.unpackb(sock.recv(1000))["problem"]
 
@@ -136,9 +137,9 @@ def test_bad_orders_are_refused_before_they_are_given(tmp_path: Path) -> None:
         ("start", "x", ["/"]),
     ):
         with pytest.raises(LocalError):
-            orders.give(tmp_path, act, app, robots)
+            app_requests.give(tmp_path, act, app, robots)
     with pytest.raises(LocalError, match="takes no orders"):
-        orders.give(tmp_path, "start", "x", ["r0"])
+        app_requests.give(tmp_path, "start", "x", ["r0"])
 
 
 @pytest.mark.slow
@@ -146,15 +147,15 @@ def test_an_app_of_a_swarm_that_runs_another_one(tmp_path: Path) -> None:
     with Simulation("consensus", "--robots", "2", "--seconds", "600") as simulation:
         simulation.wait_for("r0", 3)
         start = ["app", "start", "led_sync", "--run-dir", str(simulation.run_dir)]
-        done = subprocess.run([sys.executable, "-m", "swarm.cli", *start], capture_output=True, text=True, check=True)
+        done = subprocess.run([sys.executable, "-m", "laptop.cli", *start], capture_output=True, text=True, check=True)
         assert done.stdout == "led_sync: started on r0 r1\n"
         simulation.wait_for("r1", 3, app="led_sync")
-        assert "stopped" in orders.give(simulation.run_dir, "stop", "consensus", ["r0", "r1"])
+        assert "stopped" in app_requests.give(simulation.run_dir, "stop", "consensus", ["r0", "r1"])
         led = simulation.trajectory("r0", "led_sync").last
         simulation.wait_for("r0", led + 20, app="led_sync")
         path = simulation.records / f"r0.consensus{SUFFIX}"
         stopped = trajectory.read(path).last
         simulation.wait_for("r0", led + 60, app="led_sync")
         assert trajectory.read(path).last == stopped
-        orders.give(simulation.run_dir, "start", "consensus", ["r0", "r1"])
+        app_requests.give(simulation.run_dir, "start", "consensus", ["r0", "r1"])
         wait_until(lambda: trajectory.read(path).last > stopped + 10, timeout=60)

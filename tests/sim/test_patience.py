@@ -1,6 +1,6 @@
 """A swarm that starts slowly is waited for, and one that starts no further is given up."""
 
-from services.sim.core.patience import START_LIMIT_S, Patience
+from sim.core.patience import START_LIMIT_S, Patience
 
 
 def test_a_swarm_that_becomes_ready_slowly_is_waited_for() -> None:

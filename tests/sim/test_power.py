@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from services.sim.power import Power
-from services.sim.processes import Processes
-from swarm import power
-from swarm.cli import reboot
+from laptop.cli.hand import reboot
+from sim.control import power_switch
+from sim.power_server import Power
+from sim.processes import Processes
 from swarm.errors import LocalError
-from swarm.simulations import claim, pid_file, pid_of
+from swarm.process.simulations import claim, pid_file, pid_of
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
     (tmp_path / "wait.py").write_text("import signal\nsignal.pause()\n")
     found = Processes({"PYTHONPATH": str(tmp_path)})
     for robot in ("r0", "r1"):
-        (tmp_path / robot / power.DISK).mkdir(parents=True)
+        (tmp_path / robot / power_switch.DISK).mkdir(parents=True)
         found.add(robot, "bus", ["wait"], tmp_path / robot)
     yield found
     found.stop()
@@ -41,14 +41,14 @@ def test_its_processes_end_and_its_memory_is_lost(tmp_path: Path, processes: Pro
         (other / name).touch()
     (home / "folder").mkdir()
     (home / "dwm.tty").symlink_to("/dev/null")
-    (home / power.DISK / "vote").touch()
+    (home / power_switch.DISK / "vote").touch()
     old = processes.of("r0")[0].process
-    power.reboot(tmp_path, "r0", 2.0)
+    power_switch.reboot(tmp_path, "r0", 2.0)
     switches.look(10.0)
     assert old is not None
     assert old.returncode == -9
     assert sorted(entry.name for entry in home.iterdir()) == ["bus.log", "disk", "dwm.tty"]
-    assert (home / power.DISK / "vote").exists()
+    assert (home / power_switch.DISK / "vote").exists()
     assert (other / "app.x.snapshot").exists()
     assert processes.of("r1")[0].process is not None
     # Not started again before its time is over, although it has ended.
@@ -69,7 +69,7 @@ def test_a_boot_forgets_that_a_service_was_given_up(tmp_path: Path, processes: P
         if not child.given_up:
             processes.supervise(now + 0.5)
     assert child.given_up == "ended 5 times within 10 s"
-    power.reboot(tmp_path, "r0", 0.0)
+    power_switch.reboot(tmp_path, "r0", 0.0)
     switches.look(5.0)
     assert child.given_up == ""
     assert child.process is not None
@@ -82,17 +82,17 @@ def test_the_state_directory_is_on_the_disk(tmp_path: Path, processes: Processes
 
 def test_what_is_no_wish_is_dropped(tmp_path: Path, processes: Processes, switches: Power) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-        sock.sendto(b"\x93nonsense", str(tmp_path / power.SOCKET))
-    power.reboot(tmp_path, "r7", 0.0)
+        sock.sendto(b"\x93nonsense", str(tmp_path / power_switch.SOCKET))
+    power_switch.reboot(tmp_path, "r7", 0.0)
     switches.look(1.0)
     assert all(child.process is not None for child in processes.children)
 
 
 def test_wrong_wishes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match=r"the simulation in .* does not listen"):
-        power.reboot(tmp_path, "r0", 1.0)
+        power_switch.reboot(tmp_path, "r0", 1.0)
     with pytest.raises(LocalError, match="off for 0 to 600 s, not -1"):
-        power.reboot(tmp_path, "r0", -1.0)
+        power_switch.reboot(tmp_path, "r0", -1.0)
 
 
 def test_the_command_asks_the_simulation_that_runs(

@@ -10,8 +10,8 @@ from bench import random_faults, restless_rule
 from bench.restless import swing
 from bench.restless_rule import Epoch
 from swarm.core.graph import Graph
-from swarm.core.recording import Writer
 from swarm.messages import AppEpoch, AppState
+from swarm.recording.core.writer import Writer
 
 
 @pytest.mark.slow

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from bench.simulation import Simulation
-from services.sim import options, scenario
-from services.sim.virtual.run import PLACE, simulate
-from swarm.cli import main
+from laptop.cli import main
+from sim import options, scenario
+from sim.virtual.run import PLACE, simulate
 from swarm.errors import ConfigError
 from swarm.recording.run import Run
 

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim.sweep import engines, show
-from services.sim.sweep.limit import search
-from services.sim.sweep.measure import Found, measure, settled, together
-from services.sim.sweep.plan import Job, Point, jobs_of, points_of, seeds_of, setting_of, values_of
+from laptop.cli.runs import sweep_results
+from sim.sweep import engines
+from sim.sweep.limit import search
+from sim.sweep.measure import Found, measure, settled, together
+from sim.sweep.plan import Job, Point, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import LocalError
 from swarm.recording.trajectory import Trajectory
 
@@ -87,7 +88,7 @@ def test_runs_of_a_point_together():
     assert (one.runs, one.failed, one.unsettled) == (4, 1, 1)
     assert (one.settled, one.settled_most) == (20, 30)
     assert one.problem == "r1 app boom"
-    text = show.table([Point((("gain", "0.1"),))], runs)
+    text = sweep_results.table([Point((("gain", "0.1"),))], runs)
     assert "gain=0.1" in text
     assert "boom" in text
 
@@ -129,7 +130,7 @@ def test_the_limit_of_a_gain_is_found(tmp_path):
     for bracket, limit in zip(brackets, (1.0, 2 / 3), strict=True):
         assert bracket.good == pytest.approx(limit, rel=0.05)
         assert bracket.good < bracket.bad
-    assert "gain settles" in show.limits(points, "gain", brackets)
+    assert "gain settles" in sweep_results.limits(points, "gain", brackets)
 
 
 @pytest.mark.parametrize("engine", engines.ENGINES)
@@ -139,7 +140,7 @@ def test_the_command_gives_what_one_process_gives(engine, tmp_path):
     command = ["consensus", "--robots", "3,4", "--seeds", "2", "--iterations", "30", "--jitter", "5ms"]
     plot = tmp_path / "sweep.png"
     done = subprocess.run(
-        [sys.executable, "-m", "services.sim.sweep", *command, "--json", "--engine", engine, "--jobs", "2",
+        [sys.executable, "-m", "laptop.cli.runs.sweep", *command, "--json", "--engine", engine, "--jobs", "2",
          "--plot", str(plot)],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
@@ -155,7 +156,7 @@ def test_the_command_gives_what_one_process_gives(engine, tmp_path):
 
 
 def test_a_wrong_command_is_refused_before_anything_runs():
-    command = [sys.executable, "-m", "services.sim.sweep", "consensus", "--robots", "3,none"]
+    command = [sys.executable, "-m", "laptop.cli.runs.sweep", "consensus", "--robots", "3,none"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "none" in done.stderr

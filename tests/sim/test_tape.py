@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from services.sim.virtual import tape as module
-from services.sim.virtual.strand import Line
-from services.sim.virtual.tape import Tape
+from sim.virtual import tape as module
+from sim.virtual.strand import Line
+from sim.virtual.tape import Tape
 from swarm.recording.trajectory import iteration_times, median, percentile
 
 FIELD = SimpleNamespace(columns=("value",))

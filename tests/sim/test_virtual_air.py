@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.delay import FLOOR, AirModel
-from services.sim.virtual.air import SOCKET, Air
-from services.sim.virtual.events import EventQueue
+from services.mesh.core.radio_model import FLOOR, AirModel
+from sim.virtual.air import SOCKET, Air
+from sim.virtual.events import EventQueue
 
 
 class FakeSession:

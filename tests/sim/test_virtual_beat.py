@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim.virtual.beat import Beat
-from services.sim.virtual.bus import VirtualBus, VirtualRouter
-from services.sim.virtual.events import EventQueue, LocalTime
+from sim.virtual.beat import Beat
+from sim.virtual.bus import VirtualBus, VirtualRouter
+from sim.virtual.events import EventQueue, LocalTime
 
 KEYS = ("swarm/r0/balancer/odometry", "swarm/r0/balancer/state")
 PERIOD = 0.04

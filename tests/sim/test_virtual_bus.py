@@ -1,16 +1,16 @@
-"""The bus in memory does what `swarm.bus.Bus` does, at the present moment and never from within."""
+"""The bus in memory does what `swarm.bus.zenoh_bus.Bus` does, at the present moment and never from within."""
 
 import inspect
 
 import pytest
 
-from services.sim.virtual.bus import VirtualBus, VirtualRouter
-from services.sim.virtual.events import EventQueue
-from swarm.bus import Bus
-from swarm.codec import decode
+from sim.virtual.bus import VirtualBus, VirtualRouter
+from sim.virtual.events import EventQueue
+from swarm.app.mesh_clock import MeshClock
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
-from swarm.mesh_clock import MeshClock
 from swarm.messages import Clock, Stop
+from swarm.messages.codec import decode
 
 
 @pytest.fixture

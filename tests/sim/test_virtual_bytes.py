@@ -40,7 +40,7 @@ DISTURBED = (
 
 RUN = """
 import builtins, hashlib, json, pathlib, sys
-from services.sim.virtual.run import simulate
+from sim.virtual.run import simulate
 
 def plain(numbers, /, start=0):
     for number in numbers:

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim.options import parse
-from services.sim.virtual.events import EventQueue, LocalTime
-from services.sim.virtual.run import simulate
+from sim.options import parse
+from sim.virtual.events import EventQueue, LocalTime
+from sim.virtual.run import simulate
 from swarm.errors import ConfigError
 from swarm.recording.run import Run
 

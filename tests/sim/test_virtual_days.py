@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from services.sim.options import parse
-from services.sim.scenario import build
-from services.sim.virtual.run import PLACE, Run
+from sim.options import parse
+from sim.scenario import build
+from sim.virtual.run import PLACE, Run
 
 HOUR = 3600.0
 LIMIT_B_H = 0.2e6

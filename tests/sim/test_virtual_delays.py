@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.sim.options import parse
-from services.sim.scenario import build
-from services.sim.virtual.run import PLACE, Run, simulate
+from sim.options import parse
+from sim.scenario import build
+from sim.virtual.run import PLACE, Run, simulate
 from swarm.errors import ConfigError, LocalError
 
 ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterations", "60")
@@ -51,7 +51,7 @@ def test_what_needs_a_mesh_is_refused():
 
 
 def test_a_large_swarm_has_a_short_table(capsys):
-    from services.sim.report import MOST_ROWS, summary, table
+    from sim.report import MOST_ROWS, summary, table
 
     arguments = ("consensus", "--robots", "60", "--topology", "loop", "--iterations", "3", "--mesh", "delay")
     report, outcome = simulate(*arguments)

@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from services.mesh.core.delay import AirModel
-from services.sim.options import parse
-from services.sim.scenario import build
-from services.sim.virtual.bus import VirtualBus
-from services.sim.virtual.run import PLACE
-from services.sim.virtual.world import World
-from swarm.core.hands import Lay, Press, Push
-from swarm.devices import Devices
+from services.mesh.core.radio_model import AirModel
+from sim.core.actions import Lay, Press, Push
+from sim.options import parse
+from sim.scenario import build
+from sim.virtual.bus import VirtualBus
+from sim.virtual.run import PLACE
+from sim.virtual.world import World
+from swarm.app.devices import Devices
 from swarm.errors import LocalError
 from swarm.messages import LedChange, Notice, Stop, read
 

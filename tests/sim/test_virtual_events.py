@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim.virtual.events import EventQueue
+from sim.virtual.events import EventQueue
 
 TIMES = st.lists(st.sampled_from((0.0, 0.5, 1.0, 1.5, 2.0, 3.5)), max_size=30)
 

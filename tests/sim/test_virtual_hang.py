@@ -6,8 +6,8 @@ from functools import partial
 
 import pytest
 
-from services.sim.virtual import hang, run
-from services.sim.virtual.run import simulate
+from sim.virtual import hang, run
+from sim.virtual.run import simulate
 from swarm.recording.run import Run
 
 SYNC = """\

@@ -16,13 +16,13 @@ from conftest import wait_until
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 
-from services.sim import options as arguments
-from services.sim.report import Outcome
-from services.sim.scenario import build
-from services.sim.virtual.live import BEHIND_S, LAST_S, Live
-from services.sim.virtual.run import PLACE, Run
+from laptop.view.server import application
+from laptop.view.virtual_feed import BEHIND_S, LAST_S, Live
+from sim import options as arguments
+from sim.report import Outcome
+from sim.scenario import build
+from sim.virtual.run import PLACE, Run
 from swarm.errors import ConfigError
-from swarm.view.server import application
 
 
 @contextmanager
@@ -139,7 +139,17 @@ def test_what_does_not_go_together_is_refused(words: tuple[str, ...]) -> None:
 
 
 def test_the_command_serves_until_it_is_interrupted_and_reports() -> None:
-    command = [sys.executable, "-m", "services.sim", "consensus", "--virtual", "--robots", "2", "--iterations", "5"]
+    command = [
+        sys.executable,
+        "-m",
+        "laptop.cli.runs.sim",
+        "consensus",
+        "--virtual",
+        "--robots",
+        "2",
+        "--iterations",
+        "5",
+    ]
     process = subprocess.Popen(
         [*command, "--view", "--no-open", "--speed", "max"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2],

@@ -7,12 +7,12 @@ import sys
 
 import pytest
 
-from services.sim.options import parse
-from services.sim.scenario import build
-from services.sim.virtual.run import PLACE, Run, simulate
+from sim.options import parse
+from sim.scenario import build
+from sim.virtual.run import PLACE, Run, simulate
 from swarm.errors import ConfigError
-from swarm.keys import key
 from swarm.messages import SetAppEpoch
+from swarm.messages.keys import key
 from swarm.recording.run import Run as Recorded
 
 LOOP = ("consensus", "--robots", "5", "--topology", "loop")
@@ -153,7 +153,17 @@ def test_an_operator_sends_a_robot_away_and_lets_it_come_back():
 def test_changes_of_members_are_the_same_bytes_whatever_the_hashes_are(tmp_path):
     def files(name, salt):
         disturbed = (*DROP, "--jitter", "10ms", "--off", "r3@1s,5s", "--cut", "r0-r1@2s,3s")
-        command = [sys.executable, "-m", "services.sim", *LOOP, "--virtual", "--seconds", "14", *disturbed, "--json"]
+        command = [
+            sys.executable,
+            "-m",
+            "laptop.cli.runs.sim",
+            *LOOP,
+            "--virtual",
+            "--seconds",
+            "14",
+            *disturbed,
+            "--json",
+        ]
         command += ["--record", str(tmp_path / name)]
         environment = {"PYTHONHASHSEED": salt, "PATH": "", "PYTHONPATH": ":".join(sys.path)}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

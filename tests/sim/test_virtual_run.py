@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from services.sim.options import parse
-from services.sim.report import summary
-from services.sim.scenario import build
-from services.sim.virtual.run import PLACE, simulate
-from services.sim.virtual.run import Run as Virtual
+from sim.options import parse
+from sim.report import summary
+from sim.scenario import build
+from sim.virtual.run import PLACE, simulate
+from sim.virtual.run import Run as Virtual
 from swarm.messages import SetAppParameters, read
 from swarm.recording.run import Run
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.sim.core import track as track_module
-from services.sim.core import witness as witness_module
-from services.sim.core.track import MOST_PLACES, TRACK_S, Track
-from services.sim.core.witness import Witness, percentile
+from sim.core import track as track_module
+from sim.core import witness as witness_module
+from sim.core.track import MOST_PLACES, TRACK_S, Track
+from sim.core.witness import Witness, percentile
 
 
 def blinking(offsets: dict[str, float], period: float = 0.5, end: float = 10.0, begin: float = 0.0) -> Witness:

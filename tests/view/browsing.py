@@ -17,7 +17,7 @@ class View:
     """`swarm view ARGUMENTS`."""
 
     def __init__(self, *arguments: object) -> None:
-        command = [sys.executable, "-m", "swarm.cli", "view", "--no-open", *map(str, arguments)]
+        command = [sys.executable, "-m", "laptop.cli", "view", "--no-open", *map(str, arguments)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.address = self.process.stdout.readline().strip()

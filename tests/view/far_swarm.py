@@ -10,13 +10,13 @@ from far_units import Units, scripts
 from needs import needs_ssh
 
 from bench.fake_robots import FakeRobots
-from swarm.bus import Bus, Router
+from laptop.fleet.ssh import Ssh, hosts
+from laptop.view.control import Control
+from laptop.view.far import FarHands
+from laptop.view.robots import Robots
+from swarm.bus.zenoh_bus import Bus, Router
 from swarm.config import load
-from swarm.fleet.ssh import Ssh, hosts
-from swarm.paths import bus_endpoint
-from swarm.view.control import Control
-from swarm.view.far import FarHands
-from swarm.view.robots import Robots
+from swarm.process.paths import bus_endpoint
 
 real_page = [
     pytest.mark.slow,

@@ -12,15 +12,15 @@ from needs import needs_ssh
 from test_reach import Tunnel
 
 from bench.fake_robots import FakeRobots
+from laptop.fleet.ssh import Ssh, hosts
+from laptop.view import far as module
+from laptop.view import robots as robots_module
+from laptop.view.control import Control
+from laptop.view.far import FarHands
+from laptop.view.robots import Robots
 from swarm.config import load
 from swarm.errors import LocalError
-from swarm.fleet.ssh import Ssh, hosts
 from swarm.messages import HoldLink
-from swarm.view import far as module
-from swarm.view import robots as robots_module
-from swarm.view.control import Control
-from swarm.view.far import FarHands
-from swarm.view.robots import Robots
 
 pytestmark = needs_ssh
 
@@ -232,7 +232,7 @@ def test_parameters_go_over_ssh_where_no_bus_is_near(far: Far) -> None:
     far.told("r1 app/consensus: on=true")
     control.do(asked | {"robot": "r1", "value": 9})
     far.told("r1 app/consensus: gain=9 was not set: app consensus: expected a number up to 1, got 9")
-    log = [(far.robots.folder / name / "swarm.log") for name in ("r0", "r1")]
+    log = [(far.robots.folder / name / "swarm.process.log") for name in ("r0", "r1")]
     assert not log[0].exists()
     assert log[1].read_text().splitlines() == [f"param consensus {word}" for word in ("gain=0.5", "on=true", "gain=9")]
     for bad in ({"robot": "r9"}, {"name": "r1.gain"}, {"name": "--fleet"}):

@@ -19,10 +19,10 @@ from virtual_run import recorded
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 
-from swarm.cli import film as verb
+from laptop.cli.runs import film as verb
+from laptop.view import chromium
+from laptop.view.film import MAX_FRAMES, Film, encoder
 from swarm.errors import LocalError
-from swarm.view import chromium
-from swarm.view.film import MAX_FRAMES, Film, encoder
 
 BAD = (0xC2, 0x2F, 0x2F)
 """The page's colour of what is bad, in light."""
@@ -93,7 +93,7 @@ def arguments(*words: object) -> Any:
 def test_bad_wishes_are_refused_before_anything_is_drawn(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], said: str
 ) -> None:
-    monkeypatch.setattr("swarm.view.film.encoder", lambda: "ffmpeg")
+    monkeypatch.setattr("laptop.view.film.encoder", lambda: "ffmpeg")
     monkeypatch.setattr(chromium, "browser", lambda: "chromium")
     with pytest.raises(LocalError, match=said):
         verb.run(arguments(run, tmp_path / options[0], *options[1:]))
@@ -122,7 +122,7 @@ def bad_pixels(film: Path, number: int) -> int:
 @rig
 def test_a_film_has_the_pictures_it_should(run: Path, tmp_path: Path) -> None:
     film = tmp_path / "run.mp4"
-    command = [sys.executable, "-m", "swarm.cli", "film", str(run), str(film), "--from", "1.9", "--to", "9.1"]
+    command = [sys.executable, "-m", "laptop.cli", "film", str(run), str(film), "--from", "1.9", "--to", "9.1"]
     options = ["--fps", str(FPS), "--speed", str(SPEED), "--size", "960x540"]
     done = subprocess.run([*command, *options], check=True, capture_output=True, text=True, timeout=200)
     assert done.stdout == f"{film}\n"
@@ -144,7 +144,7 @@ def test_an_encoder_that_fails_is_quoted_and_leaves_nothing(
     broken = tmp_path / "ffmpeg"
     broken.write_text("#!/bin/sh\necho no such codec >&2\nexit 7\n")
     broken.chmod(0o755)
-    monkeypatch.setattr("swarm.view.film.encoder", lambda: str(broken))
+    monkeypatch.setattr("laptop.view.film.encoder", lambda: str(broken))
     monkeypatch.setattr(verb.signal, "SIGTERM", verb.signal.SIGUSR1)  # the loop must not take the test's own
     with pytest.raises(LocalError, match="ended with code 7: no such codec"):
         verb.run(arguments(run, tmp_path / "x.mp4", "--to", "1", "--size", "320x240"))

@@ -20,13 +20,13 @@ from test_page_stop import stops  # noqa: E402
 from test_reach import CONFIG  # noqa: E402
 from test_server import Bus  # noqa: E402
 
+from laptop.view import server  # noqa: E402
+from laptop.view.control import Control  # noqa: E402
+from laptop.view.feed import Simulation  # noqa: E402
+from laptop.view.simulated import SimulatedHands  # noqa: E402
 from swarm.config import parse  # noqa: E402
 from swarm.messages import topics  # noqa: E402
-from swarm.simulations import claim  # noqa: E402
-from swarm.view import server  # noqa: E402
-from swarm.view.control import Control  # noqa: E402
-from swarm.view.feed import Simulation  # noqa: E402
-from swarm.view.simulated import SimulatedHands  # noqa: E402
+from swarm.process.simulations import claim  # noqa: E402
 
 pytest_plugins = ("view_fixtures",)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240), pytest.mark.filterwarnings("ignore::ResourceWarning")]

@@ -15,14 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_server import Bus, said, talk
 
+from laptop.view import server
+from laptop.view.control import Control
+from laptop.view.feed import Simulation
+from laptop.view.questions import MAX_WAITING, Questions
+from laptop.view.simulated import SimulatedHands
 from swarm.errors import LocalError
 from swarm.messages import Stop
-from swarm.simulations import claim
-from swarm.view import server
-from swarm.view.control import Control
-from swarm.view.feed import Simulation
-from swarm.view.questions import MAX_WAITING, Questions
-from swarm.view.simulated import SimulatedHands
+from swarm.process.simulations import claim
 
 LIVE = "/live?token=a-token"
 
@@ -52,7 +52,7 @@ def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
     feed: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on = threading.Event()
-    monkeypatch.setattr("swarm.view.simulated.orders.give", lambda *_: go_on.wait(60.0) and "done")
+    monkeypatch.setattr("laptop.view.simulated.orders.give", lambda *_: go_on.wait(60.0) and "done")
 
     async def act(client: TestClient) -> None:
         sockets = [await client.ws_connect(LIVE) for _ in range(40)]  # more than there are threads for acts

@@ -8,11 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.codec import encode
-from swarm.errors import PayloadError
-from swarm.fields import check_fields
-from swarm.messages import AppProgress, Links, LinkState, Pose, Status, topics
-from swarm.view.picture import (
+from laptop.view.picture import (
     HISTORY_S,
     HISTORY_STEP_S,
     MAX_EVENTS,
@@ -22,6 +18,10 @@ from swarm.view.picture import (
     MAX_TOPICS,
     Picture,
 )
+from swarm.errors import PayloadError
+from swarm.messages import AppProgress, Links, LinkState, Pose, Status, topics
+from swarm.messages.codec import encode
+from swarm.messages.fields import check_fields
 
 VALUES = st.recursive(
     st.none()
@@ -52,7 +52,7 @@ def test_no_sample_harms_it(samples: list[tuple[str, str, bytes]]) -> None:
 
 @given(VALUES)
 def test_whatever_a_key_holds_can_be_told_to_a_page(value: object) -> None:
-    from swarm.view.picture import plain
+    from laptop.view.picture import plain
 
     picture = Picture()
     picture.put("r0", "mesh/links", plain(value), 0.0)

@@ -9,17 +9,17 @@ from conftest import wait_until
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from laptop.fleet.ssh import Host, Ssh
+from laptop.view import robots as module
+from laptop.view.control import Control
+from laptop.view.hands import Act
+from laptop.view.picture import REACH
+from laptop.view.robots import Robots
 from swarm import clock
-from swarm.codec import Value, encode
 from swarm.config import parse
 from swarm.errors import LocalError
-from swarm.fleet.ssh import Host, Ssh
 from swarm.messages import Leds, Member, Members, Pose, Stopped, View, Watch
-from swarm.view import robots as module
-from swarm.view.control import Control
-from swarm.view.hands import Act
-from swarm.view.picture import REACH
-from swarm.view.robots import Robots
+from swarm.messages.codec import Value, encode
 
 CONFIG = 'network = "x"\n[topology]\nshape = "line"\n[mesh]\ninsecure = true\n' + "".join(
     f'[[robots]]\nname = "r{n}"\nlink = "tcp:127.0.0.1:{9000 + n}"\n' for n in range(3)

@@ -14,16 +14,16 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp import WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
 
-from swarm.cli import main
-from swarm.codec import encode
+from laptop.cli import main
+from laptop.view import server
+from laptop.view.control import ANSWER_S, Control
+from laptop.view.feed import Simulation
+from laptop.view.server import application
+from laptop.view.simulated import SimulatedHands
 from swarm.errors import LocalError
 from swarm.messages import Status
-from swarm.simulations import claim
-from swarm.view import server
-from swarm.view.control import ANSWER_S, Control
-from swarm.view.feed import Simulation
-from swarm.view.server import application
-from swarm.view.simulated import SimulatedHands
+from swarm.messages.codec import encode
+from swarm.process.simulations import claim
 
 TOKEN = "a-token"
 
@@ -225,7 +225,7 @@ def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
     feed: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr("swarm.view.control.clock.now", lambda: now[0])
+    monkeypatch.setattr("laptop.view.control.clock.now", lambda: now[0])
     control = Control(feed, SimulatedHands(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.repeat()

@@ -10,14 +10,14 @@ import pytest
 from conftest import wait_until
 from test_reach import CONFIG, LEDS, Nothing
 
-from swarm.codec import encode
+from laptop.fleet.ssh import Host
+from laptop.view.control import Control
+from laptop.view.picture import REACH
+from laptop.view.robots import Robots
+from laptop.view.tunnel import Tunnel
 from swarm.config import parse
-from swarm.fleet.ssh import Host
 from swarm.messages import View
-from swarm.view.control import Control
-from swarm.view.picture import REACH
-from swarm.view.robots import Robots
-from swarm.view.tunnel import Tunnel
+from swarm.messages.codec import encode
 
 LOOKOUT = """
 import os, sys

@@ -12,9 +12,9 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 from virtual_run import recorded
 
+from laptop.view.recording import Recording
+from laptop.view.server import application
 from swarm.errors import RecordingError
-from swarm.view.recording import Recording
-from swarm.view.server import application
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,11 @@ from conftest import Processes, wait_until
 from far_swarm import Swarm
 from needs import needs_ssh
 
+from laptop.fleet.ssh import HostError
+from laptop.view.picture import REACH
+from laptop.view.robots import Robots
 from swarm.errors import LocalError
-from swarm.fleet.ssh import HostError
 from swarm.messages import Leds, Pose, Stop, read
-from swarm.view.picture import REACH
-from swarm.view.robots import Robots
 
 pytestmark = needs_ssh
 
@@ -132,7 +132,7 @@ def test_what_is_wrong_at_first_is_said(swarm: Swarm) -> None:
     # Several at once: what each of them says is said.
     said = {
         "r2": ("echo 'sudo: a password is required' >&2; exit 1", "sudo: a password is required"),
-        "r3": ("echo 'No module named swarm.fleet.lookout' >&2; exit 1", "its release is older than this program"),
+        "r3": ("echo 'No module named swarm.onboard.lookout' >&2; exit 1", "its release is older than this program"),
         "r4": ("echo garbage", "it says what this program does not understand"),
         "r5": ("true", "its lookout has ended"),
     }

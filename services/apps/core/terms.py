@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from swarm.conduct import AFTER
+from swarm.app.run_options import AFTER
 from swarm.core.graph import Graph
 from swarm.core.stopping import Rule
 from swarm.frozen import frozen

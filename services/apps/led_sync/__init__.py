@@ -6,8 +6,8 @@ from typing import Any
 
 from services.apps.core import algorithm3, blink
 from swarm import EventApp, SyncApp, channel, float32, parameter
-from swarm.codec import Value
 from swarm.errors import AppError
+from swarm.messages.codec import Value
 
 SLOWEST, FASTEST = 0.1, 10.0
 """Hz."""

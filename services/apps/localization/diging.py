@@ -13,7 +13,7 @@ from services.apps.localization.gradient import gradient
 from services.apps.localization.place import Judged
 from services.apps.localization.thesis import CM, check_bounded
 from swarm import float32, parameter
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 Pair = tuple[float, float]
 

@@ -11,8 +11,8 @@ from services.apps.localization import ranges
 from services.apps.localization.leastsquares import refine
 from services.apps.localization.place import UNKNOWN, Localization
 from swarm import Vector, parameter
-from swarm.codec import Value
 from swarm.errors import AppError
+from swarm.messages.codec import Value
 
 ROOM = 54
 """Robots there is room for: 8 bytes each in a state of at most 440."""

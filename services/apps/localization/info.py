@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from services.apps.localization import ranges
 from services.apps.localization.place import UNKNOWN, Localization
 from swarm import Vector, parameter
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 
 class Info(Localization):

@@ -11,7 +11,7 @@ from typing import Any
 
 from services.apps.localization.place import Judged
 from swarm import float32, parameter
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 Pair = tuple[float, float]
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from services.apps.localization import ranges
 from services.apps.localization.ranges import Estimate, Statistics
 from swarm import SyncApp, float32, parameter
-from swarm.codec import Value
+from swarm.messages.codec import Value
 
 STANDS = 1e-4
 """m an iteration: a place that moves by less has converged."""

@@ -8,8 +8,8 @@ from services.apps.localization import gradient, guard
 from services.apps.localization.gradient import Node
 from services.apps.localization.place import Judged
 from swarm import float32, parameter
-from swarm.codec import Value
 from swarm.errors import AppError
+from swarm.messages.codec import Value
 
 CM = 100.0
 """cm in a m: the thesis counts in cm, and float32 rounds differently in m."""

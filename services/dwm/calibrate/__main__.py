@@ -15,15 +15,16 @@ from services.dwm.core.filters import Place
 from services.dwm.core.guide import QUARTERS, SAMPLES, Guide, grid
 from services.dwm.core.samples import Point, Sample, groups, of_recording
 from services.dwm.localizer import calibration_path, load_calibration
-from swarm import clock, log, service
+from swarm import clock
 from swarm import config as configuration
-from swarm.bus import Bus
-from swarm.cli import buses
+from swarm.bus.zenoh_bus import Bus
 from swarm.config import Config
 from swarm.errors import BusError, LocalError
 from swarm.files import atomic_write
-from swarm.recordings import read_recording
-from swarm.simulations import CONFIG, default_run_dir, is_live
+from swarm.onboard import buses
+from swarm.process import log, service
+from swarm.process.simulations import CONFIG, default_run_dir, is_live
+from swarm.recording.thesis_ranges import read_recording
 
 EPILOG = """\
 distance and position lead you: put the robot at the place and in the orientation it names (0 degrees = along x, 90 =

@@ -17,11 +17,11 @@ from typing import TextIO
 
 from services.dwm.core.guide import Guide, Press
 from services.dwm.core.samples import HEADER, write
-from swarm.bus import Bus
+from swarm.bus.zenoh_bus import Bus
 from swarm.errors import BusError, LocalError, PayloadError
 from swarm.files import atomic_write
-from swarm.keys import key
 from swarm.messages import Buttons, Pose, Ranges, read
+from swarm.messages.keys import key
 
 KEYS = {
     " ": Press.START, "\n": Press.START, "\r": Press.START, "s": Press.START,

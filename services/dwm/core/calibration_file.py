@@ -13,10 +13,10 @@ from typing import Any
 
 from services.dwm.core.calibration import Calibration, RangeModel
 from swarm.config.reader import Table, finite, vector
+from swarm.config.toml_input import read_toml
 from swarm.config.types import Affine, Anchor
 from swarm.errors import ConfigError, PayloadError
 from swarm.frozen import frozen
-from swarm.toml_input import read_toml
 
 _SHOWN = 16
 """Hex digits of a layout's hash: 64 bits are enough to tell two layouts apart."""

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from services.dwm.core.filters import Place, inliers, inlying_places, mean
 from swarm.errors import RecordingError
-from swarm.recordings import Recording
+from swarm.recording.thesis_ranges import Recording
 
 HEADER = "place,x,y,heading,t,module,distance,px,py"
 

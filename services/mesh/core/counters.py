@@ -1,13 +1,13 @@
 """What the mesh of a robot counts."""
 
-from services.mesh.core import overlays
-from services.mesh.core.handshake import REFUSED
-from services.mesh.core.session import SENT
+from services.mesh.core.link.handshake import REFUSED
+from services.mesh.core.link.session import SENT
+from services.mesh.core.overlays import robot_overlays
 
 COUNTERS = (
     *REFUSED.values(),
     *SENT,
-    *overlays.COUNTERS,
+    *robot_overlays.COUNTERS,
     "byes",
     "half_open",
     "inbound_refused",
@@ -19,4 +19,4 @@ COUNTERS = (
     "too_large",
     "transport_lost",
 )
-"""Every counter; docs/frames.md and docs/overlays.md say what they count."""
+"""Every counter; docs/frames.md and docs/robot_overlays.md say what they count."""

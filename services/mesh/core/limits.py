@@ -1,9 +1,9 @@
 """Longest payloads, by overlay and class."""
 
-from services.mesh.core import around, flood, unicast
-from services.mesh.core.fragments import MAX_MESSAGE
-from services.mesh.core.frames import BULK, FLOOD, MAX_PAYLOAD, NEIGHBOURS
+from services.mesh.core.overlays import around, flood, unicast
 from services.mesh.core.relay import AROUND
+from services.mesh.core.wire.fragments import MAX_MESSAGE
+from services.mesh.core.wire.frames import BULK, FLOOD, MAX_PAYLOAD, NEIGHBOURS
 
 
 def longest(overlay: int, priority: int) -> int:

@@ -9,23 +9,24 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
-from services.mesh.core import frames, probe
 from services.mesh.core.actions import Connect, Disconnect, Keep, Report, Transmit
-from services.mesh.core.callers import UNKNOWN, Caller, Callers
-from services.mesh.core.channels import name_of
-from services.mesh.core.clock import ClockState, MeshClock
 from services.mesh.core.counters import COUNTERS
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.gather import Gather
-from services.mesh.core.handshake import REFUSED, Local
-from services.mesh.core.holds import Holds
 from services.mesh.core.limits import longest
-from services.mesh.core.link import Link
-from services.mesh.core.orders import Action, Close, Dial, LinksChanged, Note, Write
-from services.mesh.core.overlays import Overlays
+from services.mesh.core.link import probe
+from services.mesh.core.link.callers import UNKNOWN, Caller, Callers
+from services.mesh.core.link.clock import ClockState, MeshClock
+from services.mesh.core.link.forced_cuts import Holds
+from services.mesh.core.link.handshake import REFUSED, Local
+from services.mesh.core.link.neighbour import Link
+from services.mesh.core.link.session import DOWN, SUSPECT, Session
+from services.mesh.core.node_actions import Action, Close, Dial, LinksChanged, Note, Write
+from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.problems import Problems
 from services.mesh.core.relay import AROUND, Relay, Send
-from services.mesh.core.session import DOWN, SUSPECT, Session
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.channels import name_of
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
 

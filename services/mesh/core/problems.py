@@ -1,6 +1,6 @@
 """What is wrong is worth a line in the log the first time only: neighbours may repeat it as often as they like."""
 
-from services.mesh.core.orders import Note
+from services.mesh.core.node_actions import Note
 
 MAX_NOTED = 256
 """Different problems logged; later new ones are only counted."""

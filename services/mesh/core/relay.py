@@ -10,10 +10,10 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from services.mesh.core.frames import FLOOD, NEIGHBOURS, PRIORITIES, UNICAST
+from services.mesh.core.wire.frames import FLOOD, NEIGHBOURS, PRIORITIES, UNICAST
 from swarm.config.types import RelayRule
 from swarm.errors import PayloadError
-from swarm.keys import parse
+from swarm.messages.keys import parse
 
 AROUND = UNICAST + 1
 """Its packets go over unicast's channels, along a way of their own (`core.around`)."""

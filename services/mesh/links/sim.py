@@ -17,12 +17,12 @@ import struct
 import threading
 from pathlib import Path
 
-from services.mesh.core.delay import AirModel, DelayLine
+from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
-from swarm.codec import unpack
 from swarm.errors import LocalError, PayloadError
-from swarm.paths import socket_path
+from swarm.messages.codec import unpack
+from swarm.process.paths import socket_path
 
 AIR_SOCKET = "air.sock"
 LOCK = "mesh.lock"

@@ -10,8 +10,8 @@ import contextlib
 import logging
 import threading
 
-from swarm.adapter import Adapter, check
-from swarm.core import hci
+from swarm.bluetooth import hci
+from swarm.bluetooth.adapter import Adapter, check
 from swarm.errors import LocalError
 
 SHARE = 2 / 3

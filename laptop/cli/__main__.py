@@ -1,0 +1,5 @@
+"""`python -m laptop.cli`: the `swarm` command."""
+
+from laptop.cli import main
+
+main()

@@ -1,0 +1,1 @@
+"""`swarm app`: start, stop and set apps while they run."""

@@ -1,0 +1,1 @@
+"""`swarm hand`: actions of a person on the robots of a running simulation."""

@@ -1,0 +1,14 @@
+"""`swarm restart [SERVICE...]`: systemd's, on all robots."""
+
+import argparse
+
+from laptop.fleet import control
+
+HELP = "restart services or apps of all robots, over ssh"
+
+add_arguments = control.add_arguments
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where it succeeded on every robot."""
+    return control.run(args, "restart")

@@ -1,0 +1,1 @@
+"""Commands for real robots over ssh, and for their configuration and key."""

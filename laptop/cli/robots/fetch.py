@@ -1,0 +1,47 @@
+"""`swarm fetch [RUN...]`: the recordings and journals of all robots into one folder on this computer."""
+
+import argparse
+from pathlib import Path
+
+from laptop.fleet import everyone
+from laptop.fleet.everyone import Tell
+from laptop.fleet.fetch import Fetch
+from laptop.fleet.ssh import Host, HostError
+from swarm.errors import LocalError
+
+HELP = "bring the recordings and logs of all robots here, over ssh"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which runs, where to, and whether robots keep them."""
+    parser.add_argument("runs", nargs="*", metavar="RUN", help="folders (APP-NUMBER) or apps; all")
+    parser.add_argument("--into", type=Path, default=Path("runs"), metavar="DIR", help="where to (runs)")
+    parser.add_argument("--delete", action="store_true", help="on the robots, what has a verified copy here then")
+    parser.add_argument("--no-logs", action="store_true", help="recordings only")
+    everyone.add_arguments(parser, timeout_s=3600)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where all of every robot's is here; what broke goes on where it was the next time."""
+    _, robots, ssh = everyone.chosen(args)
+    try:
+        args.into.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LocalError(f"{args.into}: {error.strerror}") from None
+
+    async def job(host: Host, tell: Tell) -> str:
+        fetch = Fetch(ssh, host, args.into, tell)
+        got = await fetch.recordings(args.runs)
+        if got.strange:
+            tell(f"left there, with a name that is none of ours: {', '.join(map(repr, got.strange[:5]))}")
+        said = [f"{got.files} files of {len(got.runs)} runs, {got.received} bytes received"]
+        if not args.no_logs:
+            said.append(f"{await fetch.journal()} new log entries")
+        if args.delete:
+            gone, running = await fetch.delete()
+            said.append(f"{gone} files deleted there" + (f", not of {' '.join(running)}: it runs" if running else ""))
+            if gone < sum(file.run not in running for file in got.verified):
+                raise HostError(f"{'; '.join(said)}: the others have changed meanwhile")
+        return ", ".join(said)
+
+    return everyone.run(args, robots, job)

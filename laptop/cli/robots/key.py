@@ -1,0 +1,39 @@
+"""`swarm key`: make the pre-shared key of a swarm, replace it, and show which ones a file holds."""
+
+import argparse
+import time
+from pathlib import Path
+
+from swarm.config.keyfile import new_key_file, read_keys, retire, rotate
+from swarm.config.types import DEFAULT_KEY_FILE
+
+HELP = "make or replace the key that the robots of a swarm share"
+
+_VERBS = {
+    "new": "make a file with a new key, readable by its owner alone; never overwrites",
+    "rotate": "put a new key in front; the old one stays valid until `retire`",
+    "retire": "end a rotation: forget the older key",
+    "show-id": "print the ids of the keys in a file, the newest first; ids are no secret",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`new|rotate|retire|show-id [FILE]`."""
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="|".join(_VERBS))
+    for verb, text in _VERBS.items():
+        command = verbs.add_parser(verb, help=text, description=text)
+        command.add_argument("file", nargs="?", type=Path, default=Path(DEFAULT_KEY_FILE), help="default: %(default)s")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Raises `LocalError` where a file is missing, is in the way, or is no key file."""
+    path: Path = args.file
+    if args.verb == "new":
+        print(f"{path}: key {new_key_file(path, time.time()):08x}; copy it to all robots, where only the mesh reads it")
+    elif args.verb == "rotate":
+        print(f"{path}: new key {rotate(path, time.time()):08x} beside the old one; now copy the file to all robots")
+    elif args.verb == "retire":
+        print(f"{path}: forgot key {retire(path):08x}; now copy the file to all robots")
+    else:
+        print("\n".join(f"{key_id:08x}" for key_id in read_keys(path)))
+    return 0

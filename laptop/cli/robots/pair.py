@@ -1,0 +1,99 @@
+"""`swarm pair`: pair all neighbours over Bluetooth, without a person at any robot."""
+
+import argparse
+import asyncio
+import json
+import sys
+import time
+from typing import Any
+
+from laptop.fleet import everyone
+from laptop.fleet.core.pairing import check, edges, with_addresses
+from laptop.fleet.everyone import Outcome, Tell
+from laptop.fleet.pair import Pairing, look
+from laptop.fleet.ssh import Host, Ssh, hosts
+from swarm.config import Config, load, parse
+from swarm.errors import ConfigError, LocalError
+from swarm.files import atomic_write
+from swarm.process.terminal import write_lines
+
+HELP = "pair all neighbours over Bluetooth; write missing addresses into swarm.toml"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Look only, or pair."""
+    parser.add_argument("--check", action="store_true", help="say which links are paired, and change nothing")
+    parser.add_argument("--again", action="store_true", help="forget all pairings of these links, and pair anew")
+    everyone.add_arguments(parser, timeout_s=180)
+
+
+def run(args: argparse.Namespace) -> int:
+    """A line for each link; 0 where all are paired and trusted at both ends."""
+    if args.timeout <= 0:
+        raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
+    if args.check and args.again:
+        raise LocalError("--check changes nothing, --again does: one of them")
+    config = load(args.config, addressed=False)
+    robots, ssh = hosts(config, args.robots), Ssh(args.ssh_config)
+    began = time.monotonic()
+    found, looks = asyncio.run(_look(ssh, robots, args.timeout))
+    wrong = check(config, {name: answer["address"] for name, answer in looks.items()})
+    outcomes = [
+        Outcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each for each in found
+    ]
+    good = {name: answer for name, answer in looks.items() if name not in wrong}
+    if not args.check:
+        config = _complete(config, {name: answer["address"] for name, answer in good.items()}, args.json)
+    wanted = edges(config, [host.robot for host in robots])
+    pairing = Pairing(ssh, {host.robot: host for host in robots}, good, args.timeout, _tell(args.json))
+    links = asyncio.run(pairing.carry_out(wanted, check=args.check, again=args.again))
+    if args.json:
+        rows = {each.robot: {"ok": each.ok, "text": each.text} for each in outcomes}
+        answer = {"robots": rows, "links": {f"{a} {b}": text or "paired" for (a, b), text in links.items()}}
+        sys.stdout.write(json.dumps(answer | {"seconds": round(time.monotonic() - began, 3)}) + "\n")
+    else:
+        write_lines(f"{each.robot}: {each.text}" for each in outcomes if not each.ok)
+        write_lines(f"{a} {b}  {'FAILED  ' + text if text else 'paired'}" for (a, b), text in links.items())
+    return 0 if all(each.ok for each in outcomes) and not any(links.values()) else 1
+
+
+def _tell(quiet: bool) -> Tell:
+    def tell(text: str) -> None:
+        if not quiet:
+            write_lines([text])
+            sys.stdout.flush()
+
+    return tell
+
+
+async def _look(
+    ssh: Ssh, robots: tuple[Host, ...], timeout_s: float
+) -> tuple[list[Outcome], dict[str, dict[str, Any]]]:
+    """Each robot's adapter and what it knows of others."""
+    looks = {}
+
+    async def job(host: Host, tell: Tell) -> str:
+        looks[host.robot] = await look(ssh, host)
+        return ""
+
+    return await everyone.each(robots, job, timeout_s, lambda *_: None), looks
+
+
+def _complete(config: Config, addresses: dict[str, str], quiet: bool) -> Config:
+    """Write the addresses that the file lacks; raises `LocalError` where it cannot be done without harm."""
+    radio = {robot.name for robot in config.robots if robot.bluetooth is None and robot.link is None}
+    missing = {name: address for name, address in addresses.items() if name in radio}
+    if not missing:
+        return config
+    text = with_addresses(config.path.read_text(encoding="utf-8"), missing)
+    rows = "".join(f'\n  {name}: bluetooth = "{address}"' for name, address in missing.items())
+    try:
+        new = parse(text, config.path, addressed=False)
+    except ConfigError:
+        new = config
+    if any(new.robot(name).bluetooth != address for name, address in missing.items()):
+        raise LocalError(f"{config.path}: cannot be edited safely; write into it yourself:{rows}")
+    atomic_write(config.path, text.encode())
+    if not quiet:
+        sys.stdout.write(f"{config.path}: written:{rows}\n")
+    return new

@@ -1,0 +1,109 @@
+"""`swarm provision ROBOT...`: from a fresh Raspberry Pi OS Lite to a robot."""
+
+import argparse
+import getpass
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from laptop.fleet import bundle, everyone, transfer
+from laptop.fleet.core.wish import Wish, wish
+from laptop.fleet.everyone import Tell
+from laptop.fleet.install import install, read_files
+from laptop.fleet.provision import Provisioning, Rig
+from laptop.fleet.ssh import Host, Ssh, hosts
+from swarm.config import Config, load
+from swarm.config.keyfile import read_keys
+from swarm.errors import ConfigError, LocalError
+
+HELP = "make robots of fresh Raspberry Pis, over ssh: each step ok, changed or failed"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which robots, and what they get."""
+    parser.add_argument("which", nargs="*", metavar="ROBOT[=USER@ADDRESS]", help="default: all of the config")
+    parser.add_argument("--bundle", type=Path, metavar="FOLDER", help="packages and releases (swarm bundle makes it)")
+    parser.add_argument("--key", type=Path, metavar="FILE", help="the swarm's key (swarm key new makes one)")
+    parser.add_argument("--wifi", metavar="NAME", help="a network that they join from now on; asks for its password")
+    parser.add_argument("--wifi-password", type=Path, metavar="FILE", help="in place of the question")
+    parser.add_argument("--check", action="store_true", help="say what would be changed, and change nothing")
+    parser.add_argument("--no-reboot", action="store_true", help="leave the reboot, and the release after it, to you")
+    everyone.add_arguments(parser, timeout_s=1800)
+
+
+def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "arm64") -> int:
+    """Every step of every robot is ok, changed or failed; 0 where none failed on any."""
+    config, robots, ssh = _chosen(args)
+    packages = {} if args.bundle is None else bundle.repositories(args.bundle)
+    paths = [] if args.bundle is None else sorted(args.bundle.glob("balboa-swarm-*.tar.gz"))
+    releases = [transfer.read_release(path) for path in paths]
+    if args.key is not None:
+        read_keys(args.key)  # a wrong one is better known now than on eight robots
+    files = read_files(config.path, args.key)
+    unaddressed = _unaddressed(config)
+    wifi = _wifi(args)
+
+    def asked(host: Host) -> Wish:
+        whole = wish(config, host.robot, host.address, time.time(), key=args.key is not None, wifi=wifi)
+        return replace(whole, architecture=architecture)
+
+    async def job(host: Host, tell: Tell) -> str:
+        robot = Provisioning(ssh, host, asked(host), packages, tell, rig or Rig())
+        if args.check:
+            return await robot.check()
+        ready = await robot.carry_out(reboot=not args.no_reboot)
+        if not ready:
+            return f"{robot.changed} steps changed; reboot it, then provision it again"
+        if unaddressed is not None:
+            return f"{robot.changed} steps changed; no release yet: swarm pair first ({unaddressed})"
+        if not releases:
+            return f"{robot.changed} steps changed; no release was given: --bundle with one, or swarm deploy"
+        said, _ = await install(ssh, host, releases, files, tell)
+        fresh = "nothing to do" not in said
+        tell(f"release: {'changed' if fresh else 'ok'}: {said}")
+        return f"{robot.changed + fresh} steps changed, all others were ok"
+
+    return everyone.run(args, robots, job)
+
+
+def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
+    if args.which and args.robots:
+        raise LocalError("--robots names robots, and so do the arguments: one of them")
+    if args.timeout <= 0:
+        raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
+    config = load(args.config, addressed=False)
+    addresses = dict(text.partition("=")[::2] for text in args.which)
+    if len(addresses) < len(args.which):
+        raise LocalError("a robot is named twice")
+    only = ",".join(addresses) if addresses else args.robots
+    found = tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in hosts(config, only))
+    return config, found, Ssh(args.ssh_config)
+
+
+def _unaddressed(config: Config) -> str | None:
+    """Which robots' Bluetooth addresses the file lacks, in words; a release refuses such a file."""
+    try:
+        load(config.path)
+    except ConfigError:
+        names = [robot.name for robot in config.robots if robot.bluetooth is None and robot.link is None]
+        return f"{config.path.name} lacks the Bluetooth address of {' '.join(names)}"
+    return None
+
+
+def _wifi(args: argparse.Namespace) -> tuple[str, str] | None:
+    if args.wifi is None:
+        return None
+    try:
+        password = (
+            getpass.getpass(f"password of {args.wifi}: ")
+            if args.wifi_password is None
+            else args.wifi_password.read_text().rstrip("\n")
+        )
+    except (OSError, EOFError) as error:
+        raise LocalError(f"the password of {args.wifi} cannot be read: {error}") from None
+    odd = any(ord(letter) < 32 for letter in args.wifi + password)
+    if odd or not 1 <= len(args.wifi.encode()) <= 32 or not 8 <= len(password) <= 63:
+        raise LocalError(
+            "a network's name has 1 to 32 bytes, its password 8 to 63 characters, neither control characters"
+        )
+    return args.wifi, password

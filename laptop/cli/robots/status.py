@@ -1,0 +1,216 @@
+"""`swarm status [--watch]`: one row a robot: services, battery, links, pose, app, recordings, release, firmware."""
+
+import argparse
+import asyncio
+import json
+import re
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from laptop.fleet import everyone
+from laptop.fleet.collect import RUNS
+from laptop.fleet.everyone import Outcome, Tell
+from laptop.fleet.ssh import Host, Ssh
+from laptop.fleet.units import SERVICES
+from swarm.errors import PayloadError
+from swarm.frozen import frozen
+from swarm.messages import type_of
+from swarm.messages.fields import check_fields
+from swarm.messages.json_input import read_json
+from swarm.process.terminal import steer, write_lines
+from swarm.recording.budget import shown
+
+HELP = "services, battery, links, pose, app, recordings and versions of all robots, over ssh"
+
+WATCH_EVERY_S = 2.0
+LISTEN_S = 1.3
+"""Long enough for what is sent once a second."""
+
+_MARK = "== "
+_BYTES = re.compile(r"[0-9]{1,18}")
+
+
+@frozen
+class Row:
+    """What one robot says of itself; None where it says nothing."""
+
+    release: str
+    firmware: str | None
+    """Of the ATmega."""
+    failed: list[str]
+    """Services and apps that do not run."""
+    battery_v: float | None
+    battery_left_s: float | None
+    mode: str | None
+    fault: str | None
+    links: dict[str, str]
+    """State by neighbour."""
+    clashes: list[str]
+    """Names that two robots have, as its mesh knows."""
+    pose: list[float] | None
+    """x, y in m."""
+    apps: dict[str, dict[str, Any]]
+    """Phase and iteration by app."""
+    recorded: int | None
+    """Bytes of its disk that recordings take."""
+    misunderstood: list[str]
+    """Topics whose messages have other types than they should; they are left out."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--watch`."""
+    parser.add_argument("--watch", action="store_true", help=f"again every {WATCH_EVERY_S:g} s, until Ctrl-C")
+    everyone.add_arguments(parser, timeout_s=20)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where every robot answers and all of its services run."""
+    config, robots, ssh = everyone.chosen(args)
+    while True:
+        outcomes, rows = asyncio.run(_look(ssh, robots, args.timeout))
+        if args.json:
+            answer = {o.robot: asdict(rows[o.robot]) if o.robot in rows else {"problem": o.text} for o in outcomes}
+            sys.stdout.write(json.dumps({"robots": answer}) + "\n")
+        else:
+            if args.watch:
+                steer(sys.stdout, "\x1b[2J\x1b[H")
+            write_lines(table(outcomes, rows, config.recordings.budget))
+        sys.stdout.flush()
+        if not args.watch:
+            return 0 if all(o.ok and not rows[o.robot].failed for o in outcomes) else 1
+        asyncio.run(asyncio.sleep(WATCH_EVERY_S))
+
+
+async def _look(ssh: Ssh, robots: tuple[Host, ...], timeout_s: float) -> tuple[list[Outcome], dict[str, Row]]:
+    rows: dict[str, Row] = {}
+
+    async def job(host: Host, tell: Tell) -> str:
+        rows[host.robot] = parse(host.robot, await ssh.check(host, question(host.robot)))
+        return ""
+
+    return await everyone.each(robots, job, timeout_s, lambda *_: None), rows
+
+
+def question(robot: str) -> str:
+    """For the robot's shell; `parse` reads the answer."""
+    units = " ".join(f"swarm-{name}.service" for name in SERVICES)  # a pattern here, so with its ending
+    return (
+        f"echo '{_MARK}release'; readlink /opt/swarm/current; echo '{_MARK}units'; "
+        f"systemctl list-units --all --plain --no-legend {units} 'swarm-app@*'; echo '{_MARK}runs'; "
+        f"sudo -n du -s -B1 {RUNS} 2>/dev/null; echo '{_MARK}bus'; "
+        f"sudo -n /opt/swarm/current/bin/z_sub 'swarm/{robot}/**' --seconds {LISTEN_S} --json; true"
+    )
+
+
+def parse(robot: str, text: str) -> Row:
+    """The answer of a robot. What it does not say, or its release says in another way than this one, stays empty."""
+    parts = {part.partition("\n")[0]: part.partition("\n")[2] for part in text.split(_MARK)[1:]}
+    newest: dict[str, Any] = {}
+    wrong: set[str] = set()
+    for line in parts.get("bus", "").splitlines():
+        try:
+            sample = read_json(line)
+            name, value = str(sample["key"]), sample["value"]
+            kind = type_of(name)
+        except (PayloadError, LookupError, TypeError):
+            continue  # raw bytes of an app, or a line cut by the end of the watch
+        if kind is None:
+            continue
+        topic = name.removeprefix(f"swarm/{robot}/")
+        try:
+            check_fields(kind, value)
+        except PayloadError:
+            wrong.add(topic)
+        else:
+            newest[topic] = value
+    running, failed = set(), []
+    for line in parts.get("units", "").splitlines():
+        name, _, state, *_ = [*line.split(), "", "", ""]
+        short = name.removeprefix("swarm-").removesuffix(".service")
+        running.add(short)
+        if state != "active":
+            failed.append(short)
+    failed += [name for name in SERVICES if name not in running]
+    body, atmega, pose = (newest.get(topic, {}) for topic in ("balancer/state", "balancer/firmware", "dwm/pose"))
+    runs = parts.get("runs", "").partition("\t")[0]
+    progress = {
+        key.split("/")[1]: value
+        for key, value in newest.items()
+        if key.startswith("app/") and value.keys() >= {"phase", "k"}
+    }
+    return Row(
+        release=parts.get("release", "").strip().rpartition("/")[2],
+        firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega.keys() >= {"layout", "revision"} else None,
+        failed=sorted(failed),
+        battery_v=_number(body.get("battery")),
+        battery_left_s=_number(body.get("battery_left")),
+        mode=_text(body.get("mode")),
+        fault=_text(body.get("fault")),
+        links=_links(newest.get("mesh/links", {}).get("links")),
+        clashes=_names(newest.get("mesh/links", {}).get("clashes")),
+        pose=_place(pose),
+        apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
+        recorded=int(runs) if _BYTES.fullmatch(runs) else None,
+        misunderstood=sorted(wrong),
+    )
+
+
+def _number(value: object) -> float | None:
+    return value if isinstance(value, int | float) else None
+
+
+def _text(value: object) -> str | None:
+    return value if value and isinstance(value, str) else None
+
+
+def _place(pose: Mapping[str, Any]) -> list[float] | None:
+    place = [number for name in ("x", "y") if (number := _number(pose.get(name))) is not None]
+    return place if pose.get("quality") and len(place) == 2 else None
+
+
+def _links(rows: object) -> dict[str, str]:
+    links = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    found = ((_text(link.get("peer")), _text(link.get("state"))) for link in links)
+    return {peer: state for peer, state in found if peer and state}
+
+
+def _names(found: object) -> list[str]:
+    return sorted(found) if isinstance(found, dict) else []
+
+
+def _time(seconds: float) -> str:
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
+
+
+def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> list[str]:
+    """For a terminal; `budget`: bytes that recordings may take."""
+    cells: list[tuple[str, ...]] = [
+        ("robot", "services", "battery", "body", "links", "pose", "apps", "recordings", "release", "firmware")
+    ]
+    for outcome in outcomes:
+        row = rows.get(outcome.robot)
+        if row is None:
+            cells.append((outcome.robot, outcome.text, *[""] * (len(cells[0]) - 2)))
+            continue
+        left = "" if row.battery_left_s is None else f" {_time(row.battery_left_s)}"
+        up = sum(state == "up" for state in row.links.values())
+        cells.append(
+            (
+                outcome.robot,
+                (f"not running: {' '.join(row.failed)}" if row.failed else "all run")
+                + (f"; not understood: {' '.join(row.misunderstood)}" if row.misunderstood else ""),
+                "-" if row.battery_v is None else f"{row.battery_v:.1f} V{left}",
+                row.fault or row.mode or "-",
+                f"{up} of {len(row.links)}" + "".join(f", two robots are called {name}" for name in row.clashes),
+                "-" if row.pose is None else f"{row.pose[0]:.2f} {row.pose[1]:.2f}",
+                " ".join(f"{app}:{value['phase']}@{value['k']}" for app, value in row.apps.items()) or "-",
+                "-" if row.recorded is None else f"{shown(row.recorded)} of {shown(budget)}",
+                row.release or "-",
+                row.firmware or "-",
+            )
+        )
+    width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(len(cells[0]))]
+    return ["  ".join(cell.ljust(n) for cell, n in zip(row, width, strict=True)).rstrip() for row in cells]

@@ -1,0 +1,128 @@
+"""`swarm export RUN`: a recorded run as CSV files, in the thesis' layouts or as plain tables, or as one MCAP file."""
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+from laptop.cli.runs.import_csv import FILES
+from swarm.errors import LocalError, RecordingError
+from swarm.recording import thesis_csv
+from swarm.recording.core.writer import Writer
+from swarm.recording.file import LIBRARY
+from swarm.recording.reader import EPOCH, RUN
+from swarm.recording.run import Run
+from swarm.recording.trajectory import Trajectory
+from swarm.recording.virtual_file import finish
+
+HELP = "a recorded run as CSV files, or as one MCAP file on one time axis"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The run, and what to make of it."""
+    parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
+    parser.add_argument("--csv", type=Path, metavar="DIR", help="the thesis' layouts: <k>.csv of each robot, no header")
+    parser.add_argument("--table", type=Path, metavar="DIR", help="tables with a header: k, t, states, results")
+    parser.add_argument("--mcap", type=Path, metavar="FILE", help="all robots in one file, on one time axis")
+    parser.add_argument(
+        "--app", default="", metavar="NAME", help="where robots ran several (the one that the run is about)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; an error where there is nothing to export."""
+    if not (args.csv or args.table or args.mcap):
+        raise LocalError("say what to make of the run: --csv DIR, --table DIR or --mcap FILE")
+    recorded = Run(args.run, args.app)
+    if args.csv:
+        _write(args.csv, _lines(recorded) or _layouts(recorded))
+    if args.table:
+        _write(args.table, _tables(recorded))
+    if args.mcap:
+        _merge(recorded, args.mcap)
+    for damage in recorded.damage:
+        print(f"note: {damage}")
+    return 0
+
+
+def _write(place: Path, files: Mapping[str, str]) -> None:
+    if not files:
+        raise RecordingError("no app's states are recorded in this run")
+    for name, text in files.items():
+        path = place / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("x", newline="") as file:
+            file.write(text)
+        print(path)
+
+
+def _lines(recorded: Run) -> dict[str, str]:
+    """The files that a run was imported from, to the byte."""
+    files = {name: topic for entries in recorded.notes(FILES) for name, topic in entries.items()}
+    lines: dict[str, list[str]] = {topic: [] for topic in files.values()}
+    for sample in recorded.samples("swarm/*/thesis/*") if files else ():
+        lines[sample.topic].append(sample.message["line"])
+    return {name: "".join(lines[topic]) for name, topic in files.items()}
+
+
+def _layouts(recorded: Run) -> dict[str, str]:
+    """A run of ours in the thesis' layouts. Robots are numbered in the order of their names."""
+    began = recorded.epoch + recorded.origin
+    files = {}
+    for channel in recorded.states():
+        paths = recorded.trajectories(channel=channel)
+        prefix = f"{channel}/" if channel else ""
+        for robot, path in paths.items():
+            number = recorded.robots.index(robot)
+            ks = sorted(path.rows)
+            times = [began + path.times[k] for k in ks]
+            if {"result.x", "result.y"} <= set(path.columns) and not channel:
+                places = [(path.value(k, "result.x"), path.value(k, "result.y")) for k in ks]
+                rows = [(t, x, y) for t, (x, y) in zip(times, places, strict=True)]
+                files[f"{number}.csv"] = thesis_csv.localization(
+                    rows, _measured(recorded, robot), start=ks[0] if ks else 0
+                )
+            else:
+                shared = [index for index, name in enumerate(path.columns) if not name.startswith("result.")]
+                cells = [[path.rows[k][index] for index in shared] for k in ks]
+                files[f"{prefix}{number}.csv"] = thesis_csv.states(list(zip(times, cells, strict=True)))
+    return files
+
+
+def _measured(recorded: Run, robot: str) -> dict[int, tuple[float, float, float]]:
+    """Measurements of a robot by the state that they gave: the one of step k gave state k + 1."""
+    found = {}
+    for sample in recorded.samples(f"swarm/{robot}/app/{recorded.app}/measurement"):
+        message = sample.message
+        found[message["k"] + 1] = (message["distance"], message["x"], message["y"])
+    return found
+
+
+def _tables(recorded: Run) -> dict[str, str]:
+    files = {}
+    for channel in recorded.states():
+        for robot, path in recorded.trajectories(channel=channel).items():
+            files[".".join(filter(None, (robot, recorded.app, channel, "csv")))] = _table(path)
+    return files
+
+
+def _table(path: Trajectory) -> str:
+    lines = [",".join(("k", "t", *path.columns))]
+    lines += [",".join((str(k), repr(path.times[k]), *map(_quoted, path.rows[k]))) for k in sorted(path.rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(cell: str) -> str:
+    return f'"{cell.replace(chr(34), 2 * chr(34))}"' if set(cell) & set(',"\n\r') else cell
+
+
+def _merge(recorded: Run, path: Path) -> None:
+    """One file: times count from the time of day at which the run began, as far as that is known."""
+    epoch_ns = round((recorded.epoch + recorded.origin) * 1e9)
+    writer = Writer(LIBRARY, epoch_ns=epoch_ns)
+    writer.metadata(RUN, {**recorded.info, EPOCH: str(epoch_ns)})
+    with path.open("x+b") as file:
+        for sample in recorded.samples():
+            writer.write_text(sample.topic, sample.t, sample.data, recorded.schemas[sample.topic])
+            file.write(writer.take())
+        finish(writer, file)
+    print(path)

@@ -1,0 +1,114 @@
+"""`swarm film RUN FILE.mp4`: a recorded run as a film."""
+
+import argparse
+import asyncio
+import re
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarm.errors import LocalError
+from swarm.process.terminal import steer
+
+if TYPE_CHECKING:
+    from laptop.view.film import Film
+    from laptop.view.recording import Recording
+
+HELP = "make a film of a recorded run"
+
+BAR = 40
+SIZES = (160, 4096)
+FPS = (1.0, 120.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("recording", type=Path, metavar="RUN", help="folder or file of a recorded run")
+    parser.add_argument("film", type=Path, metavar="FILE.mp4", help="replaced if it is there")
+    parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels, even numbers (1280x720)")
+    parser.add_argument("--fps", type=float, default=30.0, metavar="N", help="pictures a second (30)")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast as it was (1)")
+    parser.add_argument("--from", type=float, dest="begin", metavar="S", help="second of the recording (the first)")
+    parser.add_argument("--to", type=float, dest="end", metavar="S", help="second of the recording (the last)")
+    parser.add_argument("--dark", action="store_true", help="in dark colours")
+    parser.add_argument(
+        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        help="with a chart, e.g. app/consensus/state:state.value; several, if you like",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when the film is there."""
+    try:
+        from laptop.view import chromium, film, server
+    except ModuleNotFoundError as error:
+        raise LocalError(f"swarm film needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+    from laptop.view.recording import Recording
+
+    # What is missing is said before the recording is read, which may take a while.
+    film.encoder()
+    chromium.browser()
+    if args.film.suffix != ".mp4":
+        raise LocalError(f"{args.film}: expected a name that ends in .mp4")
+    if not args.film.absolute().parent.is_dir():
+        raise LocalError(f"{args.film.absolute().parent}: no such folder")
+    feed = Recording(args.recording)
+    for damage in feed.damage:
+        sys.stderr.write(f"swarm: {damage}\n")
+    plan = _plan(args, feed)
+
+    async def main() -> None:
+        ended = asyncio.Event()
+        task = asyncio.current_task()
+        assert task is not None
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, task.cancel)
+
+        async def ready(address: str) -> None:
+            await film.shoot(address, plan, args.film.absolute(), _bar)
+            ended.set()
+
+        await server.serve(feed, None, 0, ready, ended)
+
+    try:
+        asyncio.run(main())
+    except asyncio.CancelledError:
+        return 143
+    print(args.film)
+    return 0
+
+
+def _plan(args: argparse.Namespace, feed: "Recording") -> "Film":
+    """The film that is wanted; `LocalError` where it cannot be."""
+    from laptop.view.film import Film
+
+    size = re.fullmatch(r"(\d{1,5})x(\d{1,5})", args.size)
+    width, height = (int(size[1]), int(size[2])) if size else (0, 0)
+    if width % 2 or height % 2 or not SIZES[0] <= min(width, height) <= max(width, height) <= SIZES[1]:
+        raise LocalError(f"--size {args.size}: expected WxH, both even and {SIZES[0]} to {SIZES[1]}")
+    if not FPS[0] <= args.fps <= FPS[1]:
+        raise LocalError(f"--fps {args.fps:g}: expected {FPS[0]:g} to {FPS[1]:g}")
+    if not 0.001 <= args.speed <= 1000.0:
+        raise LocalError(f"--speed {args.speed:g}: expected 0.001 to 1000")
+    begin = feed.first if args.begin is None else max(feed.first, args.begin)
+    end = feed.last if args.end is None else min(feed.last, args.end)
+    if not begin < end:
+        raise LocalError(
+            f"--from and --to: nothing between them, the recording is from {feed.first:g} to {feed.last:g} s"
+        )
+    for chart in args.chart:
+        if not re.fullmatch(r"[^:]+:[^:]+", chart):
+            raise LocalError(f"--chart {chart}: expected TOPIC:FIELD, e.g. app/consensus/state:state.value")
+    theme = "dark" if args.dark else "light"
+    return Film(begin, end, (width, height), args.fps, args.speed, tuple(args.chart), theme)
+
+
+def _bar(done: int, count: int) -> None:
+    """On a terminal a bar that grows, elsewhere a line for each tenth."""
+    if sys.stderr.isatty():
+        full = BAR * done // count
+        steer(sys.stderr, "\r")
+        sys.stderr.write(f"[{'#' * full}{'.' * (BAR - full)}] {done}/{count}" + ("\n" if done == count else ""))
+        sys.stderr.flush()
+    elif 10 * done // count != 10 * (done - 1) // count:
+        sys.stderr.write(f"{done}/{count} pictures\n")

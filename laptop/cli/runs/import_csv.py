@@ -1,0 +1,81 @@
+"""`swarm import CSVDIR`: the thesis' CSV files as a recorded run, which can be plotted, replayed and exported again."""
+
+import argparse
+import hashlib
+from pathlib import Path, PurePosixPath
+
+from swarm.errors import LocalError, RecordingError
+from swarm.messages import AppState
+from swarm.recording import folder, thesis_csv
+from swarm.recording.reader import SUFFIX
+from swarm.recording.virtual_file import PlainRecording
+
+HELP = "make a recorded run of a folder of the thesis' CSV files"
+
+FILES = "csv"
+"""Name of the metadata record that lists the files, each with its topic."""
+UNIX = "unix"
+"""Names the clock of the files: time of day."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The folder, and where the run goes."""
+    parser.add_argument("source", type=Path, metavar="CSVDIR", help="<k>.csv of each robot, or folders of such")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="the run's folder (runs/<name of CSVDIR>)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; an error where a file is not as the thesis' are."""
+    source = args.source.resolve()
+    paths = sorted(source.rglob("*.csv")) if source.is_dir() else []
+    if not paths:
+        raise LocalError(f"{args.source}: there is no folder with CSV files")
+    output = args.output or Path("runs") / source.name
+    texts = {PurePosixPath(path.relative_to(source)): _read(path) for path in paths}
+    kinds = {name: thesis_csv.kind_of(PurePosixPath(source) / name) for name in texts}
+    digest = hashlib.blake2b("".join(texts.values()).encode(), digest_size=16).digest()
+    app = min(kinds.values())
+    info = folder.describe(app, int.from_bytes(digest[:8], "big"), 0, digest)
+    folder.begin(output, info, {})
+    recording = PlainRecording(output / f"{app}{SUFFIX}", info, clock=UNIX)
+    try:
+        topics = {name: _topic(name) for name in texts}
+        recording.metadata(FILES, {str(name): topic for name, topic in topics.items()})
+        for name, text in texts.items():
+            _put(recording, name, kinds[name], text, topics[name])
+    finally:
+        recording.close()
+    print(output)
+    return 0
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("ascii")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: cannot be read: {error}") from None
+
+
+def _topic(name: PurePosixPath) -> str:
+    return f"swarm/{thesis_csv.robot_of(name)}/thesis/{'.'.join(name.with_suffix('').parts)}"
+
+
+def _put(recording: PlainRecording, name: PurePosixPath, kind: str, text: str, topic: str) -> None:
+    """One file: every line as it is, and what it says."""
+    prefix = f"swarm/{thesis_csv.robot_of(name)}/app/{kind}"
+    # Several experiments in one folder, and files that are of no robot, are told apart as channels are.
+    place = ".".join(name.parent.parts) if name.stem.isdecimal() else name.stem
+    part = thesis_csv.channel_of(name) or place
+    states = f"{prefix}/{part}/state" if part else f"{prefix}/state"
+    t = 0.0
+    for raw, line in thesis_csv.read(text, kind, str(name)):
+        t = line.t if line.t is not None else t + 1.0
+        recording.write(topic, t, {"t": t, "line": raw}, "thesis.Line")
+        if line.k is not None:
+            if line.measurement is not None:
+                distance, x, y = line.measurement
+                fields = {"t": t, "k": line.k - 1, "distance": distance, "x": x, "y": y}
+                recording.write(f"{prefix}/measurement", t, fields, "swarm.Measurement")
+            if kind != "calibration":
+                message = AppState(t, line.k, dict(line.state), dict(line.result))
+                recording.write(states, t, message, f"{kind}.{part or 'State'}")

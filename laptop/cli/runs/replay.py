@@ -1,0 +1,90 @@
+"""`swarm replay RUN`: a recorded run once more, as its robots published it, on a bus that z_sub finds."""
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from swarm import clock
+from swarm.bus.zenoh_bus import Bus, Router
+from swarm.errors import LocalError
+from swarm.process.paths import bus_endpoint
+from swarm.process.simulations import claim, default_run_dir
+from swarm.recording.reader import Sample
+from swarm.recording.restore import published
+from swarm.recording.run import Run
+
+HELP = "play a recorded run back on a bus, for z_sub and others to watch"
+
+NAME = "replay"
+"""What its bus is called: all robots' keys are on it."""
+OPENING_S = 5.0
+"""s that the bus may take to open."""
+SETTLE_S = 0.3
+"""s before the first message and after the last one: watchers come and messages go meanwhile."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The run, what of it, how fast, and where to."""
+    parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
+    parser.add_argument("keys", nargs="*", metavar="KEY", help="only these, as z_sub takes them (all)")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="F", help="times as fast (1)")
+    parser.add_argument("--start", type=float, metavar="S", help="from this time of the run on (its first message)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--json", action="store_true", help="to the terminal, one JSON object a line, at once")
+    where.add_argument("--on", type=Path, metavar="DIR", help="on the bus with this runtime directory")
+    where.add_argument("--run-dir", type=Path, metavar="DIR", help="where its own bus lives, as of swarm sim")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when all of it was played."""
+    if not 0 < args.speed < float("inf"):
+        raise LocalError(f"--speed {args.speed:g}: expected a number above 0")
+    recorded = Run(args.run)
+    for damage in recorded.damage:
+        sys.stderr.write(f"note: {damage}\n")
+    samples = (it for it in recorded.samples(*args.keys) if args.start is None or it.t >= args.start)
+    if args.json:
+        for sample in samples:
+            line = {"t": round(sample.t, 9), "key": sample.topic, "message": sample.message}
+            sys.stdout.write(json.dumps(line) + "\n")
+        return 0
+    with _bus(args) as bus:
+        if not bus.wait_connected(OPENING_S):
+            raise LocalError(f"no bus answers within {OPENING_S:g} s")
+        time.sleep(SETTLE_S)
+        count = _play(bus, samples, args.speed)
+        time.sleep(SETTLE_S)
+    print(f"{count} messages")
+    return 0
+
+
+@contextlib.contextmanager
+def _bus(args: argparse.Namespace) -> Iterator[Bus]:
+    """A bus that is there, or one of our own at the place where z_sub looks for simulations."""
+    with contextlib.ExitStack() as stack:
+        directory = args.on
+        if directory is None:
+            place = (args.run_dir or default_run_dir()).absolute()
+            stack.enter_context(claim(place))
+            directory = place / NAME
+            directory.mkdir(exist_ok=True)
+            stack.enter_context(Router(bus_endpoint(directory)))
+            sys.stderr.write(f"playing on {bus_endpoint(directory)}: z_sub shows it\n")
+        yield stack.enter_context(Bus.of(directory))
+
+
+def _play(bus: Bus, samples: Iterator[Sample], speed: float) -> int:
+    """Publish each when its time has come; how many there were."""
+    began: float | None = None
+    count = 0
+    for sample in samples:
+        count += 1
+        if began is None:
+            began = clock.now() - sample.t / speed
+        time.sleep(max(0.0, began + sample.t / speed - clock.now()))
+        bus.publish(sample.topic, published(sample.topic, sample.message))
+    return count

@@ -1,0 +1,104 @@
+"""`swarm sim`: a simulated swarm of real service processes in one world."""
+
+import contextlib
+import errno
+import json
+import shutil
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from laptop.plotting import simulated_run
+from sim import options as arguments
+from sim import report, scenario
+from sim.options import Options
+from sim.report import Outcome
+from sim.run import Run
+from sim.scenario import Scenario
+from swarm.errors import LocalError
+from swarm.process import log, service
+from swarm.process.simulations import claim, default_run_dir
+
+DEMO_ITERATIONS = 300
+DEMO_PLOT = Path("swarm-demo.png")
+
+
+def main() -> int:
+    """Run one simulation; the exit code is 0 only when it did what was asked."""
+    log.setup("sim")
+    options = arguments.parse(sys.argv[1:])
+    if options.demo:
+        options = _demo(options)
+    if options.virtual:
+        return _virtual(options)
+    run_dir = (options.run_dir or default_run_dir()).absolute()
+    with claim(run_dir):
+        try:
+            return _run(options, run_dir)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise LocalError(f"the disk is full: {error.filename or run_dir}") from None
+            raise
+        finally:
+            _clear(run_dir)
+
+
+def _virtual(options: Options) -> int:
+    from sim.virtual import run as virtual  # most of the services: a quarter of what a simulation imports
+
+    if options.record is not None:
+        virtual.make_records(options.record)
+    plan = scenario.build(options, virtual.PLACE)
+    for note in plan.notes:
+        sys.stderr.write(note + "\n")
+    run = virtual.Run(options, plan)
+    if options.view:
+        from laptop.view import virtual_page  # the server is heavy, and of the extra `lab`
+
+        return virtual_page.watched(run, plan, options, partial(_tell, options, plan))
+    return _tell(options, plan, run.go())
+
+
+def _run(options: Options, run_dir: Path) -> int:
+    _clear(run_dir)
+    plan = scenario.build(options, run_dir)
+    with Run(options, plan, run_dir, sys.stderr) as run:
+        outcome = run.watch()
+    return _tell(options, plan, outcome)
+
+
+def _tell(options: Options, plan: Scenario, outcome: Outcome) -> int:
+    found = report.summary(outcome)
+    print(report.table(found, outcome))
+    if options.plot is not None and plan.app is not None:
+        simulated_run.draw(outcome, found, options.plot)
+        print(f"plot        {options.plot}")
+    if options.json:
+        print(json.dumps(found))
+    return 1 if outcome.problems else 0
+
+
+def _clear(run_dir: Path) -> None:
+    """Remove what a run leaves (or one killed by -9 has left) in its directory, but for the lock we hold."""
+    for entry in run_dir.iterdir():
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+        elif entry.name != "sim.lock":
+            with contextlib.suppress(FileNotFoundError):
+                entry.unlink()
+
+
+def _demo(options: Options) -> Options:
+    """Three robots find the target, with a picture at the end."""
+    sys.stderr.write("Three simulated robots, each six processes as on a Pi, find a target together.\n")
+    return replace(
+        options,
+        app=options.app or "localization",
+        iterations=options.iterations or (None if options.seconds else DEMO_ITERATIONS),
+        plot=options.plot or DEMO_PLOT,
+    )
+
+
+if __name__ == "__main__":
+    service.run(main)

@@ -1,0 +1,134 @@
+"""`swarm sweep`: see `--help`."""
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TextIO
+
+from laptop.cli.runs import sweep_results
+from sim import options as simulation
+from sim.sweep.engines import ENGINES, Engine, dask, local
+from sim.sweep.limit import search
+from sim.sweep.plan import Point, jobs_of, points_of, seeds_of, setting_of, values_of
+from swarm.errors import ConfigError
+from swarm.process import log, service
+from swarm.process.terminal import steer
+
+WITHIN = 0.01
+
+
+def parser() -> argparse.ArgumentParser:
+    """The argument parser of `swarm sweep`."""
+    p = argparse.ArgumentParser(
+        prog="swarm sweep",
+        description="Run an app under virtual time over robots, topologies, parameters and seeds, on all cores.",
+        epilog="Every other option of swarm sim holds for all runs: --iterations 200 --jitter 10ms --noise thesis ...",
+    )
+    p.add_argument("app", metavar="APP", help="a built-in app, or a file with one")
+    p.add_argument("--robots", type=values_of, metavar="N,N", help="numbers of robots")
+    p.add_argument("--topology", type=values_of, metavar="NAME,NAME", help="topologies")
+    p.add_argument("--algorithm", type=values_of, metavar="NAME,NAME", help="algorithms of the app")
+    p.add_argument("--set", dest="settings", action="append", type=setting_of, default=[],
+                   metavar="NAME=VALUE,VALUE", help="values of a parameter")  # fmt: skip
+    p.add_argument("--seeds", type=seeds_of, default=(1,), metavar="N|A-B", help="seeds 1 to N, or A to B (1)")
+    p.add_argument("--within", type=float, default=WITHIN, metavar="X",
+                   help=f"how near its last value a result has settled, in its unit ({WITHIN:g})")  # fmt: skip
+    p.add_argument("--limit", metavar="NAME=LOW,HIGH",
+                   help="find the largest value of a parameter between these with which all runs settle")  # fmt: skip
+    where = p.add_argument_group("where it is computed")
+    where.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (all cores)")
+    where.add_argument("--engine", choices=ENGINES, default="local", help="local processes, or Dask")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask cluster, e.g. tcp://big:8786")
+    out = p.add_argument_group("what comes out")
+    out.add_argument("--json", action="store_true", help="one JSON object as the last line of the output")
+    out.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the results")
+    return p
+
+
+def main() -> int:
+    """0 where no run failed."""
+    log.setup("sweep")
+    args, rest = parser().parse_known_args()
+    if args.jobs < 1:
+        raise ConfigError("--jobs: at least 1")
+    lists = [(name, getattr(args, name)) for name in ("robots", "topology", "algorithm") if getattr(args, name)]
+    points = points_of([*lists, *args.settings])
+    for point in points:  # what is wrong with the command is said before anything is computed
+        simulation.parse([args.app, *point.arguments(), *rest, "--virtual"])
+    engine = dask(args.jobs, args.scheduler) if args.engine == "dask" else local(args.jobs)
+    if args.limit is not None:
+        return _limits(args, points, rest, engine)
+    jobs = jobs_of(args.app, points, args.seeds, rest, args.within)
+    began = time.monotonic()
+    progress = Progress(sys.stderr, len(jobs))
+    with engine as run:
+        found = run(jobs, progress.done)
+    progress.close()
+    print(sweep_results.table(points, found))
+    computed = sum(each.computed_s for each in found)
+    print(f"\n{len(jobs)} runs, {computed:.1f} s of computing in {time.monotonic() - began:.1f} s")
+    if args.plot is not None:
+        sweep_results.draw(args.app, points, found, args.plot)
+        print(f"plot {args.plot}")
+    if args.json:
+        print(json.dumps({"app": args.app, "points": sweep_results.as_json(points, found)}))
+    return 1 if any(each.problem for each in found) else 0
+
+
+def _limits(
+    args: argparse.Namespace, points: list[Point], rest: list[str], engine: contextlib.AbstractContextManager[Engine]
+) -> int:
+    name, values = setting_of(args.limit)
+    try:
+        low, high = map(float, values)
+    except ValueError:
+        raise ConfigError(f"--limit {args.limit}: expected NAME=LOW,HIGH") from None
+    if not low < high:
+        raise ConfigError(f"--limit {args.limit}: {low:g} is not below {high:g}")
+    progress = Progress(sys.stderr, None)
+    with engine as run:
+        brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high),
+                          run, progress.done)  # fmt: skip
+    progress.close()
+    print(sweep_results.limits(points, name, brackets))
+    if args.json:
+        rows = [{**dict(point.choices), **asdict(each)} for point, each in zip(points, brackets, strict=True)]
+        print(json.dumps({"app": args.app, "limit": name, "points": rows}))
+    return 0
+
+
+class Progress:
+    """How many runs are done: one line that is drawn over and over on a terminal; nothing elsewhere."""
+
+    WIDTH = 40
+
+    def __init__(self, stream: TextIO, total: int | None) -> None:
+        self._stream, self._total = stream, total
+        self._count = 0
+
+    def done(self) -> None:
+        """One more."""
+        self._count += 1
+        if not self._stream.isatty():
+            return
+        if self._total is None:
+            steer(self._stream, f"\r{self._count} runs")
+        else:
+            full = self.WIDTH * self._count // self._total
+            steer(self._stream, f"\r[{'#' * full}{'.' * (self.WIDTH - full)}] {self._count}/{self._total} runs")
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Take the line away."""
+        if self._stream.isatty():
+            steer(self._stream, "\r\x1b[K")
+            self._stream.flush()
+
+
+if __name__ == "__main__":
+    service.run(main)

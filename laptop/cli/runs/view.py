@@ -1,0 +1,108 @@
+"""`swarm view`: see a swarm in the browser: a running simulation, real robots through ssh, or a recorded run."""
+
+import argparse
+import asyncio
+import signal
+import sys
+import webbrowser
+from pathlib import Path
+
+from laptop.fleet.ssh import Ssh, hosts
+from swarm.config import load
+from swarm.errors import LocalError
+from swarm.process.simulations import default_run_dir
+
+HELP = "see the running swarm, or a recorded run, in the browser"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("recording", nargs="?", type=Path, metavar="RUN", help="a recorded run, not a running one")
+    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
+    parser.add_argument(
+        "--robot", action="append", metavar="NAME", help="real robots, through this one by ssh (several: through each)"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="of the robots: SWARM_CONFIG or /etc/swarm/swarm.toml"
+    )
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="on 127.0.0.1; any free one by default")
+    parser.add_argument("--control", action="store_true", help="let the page act: stop, cut links, press buttons ...")
+    parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
+    parser.add_argument("--at", type=float, metavar="S", help="of a recording: its instant that is pictured (the last)")
+    parser.add_argument(
+        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        help="with a chart in the picture, e.g. app/consensus/state:state.value; several, if you like",
+    )  # fmt: skip
+    parser.add_argument("--no-open", action="store_true", help="only print the address")
+
+
+def announce(address: str, *, browse: bool) -> None:
+    """Tell the user where the page is, and open it."""
+    print(f"{address}\nend with Ctrl-C", flush=True)
+    if browse:
+        webbrowser.open(address)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until interrupted."""
+    try:
+        from laptop.view import screenshot, server
+    except ModuleNotFoundError as error:
+        raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+    from laptop.view.control import Control
+    from laptop.view.far import FarHands
+    from laptop.view.feed import Simulation
+    from laptop.view.recording import Recording
+    from laptop.view.robots import Robots
+    from laptop.view.simulated import SimulatedHands
+
+    feed: Simulation | Robots | Recording
+    control = None
+    if (args.config or args.ssh_config) and not args.robot:
+        raise LocalError("--config and --ssh-config are for real robots: name one with --robot")
+    if args.robot and (args.recording or args.run_dir):
+        raise LocalError("--robot looks at real robots: leave out the recording, and --run-dir")
+    if (args.at is not None or args.chart) and args.screenshot is None:
+        raise LocalError("--at and --chart are for --screenshot")
+    if args.recording is not None:
+        if args.control:
+            raise LocalError("--control: there is nothing to control in a recording")
+        feed = Recording(args.recording)
+        for damage in feed.damage:
+            print(f"swarm: {damage}", file=sys.stderr)
+    elif args.robot:
+        config, ssh = load(args.config), Ssh(args.ssh_config)
+        feed = Robots(config, hosts(config, ",".join(dict.fromkeys(args.robot))), ssh)
+        control = Control(feed, FarHands(feed, ssh) if args.control else None)
+    else:
+        feed = Simulation((args.run_dir or default_run_dir()).absolute())
+        control = Control(feed, SimulatedHands(feed) if args.control else None)
+
+    at = None
+    if isinstance(feed, Recording):
+        at = feed.last if args.at is None else min(max(args.at, feed.first), feed.last)
+
+    async def main() -> None:
+        ended = asyncio.Event()
+
+        async def ready(address: str) -> None:
+            if args.screenshot is not None:
+                await screenshot.take(address, args.screenshot, at, args.chart)
+                print(args.screenshot)
+                ended.set()
+                return
+            announce(address, browse=not args.no_open)
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        await server.serve(feed, control, args.port, ready, ended)
+
+    try:
+        asyncio.run(main())
+    finally:
+        if control is not None:
+            control.close()
+        if not isinstance(feed, Recording):
+            feed.close()
+    return 0

@@ -1,0 +1,1 @@
+"""`swarm estop` and `swarm arm`: stop every robot, and take the stop back."""

@@ -1,0 +1,129 @@
+"""Apps on robots: what they have to be the same in, how one is started anew, goes on and ends.
+
+A start has one number for all robots; a file of the user's lies in a folder that is named by its content. The settings
+of an app, `SETTINGS/NAME.env`, say how its newest run was started: whoever starts the unit goes on with that run.
+"""
+
+import hashlib
+import re
+import secrets
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from laptop.fleet import versions
+from laptop.fleet.ssh import Host, HostError, Ssh
+from laptop.fleet.units import SERVICES, unit
+from laptop.fleet.versions import Versions
+from swarm.app.settings import on_top, parse
+from swarm.config import Config
+from swarm.errors import AppError, LocalError, RemoteError
+from swarm.messages.keys import is_name
+
+APPS = "/var/lib/swarm/apps"
+SETTINGS = "/etc/swarm/apps"
+
+_PLAIN = re.compile(r"[A-Za-z0-9_.,:+=\[\]/-]+")
+"""What a setting may hold: systemd splits its arguments at spaces, and knows quotes."""
+
+_START = """set -e; umask 022
+[ -z "{folder}" ] || {{ mkdir -p {folder}; head -c {size} >{folder}/new; mv {folder}/new {folder}/{name}.py
+sync {folder}/{name}.py {folder} {apps}; }}
+cat >{settings}.new; sync {settings}.new; mv {settings}.new {settings}; sync {directory}
+systemctl restart --no-block {unit}
+find {apps} -mindepth 1 -maxdepth 1 -name "{name}-????????????" ! -path "{folder}" -exec rm -rf {{}} +"""
+"""For the robot's shell, in single quotes: the app lies in a folder that is named by its content, and one renamed file
+says both where it is and how it is run. Whatever breaks before that has changed nothing, and a robot that loses its
+power after it still has both when it comes back: it could not join this run again with the settings of another."""
+
+_KNOWN = f"""cd {SETTINGS} 2>/dev/null || exit 0
+for each in *.env; do [ ! -e $each ] || echo $(sha256sum <$each) $each $(sed -n s/^APP=//p $each); done"""
+_LINE = re.compile(r"([0-9a-f]{64}) - ([a-z][a-z0-9_-]*)\.env (\S+)")
+
+
+class Known(NamedTuple):
+    """How an app was started on a robot."""
+
+    digest: str
+    """SHA-256 of its settings; equal where it is the same run, started in the same way."""
+    built_in: bool
+    """Whether it comes with the release; else it is a file that was brought."""
+
+
+class Start:
+    """A new run of an app."""
+
+    def __init__(
+        self, name: str, source: bytes | None, *, arguments: Sequence[str] = (), settings: Sequence[str] = ()
+    ) -> None:
+        """`source`: of a file of the user's; None = a built-in app. `settings`: `[ROBOT.]NAME=VALUE`, checked."""
+        self.unit = unit(name)
+        digest = "" if source is None else hashlib.sha256(source).hexdigest()[:12]
+        folder = f"{APPS}/{name}-{digest}" if source is not None else ""
+        # One number for this run on every robot: what an earlier run left behind has another.
+        words = ["--run", secrets.token_hex(8), *arguments]
+        for setting in settings:
+            words += ["--set", setting]
+        place = name if source is None else f"{folder}/{name}.py"
+        self._feed = [source or b"", f"APP={place}\nARGUMENTS={' '.join(words)}\n".encode()]
+        self._script = _START.format(
+            folder=folder,
+            size=len(source or b""),
+            name=name,
+            directory=SETTINGS,
+            settings=f"{SETTINGS}/{name}.env",
+            unit=self.unit,
+            apps=APPS,
+        )
+
+    async def on(self, ssh: Ssh, host: Host) -> str:
+        """Begin on a robot, not waiting: an app is ready when it has its first measurement. Raises `HostError`."""
+        await ssh.check(host, f"sudo -n sh -c '{self._script}'", feed=self._feed)
+        return f"started {self.unit}"
+
+
+async def systemctl(ssh: Ssh, host: Host, action: str, names: Iterable[str]) -> str:
+    """Have units started, stopped or restarted; `HostError` where that fails."""
+    words = " ".join(names)
+    await ssh.check(host, f"sudo -n systemctl {action} {words}")
+    return f"{action} {words}"
+
+
+def check_name(name: str, told: str) -> None:
+    """Raises `LocalError` where no app can have this name; `told` is what the user has called it."""
+    if not is_name(name) or name in SERVICES:
+        raise LocalError(f"{told}: expected the name of an app, or a file with such a name: a-z, 0-9, _ and -")
+
+
+def check_settings(settings: Sequence[str], config: Config, name: str) -> None:
+    """What can be known here is said here: the robots' own word would come when the app has not started."""
+    for text in settings:
+        if not _PLAIN.fullmatch(text):
+            raise LocalError(f"--set {text}: no spaces and quotes in it, please; write it into swarm.toml")
+    try:
+        on_top(config.app(name), map(parse, settings), config.names)
+    except AppError as error:
+        raise LocalError(f"--set: {error}") from None
+
+
+async def ask_versions(ssh: Ssh, host: Host) -> Versions:
+    """What a robot runs; raises `HostError`, too where it has no release."""
+    try:
+        return versions.parse(await ssh.check(host, versions.question(host.robot)))
+    except RemoteError as error:
+        raise HostError(str(error)) from None
+
+
+def differences(found: Mapping[str, Versions], config: Config) -> str:
+    """What is not the same on all robots and here, in words; empty where nothing is: one swarm, one version of all."""
+    here = hashlib.sha256(config.path.read_bytes()).hexdigest()
+    wrong = versions.differences(found, here) if found else []
+    return f"the robots have {'; '.join(wrong)}" if wrong else ""
+
+
+async def ask_known(ssh: Ssh, host: Host) -> dict[str, Known]:
+    """The apps that were started on a robot, by name; raises `HostError`."""
+    known: dict[str, Known] = {}
+    for line in (await ssh.check(host, f"sudo -n sh -c '{_KNOWN}'")).splitlines():
+        if found := _LINE.fullmatch(line):
+            known[found[2]] = Known(found[1], found[3] == found[2])
+    return known

@@ -1,0 +1,27 @@
+"""`swarm start`, `stop` and `restart`: systemd units of all robots."""
+
+import argparse
+
+from laptop.fleet import apps, everyone
+from laptop.fleet.everyone import Tell
+from laptop.fleet.ssh import Host
+from laptop.fleet.units import units
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which services."""
+    parser.add_argument(
+        "services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app (default: all services)"
+    )
+    everyone.add_arguments(parser, timeout_s=60)
+
+
+def run(args: argparse.Namespace, action: str) -> int:
+    """`action` is systemctl's verb; 0 where it succeeded on every robot."""
+    names = units(args.services)
+    _, robots, ssh = everyone.chosen(args)
+
+    async def job(host: Host, tell: Tell) -> str:
+        return await apps.systemctl(ssh, host, action, names)
+
+    return everyone.run(args, robots, job)

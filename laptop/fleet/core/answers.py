@@ -1,0 +1,12 @@
+"""What is said of a robot whose answer is not what our programs give."""
+
+from swarm.errors import RemoteError
+from swarm.process.text import printable
+
+MISUNDERSTOOD = (RemoteError, LookupError, ValueError, TypeError, AttributeError, RecursionError)
+"""What code raises that takes such an answer apart."""
+
+
+def misunderstood(error: BaseException) -> str:
+    """In words: its release may be another one, or the robot is not ours any more. No other robot is harmed by it."""
+    return f"its answer cannot be understood: {type(error).__name__}: {printable(str(error))}"

@@ -1,0 +1,194 @@
+"""Checks of a robot's devices and radio, by what its services say of them."""
+
+from laptop.fleet.core.checkup import SIMULATED, Check, Finding, Robot, bad, ok, skipped, warning
+
+WHO_AM_I = 0x69
+"""LSM6DS33; hardware datasheet, register 0x0F."""
+LAYOUT = 1
+"""Of the ATmega's firmware (firmware/layout.h, VERSION)."""
+
+
+def devices(robot: Robot) -> Finding:
+    """IMU and ATmega answer."""
+    fault = robot.said("balancer/fault")
+    if fault.get("name") in ("bus", "device"):
+        return bad(f"{fault['reason']}", "power of the Balboa, seat of the Pi on its header; then: mode stand")
+    state = robot.said("balancer/state")
+    if state.get("mode") == "starting":
+        return bad("the balancer is still looking for IMU and ATmega", "power of the Balboa on? swarm logs balancer")
+    if state:
+        errors = int(state.get("bus_errors") or 0)
+        ticks = max(int(state.get("ticks") or 1), 1)
+        if errors > 20 and errors > ticks / 200:
+            return warning(
+                f"{errors} transfers of {ticks} ticks failed", "seat of the Pi on its header; docs/devices.md"
+            )
+        return ok(f"both answer, {errors} failed transfers")
+    if robot.system is None or robot.system["devices"] is None:
+        return bad("the balancer says nothing", "swarm logs balancer")
+    return _scanned(robot.system["devices"])
+
+
+def _scanned(found: dict[str, object]) -> Finding:
+    """By our own look at the bus, where the balancer does not run."""
+    if found["problem"]:
+        return bad(f"/dev/i2c-1: {found['problem']}", "swarm provision switches I2C on")
+    silent = [name for name in ("imu", "atmega") if found[name] is None]
+    if silent:
+        return bad(f"no answer from {' and '.join(silent)}", "power of the Balboa, seat of the Pi on its header")
+    if found["imu"] != WHO_AM_I:
+        return bad(f"the IMU says it is 0x{found['imu']:02X}, an LSM6DS33 is 0x69", "another board, or a bad contact")
+    return ok("both answer")
+
+
+def firmware(robot: Robot) -> Finding:
+    """The ATmega runs our firmware."""
+    said = robot.said("balancer/firmware")
+    scanned = None if robot.system is None else (robot.system["devices"] or {}).get("atmega")
+    if said:
+        layout, revision = said["layout"], said["revision"]
+    elif scanned:
+        layout, revision = scanned
+    else:
+        return warning("it does not tell", "see devices; swarm logs balancer names the revision")
+    if layout != LAYOUT:
+        return bad(f"layout {layout}, the balancer needs {LAYOUT}", "swarm flash FIRMWARE.hex")
+    return ok(f"layout {layout}, revision {revision}")
+
+
+def module(robot: Robot) -> Finding:
+    """The DWM1001 answers."""
+    status = robot.said("dwm/status")
+    if not status:
+        return bad("the dwm service says nothing", "swarm logs dwm")
+    if status.get("state") == "degraded":
+        return bad(str(status.get("reason")), "swarm dwm check says more; power, wires and port of the module")
+    return ok("it answers")
+
+
+def ranges(robot: Robot) -> Finding:
+    """Three anchors in sight."""
+    if not robot.config.anchors:
+        return skipped("swarm.toml has no anchors")
+    if robot.config.robot(robot.name).uwb_role == "anchor":
+        return skipped("its module is an anchor")
+    rows = robot.said("dwm/ranges").get("ranges") or []
+    known = {anchor.address for anchor in robot.config.anchors}
+    seen = sorted({str(row.get("anchor")) for row in rows if not row.get("stale")} & known)
+    if len(seen) < min(3, len(known)):
+        return bad(f"{len(seen)} of {len(known)} anchors in sight", "power of the anchors; swarm dwm check says more")
+    return ok(f"{' '.join(seen)}")
+
+
+def adapter(robot: Robot) -> Finding:
+    """The Bluetooth adapter is there, and it is the one that swarm.toml names."""
+    if robot.config.robot(robot.name).link is not None:
+        return skipped("its links are not Bluetooth's")
+    if robot.system is None or robot.system["pairing"] is None:
+        return SIMULATED
+    found = robot.system["pairing"]
+    if found["problem"]:
+        return bad(
+            found["problem"], "swarm provision; firmware: the check `radio`; swarm command 'dmesg | grep Bluetooth'"
+        )
+    said = robot.config.robot(robot.name).bluetooth
+    if said is None:
+        return bad(f"{found['address']}, swarm.toml has no address of it", "swarm pair writes it")
+    if found["address"] != said:
+        return bad(f"{found['address']}, swarm.toml says {said}", "mend swarm.toml: is it another robot?")
+    if not found["powered"]:
+        return bad(f"{said} is not powered", "swarm provision; rfkill list there")
+    return ok(said)
+
+
+def pairing(robot: Robot) -> Finding:
+    """All neighbours are paired and trusted."""
+    if robot.system is None or robot.system["pairing"] is None or robot.config.robot(robot.name).link is not None:
+        return SIMULATED if robot.system is None else skipped("its links are not Bluetooth's")
+    known = robot.system["pairing"].get("devices") or {}
+    near = [name for name in robot.config.neighbours(robot.name) if robot.config.robot(name).link is None]
+    missing = []
+    for name in near:
+        device = known.get(robot.addresses.get(name)) or {}
+        if not (device.get("paired") and device.get("trusted")):
+            missing.append(name)
+    if not missing:
+        return ok(f"{' '.join(near) or 'no neighbours'}")
+    text = f"not paired with {' '.join(missing)}"
+    if robot.config.mesh.rfcomm_encrypt:
+        return bad(text, "swarm pair")
+    # The lower address calls (swarm pair, the mesh); bluetoothd takes calls of devices alone that it is paired with.
+    own = robot.system["pairing"].get("address", "")
+    if deaf := [name for name in missing if robot.addresses.get(name, own) < own]:
+        return bad(f"{text}: it takes no call of {' '.join(deaf)}", "swarm pair")
+    return warning(f"{text}: they take no call of it", "swarm pair")
+
+
+def links(robot: Robot) -> Finding:
+    """The mesh has all of its links, and each name is that of one robot."""
+    if clashes := robot.said("mesh/links").get("clashes"):
+        return bad(
+            "; ".join(text for _, text in sorted(clashes.items())),
+            "is an SD card a copy, or a second swarm with this key in range? docs/security.md: two robots, one name",
+        )
+    wanted = robot.config.neighbours(robot.name)
+    rows = robot.said("mesh/links").get("links")
+    if rows is None:
+        if not wanted and not robot.config.auto:
+            return skipped("it has no neighbours")
+        return bad("the mesh says nothing of its links", "swarm logs mesh")
+    down = {str(row["peer"]): row for row in rows if row["state"] != "up"}
+    if down:
+        reasons = ", ".join(f"{peer} ({row.get('reason') or row['state']})" for peer, row in down.items())
+        return bad(
+            f"no link to {reasons}", "is it switched on, in range, with the same key? swarm mesh; swarm doctor there"
+        )
+    return ok(f"{len(rows)} up")
+
+
+def body(robot: Robot) -> Finding:
+    """The balancer has no fault."""
+    state, fault = robot.said("balancer/state"), robot.said("balancer/fault")
+    if not state:
+        return bad("the balancer says nothing", "swarm logs balancer")
+    if fault.get("name") or state.get("fault"):
+        text = fault.get("reason") or state.get("fault")
+        return bad(f"{fault.get('name') or 'fault'}: {text}", str(fault.get("recovery") or "docs/balancer.md, faults"))
+    return ok(str(state.get("mode")))
+
+
+def battery(robot: Robot) -> Finding:
+    """The batteries last."""
+    volts = robot.said("balancer/battery").get("voltage", robot.said("balancer/state").get("battery"))
+    if volts is None:
+        return bad("not read yet", "see devices")
+    limits = robot.config.balancing_of(robot.name)
+    left = robot.said("balancer/state").get("battery_left")
+    text = f"{volts:.2f} V" + ("" if left is None else f", about {left / 60:.0f} min")
+    if volts < limits.battery_limit:
+        return bad(text, "charge or change the batteries: it does not stand up")
+    if volts < limits.battery_warning:
+        return warning(text, "charge the batteries soon")
+    return ok(text)
+
+
+def time(robot: Robot) -> Finding:
+    """The swarm's common time is known."""
+    said = robot.said("mesh/clock")
+    if not said:
+        return bad("the mesh tells no time", "swarm logs mesh")
+    return ok(f"that of {said['root']}, {said['hop']} links away")
+
+
+CHECKS = (
+    Check("devices", "IMU and ATmega answer on the I2C bus", devices),
+    Check("firmware", "the ATmega runs this project's firmware", firmware),
+    Check("body", "the balancer has found its zero and has no fault", body),
+    Check("battery", "the batteries are charged", battery),
+    Check("module", "the DWM1001 answers", module),
+    Check("ranges", "at least three anchors are in sight", ranges),
+    Check("adapter", "the Bluetooth adapter is the one that swarm.toml names", adapter),
+    Check("pairing", "all neighbours are paired and trusted", pairing),
+    Check("links", "the mesh has all of its links", links),
+    Check("time", "the swarm's common time is known", time),
+)

@@ -1,0 +1,242 @@
+"""A robot's recordings and journal into folders of the laptop: what is missing of them, checked, and only then deleted.
+
+`collect` and `journal` know what is to come; here are the files and the connection.
+"""
+
+import contextlib
+import hashlib
+import os
+import shlex
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+from laptop.fleet import collect
+from laptop.fleet.collect import Data, End, File, Stream
+from laptop.fleet.everyone import Tell
+from laptop.fleet.journal import FIELDS, Mark, entry
+from laptop.fleet.ssh import Host, HostError, Ssh, last_words
+from swarm.errors import RemoteError
+from swarm.files import atomic_write, sync_folder
+
+JOURNAL = "journal"
+"""Folder of the journals, beside those of the runs."""
+
+_TOLD_EVERY = 10_000_000
+"""Bytes between two words of progress."""
+_ACTIVE = "systemctl list-units --plain --no-legend --state=active,activating,reloading 'swarm-app@*'"
+
+
+@dataclass
+class Got:
+    """What came of one robot's recordings."""
+
+    files: int = 0
+    runs: set[str] = field(default_factory=set)
+    received: int = 0
+    """Bytes that crossed the network."""
+    verified: dict[File, str] = field(default_factory=dict)
+    """Sum by file: the copy here has it, too."""
+    strange: list[str] = field(default_factory=list)
+    """Names that are none of ours: left where they are."""
+
+
+class Fetch:
+    """One robot's recordings into `folder`/RUN."""
+
+    def __init__(self, ssh: Ssh, host: Host, folder: Path, tell: Tell) -> None:
+        self._ssh, self._host, self._folder, self._tell = ssh, host, folder, tell
+        self._got = Got()
+        self._differs: set[File] = set()
+        """Files that are not what another robot has under the same name."""
+
+    async def recordings(self, runs: list[str]) -> Got:
+        """Bring what is missing of the wanted runs (all without any); raises `HostError`."""
+        try:
+            found, self._got.strange = collect.parse_list(await self._run(collect.LIST))
+            files = collect.chosen(found, runs)
+            await self._bring(files)
+            # A copy that was not the robot's file was set aside, and is fetched anew: once.
+            await self._bring([file for file in files if file not in self._got.verified])
+        except OSError as error:
+            raise HostError(f"{error.filename or self._folder}: cannot be kept here: {error.strerror}") from None
+        except RemoteError as error:
+            raise HostError(str(error)) from None
+        self._got.files, self._got.runs = len(files), {file.run for file in files}
+        if missing := [file.path for file in files if file not in self._got.verified]:
+            raise HostError(f"{missing[0]} has changed on the robot while it was fetched: fetch again")
+        return self._got
+
+    async def delete(self) -> tuple[int, list[str]]:
+        """Delete on the robot what has a verified copy here: how many files, and the runs that still go on."""
+        active = {line.split()[0] for line in (await self._ssh.check(self._host, _ACTIVE)).splitlines() if line.split()}
+        running = sorted({file.run for file in self._got.verified if f"swarm-app@{file.app}.service" in active})
+        todo = [(file, digest) for file, digest in self._got.verified.items() if file.run not in running]
+        feed = "".join(f"{digest} {file.size} {file.path}\n" for file, digest in todo)
+        gone = (await self._run(collect.DELETE, feed.encode())).splitlines() if todo else []
+        return len(gone), running
+
+    async def journal(self) -> int:
+        """Append what is new to the robot's journal; how many entries. Raises `HostError`."""
+        try:
+            return await self._journal()
+        except OSError as error:
+            raise HostError(f"{error.filename or self._folder}: cannot be kept here: {error.strerror}") from None
+
+    async def _run(self, script: str, feed: bytes = b"") -> str:
+        return await self._ssh.check(self._host, _as_root(script), feed=[feed])
+
+    def _local(self, file: File) -> Path:
+        """The copy here: the robot's own, or one of a file that all robots have, as long as it is the same."""
+        own, common = self._folder / file.own(self._host.robot), self._folder / file.path
+        if own == common or own.exists() or file in self._differs:
+            return own
+        return common if common.is_file() and common.stat().st_size == file.size else own
+
+    def _settle(self, file: File, path: Path, same: bool) -> None:
+        """A file is whole: `same` as the robot's, or not."""
+        common = self._folder / file.path
+        if not same and path == common and not file.is_of(self._host.robot):
+            self._differs.add(file)
+        elif not same:
+            _set_aside(path)
+        elif path != common:
+            # What all robots have is kept once; where another robot has something else under that name, both are.
+            with contextlib.suppress(FileExistsError):
+                os.link(path, common)
+            if _sum(path) == _sum(common):
+                path.unlink()
+
+    async def _bring(self, files: list[File]) -> None:
+        # Settled now: meanwhile the copy of another robot may come to lie there.
+        places = {file: self._local(file) for file in files}
+        have = {file.path: place.stat().st_size for file, place in places.items() if place.is_file()}
+        wanted = collect.plan(files, have)
+        if not wanted:
+            return
+        for each in wanted:
+            if each.offset < have.get(each.file.path, 0):
+                _set_aside(places[each.file])
+        total = sum(each.file.size - each.offset for each in wanted)
+        if total >= _TOLD_EVERY:
+            self._tell(f"{len(wanted)} files, {total / 1e6:.1f} MB to come")
+        stream, sink = Stream(wanted), _Sink(places, self._settle, self._got, _Progress(total, self._tell))
+        try:
+            done = await self._ssh.run(
+                self._host,
+                _as_root(collect.SEND),
+                feed=[each.line for each in wanted],
+                on_data=lambda data: sink.take(stream.receive(data)),
+            )
+        finally:
+            sink.close()
+        if not stream.finished:
+            raise HostError(last_words(done.err) or "it stopped sending in the middle of it: fetch again")
+
+    async def _journal(self) -> int:
+        folder = self._folder / JOURNAL
+        folder.mkdir(parents=True, exist_ok=True)
+        text, place = folder / f"{self._host.robot}.log", folder / f"{self._host.robot}.mark"
+        mark = Mark.of(place.read_text(errors="replace")) if place.exists() else Mark()
+        count = 0
+        with text.open("ab") as file:
+            if file.tell() < mark.size:
+                mark = Mark()  # the text was taken away: begin anew
+            file.truncate(mark.size)  # what came after it has no cursor
+            file.seek(mark.size)
+            cursor = mark.cursor
+
+            def line(data: str) -> None:
+                nonlocal cursor, count
+                if (found := entry(data)) is not None:
+                    cursor, count = found[0], count + 1
+                    file.write(found[1].encode() + b"\n")
+
+            after = f" --after-cursor={shlex.quote(cursor)}" if cursor else ""
+            command = f"sudo -n journalctl --no-pager --output=json --output-fields={FIELDS} --unit='swarm*'{after}"
+            try:
+                done = await self._ssh.run(self._host, command, on_line=line)
+            finally:
+                # What has come stays, whatever happened: the next time goes on behind it.
+                file.flush()
+                os.fsync(file.fileno())
+                atomic_write(place, Mark(file.tell(), cursor).text.encode())
+        if done.code != 0:
+            raise HostError(last_words(done.err) or f"journalctl: exit code {done.code}")
+        return count
+
+
+class _Sink:
+    """Writes what comes to its files, and compares each with the robot's sum when it is whole."""
+
+    def __init__(
+        self, places: Mapping[File, Path], settle: Callable[[File, Path, bool], None], got: Got, report: "_Progress"
+    ) -> None:
+        self._places, self._settle, self._got, self._report = places, settle, got, report
+        self._file: BinaryIO | None = None
+        self._path = Path()
+
+    def take(self, parts: Iterable[Data | End]) -> None:
+        """Parts of the stream as they come."""
+        for part in parts:
+            file = part.wanted.file
+            if isinstance(part, Data):
+                self._open(file).write(part.data)
+                self._got.received += len(part.data)
+                self._report.add(len(part.data))
+            elif part.sum is None:
+                self.close()
+            else:
+                self._open(file)
+                self.close()
+                same = _sum(self._path) == part.sum
+                if same:
+                    self._got.verified[file] = part.sum
+                self._settle(file, self._path, same)
+
+    def close(self) -> None:
+        """Bring what was written to the disk."""
+        if self._file is not None:
+            with contextlib.closing(self._file) as file:
+                self._file = None
+                file.flush()
+                os.fsync(file.fileno())
+            sync_folder(self._path.parent)  # the robot may be told to delete its own copy now
+
+    def _open(self, file: File) -> BinaryIO:
+        if self._file is None:
+            self._path = self._places[file]
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._path.open("ab")
+        return self._file
+
+
+class _Progress:
+    """Says now and then how far it has come."""
+
+    def __init__(self, total: int, tell: Tell) -> None:
+        self._total, self._tell = total, tell
+        self._here = self._told = 0
+
+    def add(self, size: int) -> None:
+        """So many bytes more."""
+        self._here += size
+        if self._here - self._told >= _TOLD_EVERY:
+            self._told = self._here
+            self._tell(f"{100 * self._here // self._total} % of {self._total / 1e6:.1f} MB")
+
+
+def _as_root(script: str) -> str:
+    return f"sudo -n nice -n 19 sh -c '{script.format(runs=collect.RUNS)}'"
+
+
+def _sum(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _set_aside(path: Path) -> None:
+    """Keep under another name what is not the robot's file: it may be all that is left of something."""
+    number = next(number for number in range(1, 1 << 30) if not path.with_name(f"{path.name}~{number}").exists())
+    path.rename(path.with_name(f"{path.name}~{number}"))

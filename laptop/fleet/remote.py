@@ -1,0 +1,111 @@
+"""Programs of ours on a robot that has nothing of ours yet: sent over ssh with each call, run by its own Python.
+
+The command is a bootstrap of a few lines; the first line of its input holds the sources of the modules it may import,
+the name of the one to run, and the request. Its output is JSON, one object a line: what it tells on the way, and at
+last the result. Nothing is left behind on the robot.
+"""
+
+import json
+import shlex
+from asyncio import Event
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from laptop.fleet.ssh import Host, HostError, Ssh, last_words
+from swarm.errors import PayloadError
+from swarm.messages.json_input import read_json
+
+PACKAGE = "swarm.onboard.bootstrap"
+_FOLDER = Path(__file__).parent / "robot"
+
+BOOT = """
+import importlib.abc, importlib.machinery, json, sys
+load = json.loads(sys.stdin.buffer.readline())
+class Sent(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    def find_spec(self, name, path, target=None):
+        if name in load["modules"]:
+            package = load["modules"][name] is None
+            return importlib.machinery.ModuleSpec(name, self, origin=name, is_package=package)
+    def create_module(self, spec):
+        return None
+    def exec_module(self, module):
+        source = load["modules"][module.__name__]
+        if source is not None:
+            exec(compile(source, module.__name__, "exec"), module.__dict__)
+def tell(message):
+    sys.stdout.write(json.dumps(message) + "\\n")
+    sys.stdout.flush()
+sys.meta_path.insert(0, Sent())
+tell({"result": importlib.import_module(load["main"]).main(load["request"], tell)})
+"""
+
+_REASONS = (
+    ("a password is required", "its user may not use sudo without a password: add 'NAME ALL=(ALL) NOPASSWD: ALL' "
+     "to /etc/sudoers.d there"),
+    ("a terminal is required", "its user may not use sudo without a password: add 'NAME ALL=(ALL) NOPASSWD: ALL' "
+     "to /etc/sudoers.d there"),
+    ("not in the sudoers file", "its user may not use sudo: log in as one who may"),
+    ("sudo: not found", "it has no sudo: flash Raspberry Pi OS Lite, or apt-get install sudo"),
+    ("sudo: command not found", "it has no sudo: flash Raspberry Pi OS Lite, or apt-get install sudo"),
+    ("python3: not found", "it has no python3: flash Raspberry Pi OS Lite, Bookworm or Trixie, 64 bit"),
+    ("python3: command not found", "it has no python3: flash Raspberry Pi OS Lite, Bookworm or Trixie, 64 bit"),
+    ("No space left on device", "its disk is full: remove what is not needed"),
+)  # fmt: skip
+
+
+def program(main: str, request: object) -> bytes:
+    """The first line of the bootstrap's input: module `main` of this package's folder `robot`, and its request."""
+    parts = PACKAGE.split(".")
+    modules: dict[str, str | None] = {".".join(parts[: n + 1]): None for n in range(len(parts))}
+    modules |= {f"{PACKAGE}.{path.stem}": path.read_text() for path in _FOLDER.glob("*.py") if path.stem != "__init__"}
+    modules["swarm.files"] = (_FOLDER.parents[1] / "files.py").read_text()
+    line = json.dumps({"modules": modules, "main": f"{PACKAGE}.{main}", "request": request})
+    return line.encode() + b"\n"
+
+
+def command(*, root: bool = True) -> str:
+    """For the robot's shell."""
+    return f"{'sudo -n ' if root else ''}python3 -I -c {shlex.quote(BOOT)}"
+
+
+async def call(
+    ssh: Ssh,
+    host: Host,
+    main: str,
+    request: object,
+    *,
+    root: bool = True,
+    told: Callable[[dict[str, Any]], None] | None = None,
+    until: Event | None = None,
+) -> Any:
+    """Run a module on a robot, as root unless told otherwise, and return what its `main` returns.
+
+    `told` gets what it tells on the way. With `until` the program's input stays open until that is set, or the call is
+    cancelled: the program may end by it. Raises `HostError` where it cannot be run or fails.
+    """
+    results: list[Any] = []
+    other: list[str] = []
+
+    def line(text: str) -> None:
+        try:
+            message = read_json(text)
+        except PayloadError:
+            other.append(text)
+            return
+        if isinstance(message, dict) and "result" in message:
+            results.append(message["result"])
+        elif isinstance(message, dict) and told is not None:
+            told(message)
+
+    done = await ssh.run(host, command(root=root), feed=[program(main, request)], on_line=line, hold=until)
+    if done.code != 0 or not results:
+        raise HostError(_explain(done.err or "\n".join(other), done.code))
+    return results[0]
+
+
+def _explain(err: str, code: int) -> str:
+    for sign, reason in _REASONS:
+        if sign in err:
+            return reason
+    return last_words(err) or f"the program ended without a result (exit code {code})"

@@ -1,0 +1,216 @@
+"""One command on one robot over the system's `ssh`, with the user's own configuration, keys and known hosts.
+
+The system's client is what the user has set up and trusts: jump hosts, agents and names work as in the shell. It is
+told never to ask (BatchMode): a question to eight robots at once has nobody to answer it.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from swarm.config import Config
+from swarm.errors import LocalError, RemoteError
+from swarm.frozen import frozen
+from swarm.process.text import printable
+
+CONNECT_TIMEOUT_S = 10
+"""Until a robot that does not answer is given up."""
+
+_ALIVE = ("-o", "ServerAliveInterval=5", "-o", "ServerAliveCountMax=3")
+"""A robot that goes away in mid-command is noticed after 15 s."""
+
+_CLIENT_FAILED = 255
+"""Exit code of `ssh` itself, where no command has run or its end was not seen."""
+
+_END_S = 2.0
+"""s that the end of a command that was broken off may take."""
+
+_CHUNK = 1 << 16
+_LONGEST = 16 << 20
+"""Bytes of an output, or of a line where it is taken line by line: a robot must not fill this computer's memory."""
+
+
+class HostError(RemoteError):
+    """A robot could not be reached, or did not do what it was told; the text says why and what to do."""
+
+
+@frozen
+class Host:
+    """One robot as ssh knows it."""
+
+    robot: str
+    address: str
+    """A name of the user's ssh configuration, or user@host."""
+
+
+@frozen
+class Done:
+    """How a command ended on a robot."""
+
+    code: int
+    out: str
+    err: str
+
+
+def hosts(config: Config, only: str | None = None) -> tuple[Host, ...]:
+    """The robots of the config, or those of the comma-separated list `only`; raises `LocalError` for an unknown one."""
+    names = config.names if only is None else tuple(name for name in only.split(",") if name)
+    if unknown := [name for name in names if name not in config.names]:
+        raise LocalError(f"{unknown[0]} is no robot of {config.path}; there are {', '.join(config.names)}")
+    if not names:
+        raise LocalError("--robots names no robot")
+    return tuple(Host(name, config.robot(name).host or name) for name in names)
+
+
+class Ssh:
+    """Runs commands on robots."""
+
+    def __init__(self, config_file: Path | None = None) -> None:
+        """`config_file` in place of the user's ~/.ssh/config."""
+        self._config_file = config_file
+
+    def arguments(self, host: Host, command: str) -> list[str]:
+        """The command line that runs `command` (for the robot's shell) on `host`."""
+        own = () if self._config_file is None else ("-F", str(self._config_file))
+        options = ("-o", "BatchMode=yes", "-o", f"ConnectTimeout={CONNECT_TIMEOUT_S}", *_ALIVE)
+        return ["ssh", *own, *options, host.address, "--", command]
+
+    async def run(
+        self,
+        host: Host,
+        command: str,
+        *,
+        feed: Sequence[bytes] = (),
+        on_line: Callable[[str], None] | None = None,
+        hold: asyncio.Event | None = None,
+        on_data: Callable[[bytes], None] | None = None,
+    ) -> Done:
+        """Run a command; `feed` is its input. `on_line` gets its output as it comes, line by line, or `on_data` as raw
+        bytes; it is not collected then.
+
+        With `hold` the input stays open after `feed` until that is set, or the command has ended.
+
+        Raises `HostError` where the robot could not be reached or the connection broke. Cancelling ends the command's
+        connection at once.
+        """
+        process = await _spawn(self.arguments(host, command))
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        reading = asyncio.ensure_future(_read(process.stdout, on_line, on_data))
+        complaining = asyncio.ensure_future(_read(process.stderr))
+        writing = asyncio.ensure_future(_write(process.stdin, feed, hold))
+        try:
+            try:
+                out, err = await asyncio.gather(reading, complaining)
+                code = await process.wait()
+            finally:
+                for task in (reading, complaining, writing):
+                    task.cancel()
+                await asyncio.gather(reading, complaining, writing, return_exceptions=True)
+        finally:
+            if process.returncode is None:
+                process.kill()
+                # asyncio sees the end when what is still in the pipes was read; a connection that ssh shares may hold
+                # them open.
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_END_S):
+                        await process.communicate()
+        if code == _CLIENT_FAILED:
+            raise HostError(explain(host, err))
+        return Done(code, out, err)
+
+    async def check(self, host: Host, command: str, *, feed: Sequence[bytes] = ()) -> str:
+        """Run a command that must succeed and return its output; `HostError` with its last words where it does not."""
+        done = await self.run(host, command, feed=feed)
+        if done.code != 0:
+            raise HostError(last_words(done.err) or last_words(done.out) or f"exit code {done.code}")
+        return done.out
+
+
+async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
+    pipe = asyncio.subprocess.PIPE
+    spawning = asyncio.ensure_future(asyncio.create_subprocess_exec(*arguments, stdin=pipe, stdout=pipe, stderr=pipe))
+    try:
+        # Cancelled in between, asyncio would wait for ever for the end of pipes that it has not opened yet.
+        return await asyncio.shield(spawning)
+    except asyncio.CancelledError:
+        process = await spawning
+        process.kill()
+        await process.communicate()
+        raise
+    except FileNotFoundError:
+        raise LocalError("there is no ssh here: sudo apt-get install openssh-client") from None
+
+
+async def _write(stream: asyncio.StreamWriter, feed: Sequence[bytes], hold: asyncio.Event | None) -> None:
+    broken = contextlib.suppress(BrokenPipeError, ConnectionResetError)  # the exit code will say more
+    with broken:
+        for data in feed:
+            for start in range(0, len(data), _CHUNK):
+                stream.write(data[start : start + _CHUNK])
+                await stream.drain()
+        if hold is not None:
+            await hold.wait()
+    stream.close()
+    with broken:  # asked for in any case, or asyncio logs it as an error that nobody has seen
+        await stream.wait_closed()
+
+
+async def _read(
+    stream: asyncio.StreamReader,
+    on_line: Callable[[str], None] | None = None,
+    on_data: Callable[[bytes], None] | None = None,
+) -> str:
+    if on_data is not None:
+        while data := await stream.read(_CHUNK):
+            on_data(data)
+        return ""
+    if on_line is None:
+        parts, size = [], 0
+        while data := await stream.read(_CHUNK):
+            parts.append(data)
+            size += len(data)
+            if size > _LONGEST:
+                raise HostError(f"it says more than {_LONGEST >> 20} MiB")
+        return b"".join(parts).decode(errors="replace")
+    rest = b""
+    while data := await stream.read(_CHUNK):
+        *lines, rest = (rest + data).split(b"\n")
+        if len(rest) > _LONGEST:
+            raise HostError(f"it says a line of more than {_LONGEST >> 20} MiB")
+        for line in lines:
+            on_line(line.decode(errors="replace"))
+    if rest:
+        on_line(rest.decode(errors="replace"))
+    return ""
+
+
+_REASONS = (
+    ("REMOTE HOST IDENTIFICATION HAS CHANGED", "its host key has changed; if set up anew: ssh-keygen -R {address}"),
+    ("Host key verification failed", "its host key is not known here: ssh {address} once, and compare the key"),
+    ("Permission denied", "it takes none of your ssh keys: ssh-copy-id {address}"),
+    ("Could not resolve hostname", "no such host: name {address} in ~/.ssh/config, or give `host` in swarm.toml"),
+    ("Connection refused", "it runs no ssh server (or another port)"),
+    ("Connection timed out", "it does not answer: is it switched on, and in this network?"),
+    ("No route to host", "it does not answer: is it switched on, and in this network?"),
+    ("Network is unreachable", "this computer has no network to it"),
+    ("not responding", "it went away in the middle of it"),
+    ("closed by remote host", "it closed the connection in the middle of it"),
+    ("Connection reset", "it closed the connection in the middle of it"),
+    ("Broken pipe", "it went away in the middle of it"),
+)  # fmt: skip
+
+
+def explain(host: Host, err: str) -> str:
+    """Why ssh itself failed, and what to do."""
+    for sign, reason in _REASONS:
+        if sign in err:
+            return reason.format(address=host.address)
+    return last_words(err) or "ssh ended without a word"
+
+
+def last_words(text: str) -> str:
+    """The last line that says something, printable and not too long."""
+    return next((printable(line.strip()) for line in reversed(text.splitlines()) if line.strip()), "")

@@ -1,0 +1,83 @@
+"""What a robot runs, and where the robots of a run differ: release, configuration and the ATmega's firmware."""
+
+import re
+from collections.abc import Mapping
+
+from swarm.errors import PayloadError, RemoteError
+from swarm.frozen import frozen
+from swarm.messages.json_input import read_json
+
+ROBOT_ENV = "/etc/swarm/robot.env"
+OWN_NAME = f"sed -n s/^SWARM_ROBOT=//p {ROBOT_ENV} 2>/dev/null; true"
+"""For the robot's shell: the name it was installed under."""
+
+_MARK = "== "
+_SUM = re.compile(r"[0-9a-f]{64}")
+
+
+@frozen
+class Versions:
+    """Of one robot; None where it does not say."""
+
+    release: str | None
+    config: str | None
+    """SHA-256 of its swarm.toml."""
+    firmware: str | None
+    """`revision R (layout L)`."""
+    name: str | None = None
+    """That it was installed under."""
+
+
+def question(robot: str) -> str:
+    """For the robot's shell; `parse` reads the answer."""
+    firmware = f"swarm/{robot}/balancer/firmware"
+    return (
+        f"echo '{_MARK}release'; readlink /opt/swarm/current; "
+        f"echo '{_MARK}name'; {OWN_NAME}; "
+        f"echo '{_MARK}config'; sha256sum /etc/swarm/swarm.toml; "
+        f"echo '{_MARK}firmware'; sudo -n /opt/swarm/current/bin/z_sub {firmware} --count 1 --seconds 2.5 --json; true"
+    )
+
+
+def parse(text: str) -> Versions:
+    """The answer of a robot; raises `RemoteError` where it has no release at all."""
+    parts = {part.partition("\n")[0]: part.partition("\n")[2].strip() for part in text.split(_MARK)[1:]}
+    release = parts.get("release", "").rpartition("/")[2]
+    if not release:
+        raise RemoteError("Balboa Swarm is not installed on it: swarm deploy")
+    found = _SUM.match(parts.get("config", ""))
+    return Versions(
+        release, found[0] if found else None, firmware(parts.get("firmware", "")), parts.get("name") or None
+    )
+
+
+def firmware(line: str) -> str | None:
+    """From a line of z_sub."""
+    try:
+        value = read_json(line)["value"]
+        return f"revision {int(value['revision'])} (layout {int(value['layout'])})"
+    except (PayloadError, ValueError, LookupError, TypeError):
+        return None
+
+
+def differences(robots: Mapping[str, Versions], config: str) -> list[str]:
+    """What is not the same on all of them, in words; `config` is the SHA-256 of the swarm.toml here.
+
+    A robot that does not tell its firmware is no difference: its balancer may be stopped.
+    """
+    found = []
+    if strange := {name: own for name, versions in robots.items() if (own := versions.name) not in (None, name)}:
+        found.append(f"other names than in swarm.toml ({_each(strange)}): mend `host` there")
+    releases = {name: versions.release for name, versions in robots.items()}
+    if len(set(releases.values())) > 1:
+        found.append(f"different releases ({_each(releases)}): swarm deploy the same to all of them")
+    if others := sorted(name for name, versions in robots.items() if versions.config != config):
+        found.append(f"another swarm.toml than here ({' '.join(others)}): swarm deploy brings this one")
+    known = {name: versions.firmware for name, versions in robots.items() if versions.firmware is not None}
+    if len(set(known.values())) > 1:
+        found.append(f"different firmware ({_each(known)}): swarm flash the same to all of them")
+    return found
+
+
+def _each(versions: Mapping[str, str | None]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))

@@ -1,0 +1,126 @@
+"""What happened when: flashes of LEDs, robots that stand up."""
+
+import math
+from bisect import bisect_left
+from collections import Counter
+from itertools import pairwise
+from typing import Any
+
+from laptop.plotting import style
+from swarm.errors import LocalError
+from swarm.recording.run import Run
+
+PERIODS = 8
+"""Flashes shown in the panel of LEDs."""
+NEAR_MS, FAR_MS = 20.0, 60.0
+"""Differences between flashes up to which the scale is linear, and beyond which it is not."""
+STANDING = "balancing"
+"""The balancer's mode when a robot stands."""
+
+
+def leds(figure: Any, run: Run) -> None:
+    """Who flashes when: the end of the run in detail, and each flash against the first robot's, over the whole run."""
+    flashes, lit = _flashes(run)
+    robots = [name for name in run.robots if flashes.get(name)]
+    if not robots:
+        raise LocalError(f"{run.path}: no LED has been switched in this recording")
+    figure.set_size_inches(7.0, 2.2 + 0.28 * len(robots) + 2.2)
+    grid = figure.add_gridspec(2, 1, height_ratios=(0.6 + 0.28 * len(robots), 2.6))
+    top, bottom = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    first = flashes[robots[0]]
+    periods = [b - a for a, b in pairwise(first)]
+    period = sorted(periods)[len(periods) // 2] if periods else 1.0
+    end = max(times[-1] for times in flashes.values())
+    begin = end - PERIODS * period
+    farthest = 0.0
+    for index, name in enumerate(robots):
+        colour = style.colour(index, len(robots))
+        for on, off in lit[name]:
+            if off >= begin and on <= end + period / 2:
+                top.barh(index, off - on, left=on, height=0.62, color=colour)
+        offsets = [(t, 1e3 * _nearest(first, t)) for t in flashes[name]]
+        farthest = max([farthest, *(abs(offset) for _, offset in offsets)])
+        bottom.plot(*zip(*offsets, strict=True), "." if len(offsets) > 60 else style.mark(index), color=colour,
+                    markersize=3.2, label=name)  # fmt: skip
+    style.rows_of_robots(top, robots)
+    top.set(xlabel="time / s", xlim=(begin, end + period / 2), title="LED on, the last flashes")
+    bottom.set(
+        xlabel="time / s",
+        ylabel=f"flash after that of {robots[0]} / ms",
+    )
+    if farthest > FAR_MS:  # before they are together; afterwards milliseconds are to be seen
+        bottom.set_yscale("symlog", linthresh=NEAR_MS, linscale=2.0)
+        far = [10.0**power for power in range(2, 5) if 10.0**power < 3 * farthest]
+        ticks = [*(-tick for tick in far), -NEAR_MS, -NEAR_MS / 2, 0.0, NEAR_MS / 2, NEAR_MS, *far]
+        bottom.set_yticks(sorted(ticks), [f"{tick:g}" for tick in sorted(ticks)])
+        bottom.minorticks_off()
+    style.legend(bottom, len(robots))
+
+
+def standup(figure: Any, run: Run) -> None:
+    """When each robot stands, and its tilt meanwhile (thesis figure 4.2).
+
+    The moment is the app's own word where it has one: the body's state is recorded five times a second only."""
+    said = {
+        robot: sample.t
+        for sample in reversed([s for s in run.samples("swarm/*/app/*/record/standing") if s.message["value"]])
+        if (robot := sample.topic.split("/")[1])
+    }
+    tilts: dict[str, list[tuple[float, float, bool]]] = {}
+    for sample in run.samples("swarm/*/balancer/state"):
+        message = sample.message
+        tilts.setdefault(sample.topic.split("/")[1], []).append(
+            (sample.t, math.degrees(message["tilt"]), message["mode"] == STANDING)
+        )
+    robots = [name for name in run.robots if name in tilts]
+    if not robots:
+        raise LocalError(f"{run.path}: no state of a balancer is recorded")
+    figure.set_size_inches(6.4, 1.0 + 0.55 * len(robots))
+    axes = figure.add_subplot()
+    for index, name in enumerate(robots):
+        colour = style.colour(index, len(robots))
+        times, degrees, stands = zip(*tilts[name], strict=True)
+        axes.fill_between(times, index + 0.4, index - 0.4, where=stands, step="post", color=colour, alpha=0.22,
+                          linewidth=0)  # fmt: skip
+        axes.plot(times, [index - 0.38 * value / 110 for value in degrees], color=colour, linewidth=1.1)
+        up = next((t for t, stood in zip(times, stands, strict=True) if stood), None)
+        up = said.get(name, up)
+        if up is not None and up > times[0]:
+            axes.annotate(f"{up:.1f} s", (up, index), textcoords="offset points", xytext=(3, 5), fontsize=7.5,
+                          color=colour)  # fmt: skip
+    style.rows_of_robots(axes, robots)
+    axes.set(xlabel="time / s", title="line: tilt (a row is ±110°), filled: it stands")
+
+
+def _flashes(run: Run) -> tuple[dict[str, list[float]], dict[str, list[tuple[float, float]]]]:
+    """Times at which each robot's flashing LED came on, and the stretches it was on: by the registers of the simulated
+    robots, or what the balancer says. The LED is the one that was switched most often."""
+    topic = "sim/leds" if any(name.endswith("/sim/leds") for name in run.topics) else "balancer/leds"
+    changes: Counter[str] = Counter()
+    states: dict[str, list[tuple[float, dict[str, Any]]]] = {}
+    for sample in run.samples(f"swarm/*/{topic}"):
+        message = sample.message
+        before = states.setdefault(sample.topic.split("/")[1], [])
+        if before:
+            changes.update(led for led in ("red", "yellow", "green") if message[led] != before[-1][1][led])
+        before.append((sample.t, message))
+    led = max(("red", "yellow", "green"), key=lambda name: changes[name])
+    flashes: dict[str, list[float]] = {}
+    lit: dict[str, list[tuple[float, float]]] = {}
+    for robot, entries in states.items():
+        on: float | None = None
+        for t, message in entries:
+            if message[led] and on is None:
+                on = t
+                flashes.setdefault(robot, []).append(t)
+            elif not message[led] and on is not None:
+                lit.setdefault(robot, []).append((on, t))
+                on = None
+        lit.setdefault(robot, [])
+    return (flashes if changes[led] else {}), lit
+
+
+def _nearest(times: list[float], t: float) -> float:
+    """How much later t is than the nearest of the times."""
+    index = bisect_left(times, t)
+    return min((t - other for other in times[max(0, index - 1) : index + 1]), key=abs)

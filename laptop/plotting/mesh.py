@@ -1,0 +1,137 @@
+"""The mesh: robots, the links between them, and how good these are."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from laptop.plotting import style
+from laptop.plotting.places import Place, frame, paths
+from swarm.errors import LocalError
+from swarm.recording.run import Run, natural
+
+CROWD = 24
+"""Links or robots from which on the mesh is drawn without words."""
+
+APART = 0.15
+"""Robots nearer than this, m, hide each other; and ..."""
+BESIDE = 0.12
+"""... so near a link, as a share of the picture, one that has no part in it seems to."""
+ALONG = (0.5, 0.4, 0.6, 0.3, 0.7, 0.22, 0.78)
+"""Where on a link its words may stand, the best place first."""
+CLEAR = 0.13
+"""Distance of words from others, from robots and from crossings, as a share of the picture."""
+
+Pair = tuple[str, str]
+
+
+def mesh(figure: Any, run: Run) -> None:
+    """The links between the robots as they were at the end: colour and words tell the mean round-trip time, dashed =
+    down; messages that a link has dropped while it was recorded are counted."""
+    ends: dict[Pair, dict[str, list[dict[str, Any]]]] = {}
+    for sample in run.samples("swarm/*/mesh/links"):
+        robot = sample.topic.split("/")[1]
+        for link in sample.message["links"]:
+            pair = min(robot, link["peer"]), max(robot, link["peer"])
+            ends.setdefault(pair, {}).setdefault(robot, []).append(link)
+    if not ends:
+        raise LocalError(f"{run.path}: no state of the mesh's links is recorded")
+    names = sorted({name for pair in ends for name in pair}, key=natural)
+    places = layout(names, list(ends), {name: track[-1][0] for name, track in paths(run).items()})
+    rtts = {pair: _rtt(each.values()) for pair, each in ends.items()}
+    known = [rtt for rtt in rtts.values() if rtt is not None]
+    figure.set_size_inches(5.6, 4.6)
+    axes = figure.add_subplot()
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = Normalize(0.0, 1e3 * max(known, default=1.0) * 1.05)
+    ramp = colormaps["cividis_r"]
+    crowded = max(len(ends), len(names)) > CROWD
+    words = {} if crowded else spots(places, list(ends))
+    for pair, each in ends.items():
+        rtt = rtts[pair]
+        up = all(seen[-1]["state"] in ("up", "suspect") for seen in each.values())
+        axes.plot(
+            *zip(*(places[name] for name in pair), strict=True),
+            color=style.GREY if rtt is None else ramp(scale(1e3 * rtt)),
+            linewidth=0.8 if crowded else 3.0 if up else 1.2,
+            linestyle="-" if up else "--",
+            zorder=1,
+        )
+        if pair not in words:
+            continue
+        lost = sum(seen[-1].get("dropped", 0) - seen[0].get("dropped", 0) for seen in each.values())
+        text = "down" if not up else "" if rtt is None else f"{1e3 * rtt:.0f} ms"
+        text += f"\n{lost} dropped" if lost else ""
+        axes.annotate(text, words[pair], ha="center", va="center", fontsize=7.5, zorder=2,
+                      bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.9})  # fmt: skip
+    for name, (x, y) in places.items():
+        size = 5 if crowded else 21
+        axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=size, zorder=3)
+        if not crowded:
+            axes.annotate(name, (x, y), ha="center", va="center", fontsize=8.5, zorder=4)
+    if known:
+        bar = figure.colorbar(ScalarMappable(scale, ramp), ax=axes, shrink=0.75, pad=0.02)
+        bar.set_label("mean round-trip time / ms")
+        bar.outline.set_visible(False)
+    frame(axes, list(places.values()))
+    axes.set(aspect="equal")
+    axes.axis("off")
+
+
+def layout(names: list[str], links: list[Pair], real: Mapping[str, Place]) -> dict[str, Place]:
+    """Robots where they are, if all are known, apart, and none seems to be on a link of others; else on a circle."""
+    places = {name: real[name] for name in names if name in real}
+    if len(places) == len(names):
+        size = _size(places)
+        apart = all(math.dist(places[a], places[b]) > APART for a in names for b in names if a < b)
+        beside = (_off(places[n], places[a], places[b]) for a, b in links for n in names if n not in (a, b))
+        if apart and all(distance > BESIDE * size for distance in beside):
+            return places
+    turn = 2 * math.pi / len(names)
+    return {name: (math.sin(index * turn), math.cos(index * turn)) for index, name in enumerate(names)}
+
+
+def spots(places: Mapping[str, Place], links: list[Pair]) -> dict[Pair, Place]:
+    """Where the words of each link stand: on it, clear of robots, other links and other words, as far as possible."""
+    size = _size(places)
+    found: dict[Pair, Place] = {}
+    for a, b in links:
+        (xa, ya), (xb, yb) = places[a], places[b]
+        near = [places[name] for name in places]
+        others = [(places[c], places[d]) for c, d in links if not {a, b} & {c, d}]
+        best: tuple[float, Place] | None = None
+        for share in ALONG:
+            spot = xa + share * (xb - xa), ya + share * (yb - ya)
+            free = min(
+                (math.dist(spot, place) for place in (*near, *found.values())),
+                default=size,
+            )
+            free = min([free, *(_off(spot, *other) for other in others)])
+            if best is None or free > best[0] + 1e-9:
+                best = free, spot
+            if free > CLEAR * size:
+                break
+        assert best is not None
+        found[a, b] = best[1]
+    return found
+
+
+def _size(places: Mapping[str, Place]) -> float:
+    xs, ys = zip(*places.values(), strict=True)
+    size: float = max(max(xs) - min(xs), max(ys) - min(ys), 1e-6)
+    return size
+
+
+def _off(place: Place, a: Place, b: Place) -> float:
+    """Distance of a place from the line between two others."""
+    (x, y), (xa, ya), (xb, yb) = place, a, b
+    squared = (xb - xa) * (xb - xa) + (yb - ya) * (yb - ya)
+    share = max(0.0, min(1.0, ((x - xa) * (xb - xa) + (y - ya) * (yb - ya)) / squared)) if squared else 0.0
+    return math.hypot(x - xa - share * (xb - xa), y - ya - share * (yb - ya))
+
+
+def _rtt(ends: Iterable[list[dict[str, Any]]]) -> float | None:
+    found: list[float] = [link["rtt"] for seen in ends for link in seen if link.get("rtt") is not None]
+    return math.fsum(found) / len(found) if found else None

@@ -1,0 +1,186 @@
+"""Where things are: the map of robots, their paths, what they think where the target is, and their uncertainty."""
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from laptop.plotting import style
+from swarm import config
+from swarm.config import Config
+from swarm.errors import ConfigError, LocalError
+from swarm.recording.folder import CONFIG_FILE
+from swarm.recording.run import Run
+
+Place = tuple[float, float]
+
+Spread = tuple[float, float, float]
+"""Variance of x, covariance, variance of y, m^2; NaN where they are not known."""
+
+SIGMAS = 2.0
+"""Standard deviations of the ellipses drawn: 86 % of a plane's normal distribution."""
+
+
+class _Estimate(NamedTuple):
+    """Of the target, by one robot."""
+
+    t: float
+    place: Place
+    spread: Spread
+
+
+def scene(figure: Any, run: Run) -> None:
+    """Anchors, robots, their paths, and what they think where the target is, with ellipses of two standard
+    deviations."""
+    figure.set_size_inches(5.4, 4.8)
+    axes = figure.add_subplot()
+    swarm = _config(run.path)
+    marks: set[str] = set()
+    seen: list[Place] = []
+    if swarm is not None:
+        for anchor in swarm.anchors:
+            seen.append((anchor.x, anchor.y))
+            axes.plot(anchor.x, anchor.y, "^", color=style.GREY, markersize=8, **_once(marks, "anchor"))
+    way = _target(run, swarm)
+    if way:
+        seen += [place for _, place in way]
+        if len(way) > 1:
+            axes.plot(*zip(*(place for _, place in way), strict=True), "-", color="black", linewidth=1.4, zorder=4,
+                      **_once(marks, "target's way"))  # fmt: skip
+        axes.plot(*way[-1][1], "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
+    tracks = paths(run)
+    estimates = _estimates(run)
+    robots = list(run.robots)
+    for index, name in enumerate(robots):
+        colour = style.colour(index, len(robots))
+        if name in tracks:
+            _path(axes, tracks[name], colour, name, marks)
+            seen += [place for place, _ in tracks[name]]
+        if track := estimates.get(name):
+            axes.plot(*zip(*(it.place for it in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
+            t, place, spread = track[-1]
+            if len(way) > 1:  # it goes on after the last estimate
+                there = _at(way, t)
+                axes.plot(*zip(place, there, strict=True), ":", color=colour, linewidth=0.9, zorder=5)
+                axes.plot(*there, ".", color=colour, markersize=5, zorder=6,
+                          **_once(marks, "where the target was then"))  # fmt: skip
+            axes.plot(
+                *place, "x", color=colour, markersize=7, markeredgewidth=1.6, zorder=6, **_once(marks, "estimate")
+            )
+            _ellipse(axes, place, spread, colour, marks)
+            seen += [it.place for it in track[len(track) // 4 :]]
+    if not seen:
+        raise LocalError(f"{run.path}: no place is recorded: neither poses nor a target")
+    frame(axes, seen)
+    axes.set(xlabel="x / m", ylabel="y / m", aspect="equal")
+    legend = axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    for handle in legend.legend_handles:
+        handle.set_color("black" if handle.get_label().startswith("target") else style.GREY)
+
+
+def _config(path: Path) -> Config | None:
+    file = path / CONFIG_FILE
+    try:
+        return config.parse(file.read_text(), file) if file.is_file() else None
+    except ConfigError:
+        return None  # of another version: the picture does without anchors
+
+
+def _once(marks: set[str], label: str) -> dict[str, str]:
+    """A label for the legend, the first time only."""
+    if label in marks:
+        return {}
+    marks.add(label)
+    return {"label": label}
+
+
+def paths(run: Run) -> dict[str, list[tuple[Place, dict[str, Any]]]]:
+    """Where each robot was: by its poses, else by the simulation's truth, else by what its app measured."""
+    found: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
+    for topic in ("swarm/*/dwm/pose", "swarm/*/sim/truth", "swarm/*/app/*/measurement"):
+        fresh: dict[str, list[tuple[Place, dict[str, Any]]]] = {}
+        for sample in run.samples(topic):
+            message = sample.message
+            if message.get("quality", 1) > 0:
+                fresh.setdefault(sample.topic.split("/")[1], []).append(((message["x"], message["y"]), message))
+        found = {**fresh, **found}
+    return found
+
+
+def _target(run: Run, swarm: Config | None) -> list[tuple[float, Place]]:
+    """Where the simulated target was, over time; of real robots nobody knows."""
+    if swarm is None or "localization" not in run.apps:
+        return []
+    topics = sorted(topic for topic in run.topics if topic.endswith("/sim/target"))
+    if topics:  # all robots have the same
+        return [(sample.t, (sample.message["x"], sample.message["y"])) for sample in run.samples(topics[0])]
+    simulated = any(topic.endswith("/sim/truth") for topic in run.topics)
+    return [(0.0, swarm.simulation.target)] if simulated else []
+
+
+def _at(way: Sequence[tuple[float, Place]], t: float) -> Place:
+    """The place on a way at time t, between two samples on the line between them."""
+    index = bisect_left(way, t, key=itemgetter(0))
+    if index in (0, len(way)):
+        return way[min(index, len(way) - 1)][1]
+    (before, (xa, ya)), (after, (xb, yb)) = way[index - 1], way[index]
+    share = (t - before) / (after - before)
+    return xa + share * (xb - xa), ya + share * (yb - ya)
+
+
+def _estimates(run: Run) -> dict[str, list[_Estimate]]:
+    """Each robot's estimates of the target, with variances and covariance where it tells them."""
+    found: dict[str, list[_Estimate]] = {}
+    if "localization" not in run.apps:
+        return found
+    for name, path in run.trajectories("localization").items():
+        if {"result.x", "result.y"} - set(path.columns):
+            continue
+        spread = ("result.var_x", "result.cov_xy", "result.var_y")
+        track: list[_Estimate] = []
+        for k in sorted(path.rows):
+            place = path.value(k, "result.x"), path.value(k, "result.y")
+            if all(map(math.isfinite, place)):
+                xx, xy, yy = (path.value(k, column) if column in path.columns else math.nan for column in spread)
+                track.append(_Estimate(path.times[k], place, (xx, xy, yy)))
+        if track:
+            found[name] = track
+    return found
+
+
+def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name: str, marks: set[str]) -> None:
+    xs, ys = zip(*(place for place, _ in path), strict=True)
+    axes.plot(xs, ys, "-", color=colour, linewidth=1.0, alpha=0.9, **_once(marks, "path"))
+    place, last = path[-1]
+    axes.plot(*place, "o", color=colour, markersize=7, zorder=4, **_once(marks, "robot"))
+    axes.annotate(name, place, textcoords="offset points", xytext=(6, 6), color=colour, fontsize=8.5)
+    if (heading := last.get("heading")) is not None:
+        axes.annotate("", (place[0] + 0.12 * math.cos(heading), place[1] + 0.12 * math.sin(heading)), place,
+                      arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2})  # fmt: skip
+    if (dx := last.get("deviation_x")) is not None and (dy := last.get("deviation_y")) is not None:
+        _ellipse(axes, place, (dx * dx, last.get("correlation", 0.0) * dx * dy, dy * dy), colour, marks)
+
+
+def _ellipse(axes: Any, place: Place, spread: Spread, colour: Any, marks: set[str]) -> None:
+    """Of two standard deviations, from variances and covariance."""
+    if not all(map(math.isfinite, spread)):
+        return
+    from matplotlib.patches import Ellipse
+
+    xx, xy, yy = spread
+    middle, radius = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+    width, height = (2 * SIGMAS * math.sqrt(max(0.0, middle + sign * radius)) for sign in (1, -1))
+    angle = math.degrees(0.5 * math.atan2(2 * xy, xx - yy))
+    axes.add_patch(Ellipse(place, width, height, angle=angle, facecolor=colour, alpha=0.18, linewidth=0, zorder=2))
+    axes.add_patch(Ellipse(place, width, height, angle=angle, fill=False, edgecolor=colour, linewidth=0.9, zorder=3))
+    if label := _once(marks, f"{SIGMAS:g} standard deviations"):
+        axes.plot([], [], "o", fillstyle="none", markersize=10, **label)  # a patch would have a box in the legend
+
+
+def frame(axes: Any, places: list[Place]) -> None:
+    """Limits of the axes: all places, and a margin."""
+    xs, ys = zip(*places, strict=True)
+    margin = 0.08 * max(max(xs) - min(xs), max(ys) - min(ys), 0.5) + 0.1
+    axes.set(xlim=(min(xs) - margin, max(xs) + margin), ylim=(min(ys) - margin, max(ys) + margin))

@@ -1,0 +1,93 @@
+"""A film of a recorded run: the page, picture by picture at exact instants of the recording, made a file by ffmpeg."""
+
+import asyncio
+import contextlib
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from urllib.parse import urlencode
+
+from laptop.view import chromium
+from swarm.errors import LocalError
+from swarm.frozen import frozen
+
+ENCODER = "ffmpeg"
+MAX_FRAMES = 200_000
+"""Some two hours; more is a slip of the hand."""
+
+
+@frozen
+class Film:
+    """What is to be shown, and how."""
+
+    begin: float
+    """s of the recording."""
+    end: float
+    """s"""
+    size: tuple[int, int] = (1280, 720)
+    """Pixels; both even, as the encoder wants it."""
+    fps: float = 30.0
+    """Pictures a second."""
+    speed: float = 1.0
+    """Seconds of the recording in a second of the film."""
+    charts: Sequence[str] = ()
+    """`TOPIC:FIELD.FIELD`"""
+    theme: str = "light"
+
+    def instants(self) -> list[float]:
+        """Of its pictures, s of the recording: at least one, and none behind the end."""
+        count = max(1, round((self.end - self.begin) / self.speed * self.fps))
+        if count > MAX_FRAMES:
+            raise LocalError(f"{count} pictures: at most {MAX_FRAMES}; use --from, --to, --speed or --fps")
+        return [min(self.end, self.begin + index * self.speed / self.fps) for index in range(count)]
+
+
+def encoder() -> str:
+    """The program that encodes; `LocalError` where there is none."""
+    if (path := shutil.which(ENCODER)) is None:
+        raise LocalError(f"no {ENCODER} found, which makes pictures a film: apt-get install {ENCODER}")
+    return path
+
+
+async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int], None]) -> None:
+    """Write the film of the page at `address`; `tell(done, all)` after each picture. Raises `LocalError`.
+
+    The file appears when it is whole.
+    """
+    instants, program = film.instants(), encoder()
+    part = path.with_name(f".{path.name}.part")
+    query = urlencode([("theme", film.theme), *(("chart", chart) for chart in film.charts)])
+    process = await asyncio.create_subprocess_exec(
+        program, "-loglevel", "error", "-y", "-f", "image2pipe", "-framerate", f"{film.fps:g}", "-c:v", "png",
+        "-i", "-", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart",
+        "-f", "mp4", str(part),
+        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
+        start_new_session=True,
+    )  # fmt: skip
+    assert process.stdin is not None
+    assert process.stderr is not None
+    errors = asyncio.create_task(process.stderr.read())
+    try:
+        try:
+            async with chromium.opened(f"{address}&directed&{query}", film.size) as page:
+                await page.until("Boolean(window.swarmView?.store.swarm)")
+                for number, t in enumerate(instants, 1):
+                    await page.evaluate(f"swarmView.show({t!r})")
+                    process.stdin.write(await page.picture())
+                    await process.stdin.drain()
+                    tell(number, len(instants))
+            process.stdin.close()
+            code = await process.wait()
+        except ConnectionError:  # it has ended
+            code = await process.wait()
+        if code != 0:
+            said = (await errors).decode(errors="replace").strip().splitlines()
+            raise LocalError(f"{path}: {ENCODER} ended with code {code}: {said[-1] if said else 'it says nothing'}")
+        part.replace(path)
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+        await errors
+        part.unlink(missing_ok=True)

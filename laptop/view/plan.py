@@ -1,0 +1,58 @@
+"""How an app is to be started on robots: as the run that they have in common, or as a new one.
+
+All of them are to run the same release, configuration and firmware, as for `swarm run`. Whoever is late is held against
+what was decided before.
+"""
+
+from laptop.fleet import apps
+from laptop.fleet.apps import Known
+from laptop.fleet.ssh import HostError
+from laptop.fleet.versions import Versions
+from swarm.config import Config
+
+
+class Plan:
+    """Of one start."""
+
+    def __init__(self, app: str, config: Config, *, alone: bool) -> None:
+        """`alone`: for one robot, which others may run it with."""
+        self._app = app
+        self._config = config
+        self._alone = alone
+        self._versions: dict[str, Versions] = {}
+        self._known: dict[str, Known | None] = {}
+        self._refused: dict[str, str] = {}
+        """What was wrong, and the robot that was told first."""
+        self._anew: bool | None = None
+        self._run: Known | None = None
+        """What they go on with."""
+
+    def found(self, robot: str, versions: Versions, known: Known | None) -> None:
+        """What a robot runs, and how the app was started there last."""
+        self._versions[robot], self._known[robot] = versions, known
+
+    def is_new(self, robot: str) -> bool:
+        """Whether the app begins anew on a robot that was found. Raises `HostError` where it is not to be started."""
+        if wrong := apps.differences(self._versions, self._config):
+            first = self._refused.setdefault(wrong, robot)
+            raise HostError(wrong if robot == first else f"see {first}")
+        run = self._known[robot]
+        if self._anew is None:
+            self._decide()
+        if not self._anew and run != self._run:
+            raise HostError(f"the others go on with another run of it: swarm run {self._app} begins one on all")
+        return bool(self._anew)
+
+    def _decide(self) -> None:
+        runs = set(self._known.values())
+        if len(runs) == 1 and None not in runs:
+            self._anew, self._run = False, runs.pop()
+            return
+        if self._alone:
+            raise HostError("it has not run it yet: start it on all robots")
+        if brought := sorted(robot for robot, run in self._known.items() if run is not None and not run.built_in):
+            raise HostError(
+                f"it is a file of yours, which not all robots have in the same run ({' '.join(brought)} have one): "
+                f"swarm run {self._app}.py"
+            )
+        self._anew = True

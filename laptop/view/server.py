@@ -1,0 +1,293 @@
+"""The page and its WebSocket, on this machine only.
+
+Who has the address has the page: it carries a token, made anew for each start. Pages of other origins are refused: a
+browser would send the token along. Each page is told of what moves at most `RATE` times a second and of all else some
+times, and only when it has taken the last ones. What a page asks never waits for what it is told (`questions`).
+"""
+
+import asyncio
+import concurrent.futures
+import hmac
+import itertools
+import json
+import logging
+import secrets
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from laptop.view.control import Control
+from laptop.view.feed import Live
+from laptop.view.picture import TRAIL_S, Picture
+from laptop.view.questions import Answer, Questions
+from laptop.view.recording import Recording
+from swarm.config.types import Config
+from swarm.errors import LocalError, PayloadError
+from swarm.messages.json_input import read_json
+
+HOST = "127.0.0.1"
+RATE = 25.0
+"""Steps a second that a page gets at most: places are told of at 10 Hz; the page draws the way between."""
+
+FULL = 5
+"""Steps of which one has all keys, events and services: nobody reads numbers that change more often."""
+
+CROWD = 50
+"""Robots from which on a page gets the full steps only."""
+
+HEARTBEAT_S = 10.0
+"""s between two pings; a page that takes half of it to answer is let go of, and connects again when it can."""
+
+REPEAT_S = 0.2
+"""s between two looks whether robots have confirmed a stop."""
+
+PAGE = Path(__file__).with_name("page")
+_MAX_REQUEST = 4096
+_POLICY = (
+    "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; connect-src 'self' ws:; "
+    "frame-ancestors 'none'"
+)
+"""Nothing from the network at run time."""
+
+Feed = Live | Recording
+
+_FEED: web.AppKey[Feed] = web.AppKey("feed")
+_TOKEN: web.AppKey[str] = web.AppKey("token")
+_CONTROL: web.AppKey[Control | None] = web.AppKey("control")
+_HALTS: web.AppKey[concurrent.futures.Executor] = web.AppKey("halts")
+"""A thread that carries out stops, and nothing else."""
+
+_log = logging.getLogger("view")
+
+
+def application(feed: Feed, control: Control | None, token: str) -> web.Application:
+    """The server; run it with `serve`. There is nothing to control in a recording."""
+    app = web.Application(middlewares=[_guard])
+    app[_FEED], app[_CONTROL], app[_TOKEN] = feed, control, token
+    app[_HALTS] = halts = concurrent.futures.ThreadPoolExecutor(1, "stops")
+    app.on_cleanup.append(lambda _: asyncio.to_thread(halts.shutdown, cancel_futures=True))
+    app.router.add_get("/", _index)
+    app.router.add_get("/live", _live)
+    app.router.add_static("/page", PAGE)
+    return app
+
+
+@web.middleware
+async def _guard(request: web.Request, handler: Callable[..., Any]) -> web.StreamResponse:
+    """Only this machine's browser, and only who has the token; the page's own parts hold no secrets."""
+    origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
+    if host.partition(":")[0] not in (HOST, "localhost") or origin not in (None, f"http://{host}"):
+        raise web.HTTPForbidden(text="this page is for the machine that it was started on\n")
+    if not request.path.startswith("/page/"):
+        given = request.query.get("token", "")
+        if not hmac.compare_digest(given.encode(), request.app[_TOKEN].encode()):
+            raise web.HTTPForbidden(text="open the address that `swarm view` has printed: the token in it is missing\n")
+    response: web.StreamResponse = await handler(request)
+    if not response.prepared:
+        response.headers["Cache-Control"] = "no-store"
+        response.headers["Content-Security-Policy"] = _POLICY
+        response.headers["Referrer-Policy"] = "no-referrer"
+        response.headers["X-Content-Type-Options"] = "nosniff"
+    return response
+
+
+async def _index(_: web.Request) -> web.StreamResponse:
+    return web.FileResponse(PAGE / "index.html")
+
+
+async def _live(request: web.Request) -> web.StreamResponse:
+    # Not compressed: it is this machine, and a page that has gone away would leave a task behind.
+    socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=_MAX_REQUEST, compress=False)
+    await socket.prepare(request)
+    feed, control = request.app[_FEED], request.app[_CONTROL]
+    if isinstance(feed, Recording):
+        await _play(feed, socket)
+        return socket
+    loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
+    questions = Questions(
+        # In threads: a simulation takes its time to obey, and the page's pictures go on.
+        lambda asked: loop.run_in_executor(halts, _answer, feed, control, asked),
+        lambda asked: asyncio.to_thread(_answer, feed, control, asked),
+        socket.send_str,
+    )
+    tasks = [asyncio.create_task(_steps(feed, control, socket)), asyncio.create_task(questions.run())]
+    try:
+        async for message in socket:
+            if message.type != WSMsgType.TEXT:
+                continue
+            try:
+                asked = read_json(message.data)
+            except PayloadError as error:
+                questions.tell({"refused": str(error)})
+            else:
+                await questions.take(asked)
+    finally:
+        for task in tasks:
+            task.cancel()
+        for ended in await asyncio.gather(*tasks, return_exceptions=True):
+            _tell_defect(ended)
+    return socket
+
+
+def _tell_defect(ended: object) -> None:
+    """Log why a page's task has ended, unless the page is gone."""
+    if isinstance(ended, BaseExceptionGroup):
+        for each in ended.exceptions:
+            _tell_defect(each)
+    elif isinstance(ended, Exception) and not isinstance(ended, ConnectionError):
+        _log.error("a page is told no more", exc_info=ended)
+
+
+async def _steps(feed: Live, control: Control | None, socket: web.WebSocketResponse) -> None:
+    """Tell a page what there is, then what changes."""
+    known: dict[str, Any] = {}
+    moved = rest = number = 0
+    for count in itertools.count():
+        if socket.closed:
+            return
+        now = feed.now()
+        step: dict[str, Any] = {"t": now, "live": feed.live}
+        parts: dict[str, Any] = {}
+        crowd = feed.config is not None and len(feed.config.names) >= CROWD
+        full = crowd or count % FULL == 0
+        with feed.lock:
+            picture = feed.picture
+            robots = picture.since(moved, rest if full else None)
+            parts["hops"] = picture.hops()
+            moved = picture.version
+            if full:
+                if events := picture.events_since(number):
+                    step["events"] = [event._asdict() for event in events]
+                    number = events[-1].number
+                parts["services"] = {robot: dict(each) for robot, each in picture.services().items()}
+                if rest == 0:
+                    step["trails"] = {name: _trail(picture, name, now) for name in robots}
+                rest = picture.version
+        if robots:
+            step["robots"] = robots
+        if full:
+            parts |= {"swarm": _swarm(feed, control), "pace": feed.pace()}
+        for name, value in parts.items():
+            if known.get(name) != value:
+                step[name] = known[name] = value
+        await socket.send_str(json.dumps(step, allow_nan=False, separators=(",", ":")))
+        await asyncio.sleep((FULL if crowd else 1) / RATE)
+
+
+def _trail(picture: Picture, robot: str, now: float) -> list[tuple[float, float]]:
+    return picture.trail(robot, "sim/truth", TRAIL_S, now) or picture.trail(robot, "dwm/pose", TRAIL_S, now)
+
+
+async def _play(recording: Recording, socket: web.WebSocketResponse) -> None:
+    """Answer a page that goes through a recording at its own pace."""
+    swarm = (_swarm(recording, None) or {"kind": recording.kind, "robots": list(recording.robots), "edges": []}) | {
+        "recording": {"first": recording.first, "last": recording.last, "damage": recording.damage}
+    }
+    await socket.send_json({"t": recording.first, "live": True, "swarm": swarm})
+    async for message in socket:
+        if message.type != WSMsgType.TEXT:
+            continue
+        try:
+            asked = read_json(message.data)
+            if "seek" in asked:
+                since = asked["seek"].get("since")
+                answer = recording.step(None if since is None else _number(since), _number(asked["seek"]["t"]))
+            else:
+                robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+                rows = recording.history(robot, topic, _number(asked["history"]["t"]))
+                answer = {"history": {"robot": robot, "topic": topic, "rows": rows}}
+        except LocalError as error:
+            answer = {"refused": str(error)}
+        except (PayloadError, ValueError, KeyError, TypeError, AttributeError):
+            answer = {"refused": "expected {seek: {since, t}} or {history: {robot, topic, t}}"}
+        await socket.send_str(json.dumps(answer, allow_nan=False, separators=(",", ":")))
+
+
+def _swarm(feed: Feed, control: Control | None) -> dict[str, Any] | None:
+    """What does not move: names, links that are to be, anchors."""
+    config = feed.config
+    if config is None:
+        return None
+    return {
+        "kind": feed.kind,
+        "acts": [] if control is None else list(control.acts),
+        "robots": list(config.names),
+        "edges": [list(edge) for edge in config.edges],
+        "anchors": [{"name": anchor.address, "x": anchor.x, "y": anchor.y} for anchor in config.anchors],
+        "target": _target(config),
+    }
+
+
+def _target(config: Config) -> dict[str, Any] | None:
+    """Where the target really is; of real robots nobody knows, unless it is one of the anchors."""
+    simulated = all(str(robot.link).startswith("sim:") for robot in config.robots)
+    if config.dwm.target is None or not simulated:
+        return None
+    x, y = config.simulation.target
+    return {"name": "target's start" if config.simulation.moving else "target", "x": x, "y": y}
+
+
+def _answer(feed: Live, control: Control | None, asked: Any) -> Answer:
+    """The answer to what a page asks: the history of a key, or an act."""
+    try:
+        if "do" in asked:
+            if control is None:
+                return {"refused": "a virtual run is only watched"}
+            return {"done": control.do(asked["do"])}
+        if "pace" in asked:
+            speed = asked["pace"]["speed"]
+            feed.set_pace(None if speed is None else _number(speed), bool(asked["pace"]["paused"]))
+            return {"done": "paused" if asked["pace"]["paused"] else f"speed: {speed or 'max'}"}
+        robot, topic = str(asked["history"]["robot"]), str(asked["history"]["topic"])
+    except LocalError as error:
+        return {"refused": str(error)}
+    except (ValueError, KeyError, TypeError, OverflowError):
+        return {"refused": "expected {history: {robot, topic}}, {do: {act, ...}} or {pace: {speed, paused}}"}
+    except Exception:  # noqa: BLE001 - a defect of ours, and the page's way to a stop lives on
+        _log.exception("an act has failed")
+        return {"refused": "this program has a defect there: its log says more"}
+    with feed.lock:
+        rows = feed.picture.history(robot, topic)
+    return {"history": {"robot": robot, "topic": topic, "rows": rows}}
+
+
+def _number(value: object) -> float:
+    """A number that a page has sent; `TypeError` where it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("no number")
+    return float(value)
+
+
+async def _repeat(control: Control) -> None:
+    while True:
+        await asyncio.sleep(REPEAT_S)
+        try:
+            await asyncio.to_thread(control.repeat)
+        except Exception:  # noqa: BLE001 - whatever it is, the next stop has to be repeated, too
+            _log.exception("what robots have not confirmed could not be repeated")
+
+
+async def serve(
+    feed: Feed, control: Control | None, port: int, ready: Callable[[str], Awaitable[None]], ended: asyncio.Event
+) -> None:
+    """Serve until `ended`; `ready(address)` is awaited when the page can be opened. Raises `LocalError` where the port
+    is taken."""
+    token = secrets.token_urlsafe(16)
+    runner = web.AppRunner(application(feed, control, token), access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    try:
+        site = web.TCPSite(runner, HOST, port)
+        try:
+            await site.start()
+        except OSError as error:
+            raise LocalError(f"port {port} of {HOST}: {error.strerror}; --port names another one, 0 any") from None
+        _, taken, *_ = runner.addresses[0]
+        repeating = None if control is None else asyncio.create_task(_repeat(control))
+        await ready(f"http://{HOST}:{taken}/?token={token}")
+        await ended.wait()
+        if repeating is not None:
+            repeating.cancel()
+    finally:
+        await runner.cleanup()

@@ -1,0 +1,170 @@
+"""The bus of one real robot, seen through ssh: what `swarm.onboard.lookout` tells there, and the way back for commands.
+
+The connection is made again whenever it breaks, until closed.
+"""
+
+import contextlib
+import logging
+import os
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable
+from typing import IO
+
+import msgpack
+
+from laptop.fleet.ssh import Host, Ssh, explain, last_words
+from swarm.errors import LocalError
+from swarm.messages.codec import encode
+from swarm.onboard.lookout import MAX_COMMAND
+
+PROGRAM = "sudo -n /opt/swarm/current/bin/python -m swarm.onboard.lookout"
+RETRY_S = (1.0, 2.0, 5.0)
+"""s until the first, second and all later tries again."""
+
+_CLIENT_FAILED = 255
+_OLD_RELEASE = "No module named swarm.onboard.lookout"
+_LONGEST_ERROR = 4000
+_END_S = 2.0
+_GARBAGE = "it says what this program does not understand: is its release another one?"
+
+_log = logging.getLogger("view")
+_LARGEST = 4 << 20
+"""bytes that a robot may say at once; the largest message that a bus takes is a quarter of that."""
+
+
+class Tunnel:
+    """To one robot."""
+
+    def __init__(self, ssh: Ssh, host: Host, take: Callable[[list[object]], None], changed: Callable[[], None]) -> None:
+        """`take` gets each array that the robot's lookout tells, in a thread of ours; `changed()` is called when
+        `connected` or `problem` change."""
+        self.host = host
+        self.connected = False
+        """Whether the robot's lookout speaks."""
+        self.problem = ""
+        """Why not, in words; empty where it does or was not tried yet."""
+        self._arguments = ssh.arguments(host, f"{PROGRAM} {host.robot}")
+        self._take = take
+        self._changed = changed
+        self._lock = threading.Lock()
+        """Around the process and its input."""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"tunnel {host.robot}", daemon=True)
+        self._thread.start()
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        """Say something on the robot's bus; lost where it cannot be reached or the network is full, as on a bus."""
+        data: bytes = msgpack.packb([key, message if isinstance(message, bytes) else encode(message)])
+        if len(data) > MAX_COMMAND:
+            raise LocalError(f"{key}: {len(data)} bytes, a command has at most {MAX_COMMAND}")
+        with self._lock:
+            if self._process is not None and self._process.stdin is not None:
+                with contextlib.suppress(OSError):  # a full pipe takes all of it or nothing
+                    os.write(self._process.stdin.fileno(), data)
+
+    def close(self) -> None:
+        """End the connection; the robot's end of it ends by that."""
+        self._closing.set()
+        with self._lock:
+            if self._process is not None:
+                self._process.terminate()
+        self._thread.join()
+
+    def _run(self) -> None:
+        tries = 0
+        while not self._closing.is_set():
+            try:
+                heard = self._once()
+            except Exception as error:  # noqa: BLE001 - whatever it is, the next try may do better
+                _log.exception("the way to %s has failed", self.host.robot)
+                heard = False
+                self._tell(False, f"the way there has failed: {error}")
+            tries = 0 if heard else tries + 1
+            self._closing.wait(RETRY_S[min(tries, len(RETRY_S) - 1)])
+
+    def _once(self) -> bool:
+        """One connection, from its beginning to its end; whether the robot has said anything."""
+        # To a file: nobody has to read it meanwhile, and a connection that ssh shares may keep it open.
+        with tempfile.TemporaryFile() as errors:
+            try:
+                # Of its own session: Ctrl-C ends us, and we end it.
+                process = subprocess.Popen(
+                    self._arguments,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=errors,
+                    bufsize=0,
+                    start_new_session=True,
+                )
+            except FileNotFoundError:
+                self._tell(False, "there is no ssh here: sudo apt-get install openssh-client")
+                return False
+            assert process.stdin is not None
+            assert process.stdout is not None
+            os.set_blocking(process.stdin.fileno(), False)
+            with self._lock:
+                self._process = process
+                if self._closing.is_set():
+                    process.terminate()
+            heard, problem = False, ""
+            try:
+                heard, problem = self._read(process.stdout)
+                if problem:
+                    process.terminate()
+            finally:
+                code = _end(process)
+                with self._lock:
+                    self._process = None
+                    process.stdin.close()
+                    process.stdout.close()
+            errors.seek(max(0, errors.tell() - _LONGEST_ERROR))
+            problem = problem or self._explain(code, errors.read().decode(errors="replace"))
+        if not self._closing.is_set():
+            self._tell(False, problem)
+        return heard
+
+    def _read(self, stream: IO[bytes]) -> tuple[bool, str]:
+        """Take what the robot says until it ends; whether there was anything, and what was wrong with it."""
+        unpacker = msgpack.Unpacker(max_buffer_size=_LARGEST)
+        heard = False
+        while data := stream.read(1 << 16):
+            try:
+                unpacker.feed(data)
+                messages = list(unpacker)
+            except (ValueError, TypeError, msgpack.UnpackException):
+                return heard, _GARBAGE
+            for said in messages:
+                if not isinstance(said, list) or not said:
+                    return heard, _GARBAGE
+                if not heard:
+                    heard = True
+                    self._tell(True, "")
+                try:
+                    self._take(said)
+                except Exception:  # noqa: BLE001 - a defect here; the way to this robot may be needed for a stop
+                    _log.exception("a message that came through %s could not be taken", self.host.robot)
+        return heard, ""
+
+    def _tell(self, connected: bool, problem: str) -> None:
+        if (connected, problem) != (self.connected, self.problem):
+            self.connected, self.problem = connected, problem
+            self._changed()
+
+    def _explain(self, code: int, err: str) -> str:
+        if code == _CLIENT_FAILED:
+            return explain(self.host, err)
+        if _OLD_RELEASE in err:
+            return "its release is older than this program: swarm deploy"
+        return last_words(err) or f"its lookout has ended (exit code {code})"
+
+
+def _end(process: subprocess.Popen[bytes]) -> int:
+    """Its exit code: the connection has ended, or was told to."""
+    try:
+        return process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()

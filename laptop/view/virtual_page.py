@@ -1,0 +1,60 @@
+"""`swarm sim --virtual --view`: a run under virtual time on the page of `swarm view`, while it runs and after."""
+
+import asyncio
+import signal
+import sys
+from collections.abc import Callable
+
+from laptop.cli.runs.view import announce
+from laptop.view.virtual_feed import Live
+from sim.options import Options
+from sim.report import Outcome
+from sim.scenario import Scenario
+from sim.virtual.run import Run
+from swarm.errors import LocalError
+
+
+def watched(run: Run, plan: Scenario, options: Options, tell: Callable[[Outcome], int]) -> int:
+    """Run, and serve the page until interrupted. `tell(outcome)` reports the run at its end; its exit code is ours."""
+    try:
+        from laptop.view import server
+    except ModuleNotFoundError as error:
+        raise LocalError(f"--view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
+    feed = Live(run.world, plan.config, 1.0 if options.speed is None else options.speed)
+
+    async def main() -> int:
+        ended = asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        codes: list[int] = []
+
+        def go() -> Outcome:
+            outcome = run.go()
+            feed.ended()
+            return outcome
+
+        async def simulate() -> None:
+            try:
+                outcome = await asyncio.to_thread(go)
+            except BaseException:
+                ended.set()
+                raise
+            codes.append(tell(outcome))
+            if not ended.is_set():
+                sys.stderr.write("the page shows the end of the run, until Ctrl-C\n")
+            sys.stdout.flush()
+
+        running: list[asyncio.Task[None]] = []
+
+        async def ready(address: str) -> None:
+            announce(address, browse=not options.no_open)
+            running.append(asyncio.create_task(simulate()))
+
+        try:
+            await server.serve(feed, None, 0, ready, ended)
+        finally:
+            feed.close()
+            await asyncio.gather(*running)
+        return codes[0]
+
+    return asyncio.run(main())

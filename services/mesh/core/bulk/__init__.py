@@ -1,0 +1,1 @@
+"""Messages larger than a packet, fetched piece by piece. Imports `wire`."""

@@ -1,0 +1,292 @@
+"""Large messages between any two robots: who needs one fetches it piece by piece, who has it answers.
+
+The receiver asks, so it decides how much it takes in, repeats what was lost, and paces the way (`core.pace`); who
+answers keeps nothing but the message. A robot that is still fetching a flood's message hands its pieces on as they
+come: one that asks for a piece which is not there yet gets it when it is.
+"""
+
+from collections.abc import Callable, Collection, Iterable
+
+from services.mesh.core.bulk import pieces
+from services.mesh.core.bulk.fetch import Fetch
+from services.mesh.core.bulk.pace import Pace
+from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Id, Packet
+
+PATIENCE = 30.0
+"""s without a new piece after which a message is given up."""
+
+TRIED = 2
+"""Timeouts in a row after which another robot is asked, where one may have the message."""
+
+LOOK_AGAIN = 2.0
+"""s until neighbours are tried where nobody is left to be asked."""
+
+MAX_WAITING = 4 * pieces.MAX_WANTED
+"""Pieces that are remembered to be handed on to one robot when they come."""
+
+COUNTERS = ("pieces_sent", "pieces_repeated", "pieces_useless", "large_incomplete")
+
+_NEVER = float("inf")
+
+
+class Source:
+    """A robot that we fetch from."""
+
+    __slots__ = ("fetches", "pace", "timeouts")
+
+    def __init__(self) -> None:
+        self.pace = Pace()
+        self.fetches: dict[Id, Fetch] = {}
+        self.timeouts = 0
+
+    @property
+    def asked(self) -> int:
+        """Pieces asked for."""
+        return sum(fetch.asked for fetch in self.fetches.values())
+
+    @property
+    def deadline(self) -> float:
+        """When the oldest of them is taken for lost."""
+        return min((fetch.asked_since for fetch in self.fetches.values()), default=_NEVER) + self.pace.patience
+
+
+class Exchange:
+    """All large messages of one robot. Calls with `now` must not go back in time."""
+
+    def __init__(
+        self,
+        me: str,
+        *,
+        emit: Callable[[Packet], bool],
+        has: Callable[[Id, str], bytes | None],
+        finished: Callable[[Id, bytes | None, float], None],
+        others: Callable[[], Collection[str]],
+        counters: dict[str, int],
+    ) -> None:
+        """`emit(packet)` sends one, False where there is no way; `has(id, peer)` is a whole message that `peer` may
+        ask for; `finished(id, payload, now)` ends each fetch, without a payload where it was given up; `others()` may
+        have a flood's message when nobody else has it."""
+        self._me = me
+        self._emit = emit
+        self._has = has
+        self._finished = finished
+        self._others = others
+        self._counters = counters
+        self._sources: dict[str, Source] = {}
+        self._fetches: dict[Id, Fetch] = {}
+        self._waiting: dict[Id, dict[str, dict[int, None]]] = {}
+        """Pieces of unfinished messages that others wait for."""
+        self._look_at = _NEVER
+
+    # -- what this robot fetches -------------------------------------------------------------------------------
+
+    @property
+    def fetching(self) -> Collection[Fetch]:
+        """Messages on their way here."""
+        return self._fetches.values()
+
+    def fetch(self, id: Id, total: int, source: str, now: float) -> None:
+        """Fetch a message that `source` has, or will have."""
+        fetch = self._fetches[id] = Fetch(id, total, now)
+        self._assign(fetch, source, now)
+
+    def add_source(self, id: Id, robot: str, now: float) -> None:
+        """That robot may have it, too."""
+        fetch = self._fetches.get(id)
+        if fetch is not None and robot != fetch.source and robot not in fetch.sources:
+            fetch.sources.append(robot)
+            if fetch.source is None:
+                self._next_source(fetch, now)
+
+    def drop(self, id: Id, now: float) -> None:
+        """Give a message up."""
+        if (fetch := self._fetches.pop(id, None)) is not None:
+            self._leave(fetch)
+            for peer in self._waiting.pop(id, ()):
+                self._emit(Packet(GONE, self._me, peer, id, b""))
+            self._counters["large_incomplete"] += 1
+            self._finished(id, None, now)
+
+    def ways_changed(self, now: float) -> None:
+        """There are ways where there were none, or the other way round."""
+        for fetch in tuple(self._fetches.values()):
+            if fetch.source is None:
+                self._next_source(fetch, now)
+        for name in tuple(self._sources):
+            source = self._sources.get(name)
+            if source is not None and source.timeouts:
+                # What was asked for went into the void; what was in the void's way need not wait for the next try.
+                self._again(source)
+            self._ask(name, now)
+
+    # -- packets -----------------------------------------------------------------------------------------------
+
+    def receive(self, packet: Packet, now: float) -> pieces.Want | None:
+        """A WANT (given back), PIECE or GONE for this robot; raises `FrameError`."""
+        if packet.kind == WANT:
+            want = pieces.decode_want(packet.body)
+            self._on_want(packet.sender, packet.id, want)
+            return want
+        if packet.kind == PIECE:
+            self._on_piece(packet.sender, packet.id, *pieces.decode_piece(packet.body), now)
+        else:
+            self._on_gone(packet.sender, packet.id, now)
+        return None
+
+    def _on_piece(self, sender: str, id: Id, index: int, data: bytes, now: float) -> None:
+        fetch = self._fetches.get(id)
+        taken = fetch.take(index, data, now) if fetch is not None else None
+        if fetch is None or taken is None:
+            self._counters["pieces_useless"] += 1
+            return
+        rtt, lost = taken
+        source = self._sources.get(sender)
+        if source is not None:
+            source.timeouts = 0
+            if rtt:
+                source.pace.arrived(rtt, now)
+            if lost:
+                self._counters["pieces_repeated"] += lost
+                source.pace.lost(now)
+        for peer, indexes in self._waiting.get(id, {}).items():
+            if index in indexes:
+                del indexes[index]
+                self._give(peer, id, index, data)
+        if fetch.complete:
+            del self._fetches[id]
+            self._leave(fetch)
+            self._waiting.pop(id, None)
+            self._finished(id, fetch.payload(), now)
+        self._ask(sender, now)
+
+    def _on_gone(self, sender: str, id: Id, now: float) -> None:
+        fetch = self._fetches.get(id)
+        if fetch is None or sender != fetch.source:
+            return
+        if id.flood:
+            self._next_source(fetch, now)
+        else:
+            self.drop(id, now)
+
+    def _on_want(self, peer: str, id: Id, want: pieces.Want) -> None:
+        payload = self._has(id, peer)
+        if payload is not None:
+            count = pieces.count_of(len(payload))
+            for index in want.indexes:
+                if index < count:
+                    self._give(peer, id, index, payload[index * SIZE : (index + 1) * SIZE])
+            return
+        fetch = self._fetches.get(id)
+        if fetch is None or not id.flood:
+            self._emit(Packet(GONE, self._me, peer, id, b""))
+            return
+        waiting = self._waiting.setdefault(id, {}).setdefault(peer, {})
+        for index in want.indexes:
+            data = fetch.piece(index)
+            if data is not None:
+                self._give(peer, id, index, data)
+            elif index < fetch.count and len(waiting) < MAX_WAITING:
+                waiting[index] = None
+
+    def _give(self, peer: str, id: Id, index: int, data: bytes) -> None:
+        self._counters["pieces_sent"] += 1
+        self._emit(Packet(PIECE, self._me, peer, id, pieces.encode_piece(index, data)))
+
+    # -- time --------------------------------------------------------------------------------------------------
+
+    def handle_timer(self, now: float) -> None:
+        """Ask again, or somebody else, or give up."""
+        for fetch in tuple(self._fetches.values()):
+            if now >= fetch.heard + PATIENCE:
+                self.drop(fetch.id, now)
+        for name in tuple(self._sources):
+            source = self._sources.get(name)
+            if source is not None and now >= source.deadline:
+                source.timeouts += 1
+                source.pace.silent(now)
+                self._again(source)
+                if source.timeouts >= TRIED:
+                    for fetch in tuple(source.fetches.values()):
+                        if fetch.sources:
+                            fetch.sources.append(name)
+                            self._next_source(fetch, now)
+                self._ask(name, now)
+        if now >= self._look_at:
+            self._look_at = _NEVER
+            for fetch in self._fetches.values():
+                if fetch.source is None:
+                    fetch.sources.extend(name for name in self._others() if name not in fetch.sources)
+                    self._next_source(fetch, now)
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called."""
+        deadline = self._look_at
+        for source in self._sources.values():
+            deadline = min(deadline, source.deadline)
+        for fetch in self._fetches.values():
+            deadline = min(deadline, fetch.heard + PATIENCE)
+        return deadline
+
+    # -- inside ------------------------------------------------------------------------------------------------
+
+    def _again(self, source: Source) -> None:
+        self._counters["pieces_repeated"] += source.asked
+        for fetch in source.fetches.values():
+            fetch.ask_again()
+
+    def _assign(self, fetch: Fetch, robot: str, now: float) -> None:
+        fetch.source = robot
+        self._sources.setdefault(robot, Source()).fetches[fetch.id] = fetch
+        self._ask(robot, now)
+
+    def _leave(self, fetch: Fetch) -> None:
+        """The robot that was asked so far is not asked any more."""
+        if (name := fetch.source) is not None:
+            source = self._sources[name]
+            del source.fetches[fetch.id]
+            fetch.source = None
+            if not source.fetches:
+                del self._sources[name]
+
+    def _next_source(self, fetch: Fetch, now: float) -> None:
+        fetch.ask_again()
+        self._leave(fetch)
+        if fetch.sources:
+            self._assign(fetch, fetch.sources.popleft(), now)
+        else:
+            self._look_at = min(self._look_at, now + LOOK_AGAIN)
+
+    def _ask(self, name: str, now: float) -> None:
+        """Ask a robot for as much as its window lets, its messages in turns."""
+        source = self._sources.get(name)
+        if source is None:
+            return  # nothing is fetched from it any more
+        room = int(source.pace.window / SIZE) - source.asked
+        waiting = list(source.fetches.values())
+        if room < 2 and source.asked:
+            source.pace.full()
+            return
+        picked: dict[Id, list[int]] = {}
+        while room > 0 and waiting:
+            fetch = waiting.pop(0)
+            index = fetch.pick(now)
+            if index is not None:
+                picked.setdefault(fetch.id, []).append(index)
+                room -= 1
+                waiting.append(fetch)
+        if room <= 0:
+            source.pace.full()
+        for id, indexes in picked.items():
+            fetch = source.fetches[id]
+            for at in range(0, len(indexes), pieces.MAX_RANGES):
+                body = pieces.encode_want(fetch.have, indexes[at : at + pieces.MAX_RANGES])
+                if not self._emit(Packet(WANT, self._me, name, id, body)):
+                    fetch.ask_again()
+                    if id.flood:
+                        self._next_source(fetch, now)
+                    break  # else `ways_changed` comes when there is a way
+
+
+def total_of(fetches: Iterable[Fetch]) -> int:
+    """Bytes that these messages have, or will have."""
+    return sum(fetch.total for fetch in fetches)

@@ -1,0 +1,379 @@
+"""The mesh clock: one time for the whole swarm, from the stamps that heartbeats carry anyway.
+
+Every robot keeps C = own monotonic clock + offset. The root is the robot with the smallest name in reach; its offset
+runs free. Every other robot follows a neighbour nearer to the root: C = the neighbour's C + the measured offset of the
+two monotonic clocks. It slews (at most `MAX_SLEW`), and steps only where it is off by more than `STEP`, and for a
+while after that. So robots agree without anybody's idea of the true time. A robot that becomes the root goes on with
+the time it has; one that was started anew first takes over the time of the others, even where it is to be their root.
+
+After FTSP (Maroti et al. 2004: root by smallest id, its flooded sequence number here called epoch) and PulseSync
+(Lenzen et al. 2009). Two-way samples cancel the delay, not its asymmetry: half the difference of the two directions'
+mean delays stays as an error of each hop, and cannot be observed.
+"""
+
+import math
+import struct
+from collections import deque
+from typing import NamedTuple
+
+from services.mesh.core.link.heartbeat import MAX_APART
+from services.mesh.core.wire import frames
+from swarm.errors import FrameError
+from swarm.messages.keys import is_name
+
+WINDOW = 120.0
+"""s of samples a link's estimate rests on."""
+
+BEST = 0.5
+"""Share of the samples that is used: those with the smallest round trip waited least in queues. Where the delay only
+jitters, all would do better and a quarter worse; where other traffic delays some, it is the other way round."""
+
+_REFIT = 4
+"""Once there are `_ENOUGH` samples a line is fitted to every so many new ones: the old fit says nearly the same."""
+
+_ENOUGH = 20
+
+SKEW_AFTER = 10.0
+"""s that samples must span before a slope is fitted; over less it would be noise."""
+
+UNKNOWN_SKEW = 30e-6
+"""s/s by which two quartz clocks differ (standard deviation), as long as that was not measured."""
+
+MAX_SKEW = 100e-6
+"""Largest difference of two clocks' rates believed: crystals are good for +-20 to 30 ppm each."""
+
+MAX_SLEW = 500e-6
+"""Largest change of rate by which an offset is corrected; a second of mesh time is never off by more."""
+
+STEP = 0.2
+"""s of error above which the clock steps, which happens when it first hears of others, and when swarms merge."""
+
+STEPS_FOR = 10.0
+"""s after such a step in which it steps again rather than slews: it rested on the first sample of each link, whose
+jitter of some ms a hop would take half a minute to slew away."""
+
+SETTLE = 2.0
+"""s in which an error decays by e, as far as `MAX_SLEW` allows: with 60 ppm between clocks the lag is 0.12 ms a hop."""
+
+EPOCH_PERIOD = 0.4
+"""s between two epochs of the root, at least; a little less than the heartbeat's, which carries them."""
+
+FRESH = 2.5
+"""s for which a neighbour counts as connected to the root after it told a new epoch."""
+
+ROOT_LOST = 5.0
+"""s without a new epoch after which a root is given up, and the smallest name left takes over."""
+
+LISTEN = 10.0
+"""s after its start in which a robot follows any root that is older than that, rather than be root itself: the
+swarm's time survives a restart of the smallest name."""
+
+MAX_HOPS = 255
+_MAX_SAMPLES = 256
+_CLAIM = struct.Struct("<IIBBQdff")
+_CHILD, _SETTLED = 1, 2
+_MAX_ROOTS = 64
+_MAX_RATE = 1e-3
+
+
+class Claim(NamedTuple):
+    """What a robot tells a neighbour about its clock, beside each heartbeat."""
+
+    root: str
+    incarnation: int
+    """u32 of the root's process: a root started anew counts its epochs from the beginning."""
+    epoch: int
+    """u32, counted up by the root: who hears it has a way to the root that worked a moment ago."""
+    hop: int
+    """Links between the sender and the root."""
+    child: bool
+    """Whether the sender follows the receiver, which must not follow it in turn."""
+    settled: bool
+    """Whether the root was started longer than `LISTEN` ago."""
+    at: float
+    """Sender's monotonic clock, s, for which the following hold."""
+    offset: float
+    """C - monotonic clock of the sender, s."""
+    rate: float
+    """Change of `offset`, s/s."""
+    error: float
+    """Estimated standard deviation of the sender's C from the root's, s."""
+
+
+def encode_claim(claim: Claim) -> bytes:
+    """A CLOCK frame."""
+    flags = claim.child * _CHILD | claim.settled * _SETTLED
+    body = _CLAIM.pack(
+        claim.incarnation,
+        claim.epoch,
+        claim.hop,
+        flags,
+        int(claim.at * 1e6),
+        claim.offset,
+        claim.rate,
+        claim.error,
+    )
+    return frames.encode(frames.CLOCK, frames.CONTROL, body + claim.root.encode())
+
+
+def decode_claim(body: bytes) -> Claim:
+    """The body of a CLOCK frame. Raises `FrameError`."""
+    if len(body) <= _CLAIM.size:
+        raise FrameError(f"CLOCK of {len(body)} bytes: it has more than {_CLAIM.size}")
+    incarnation, epoch, hop, flags, at, offset, rate, error = _CLAIM.unpack_from(body)
+    root = body[_CLAIM.size :].decode("ascii", "replace")
+    if not is_name(root):
+        raise FrameError(f"CLOCK root {root[:32]!r}: not a robot's name")
+    if flags & ~(_CHILD | _SETTLED):
+        raise FrameError(f"CLOCK flags {flags:#x}: bits 0 and 1 are known")
+    # NaN fails every comparison, so it is refused, too.
+    if not (abs(offset) <= MAX_APART and abs(rate) <= _MAX_RATE and 0.0 <= error <= MAX_APART):
+        raise FrameError(f"CLOCK offset {offset}, rate {rate}, error {error}: out of bounds")
+    return Claim(
+        root, incarnation, epoch, hop, bool(flags & _CHILD), bool(flags & _SETTLED), at * 1e-6, offset, rate, error
+    )
+
+
+class ClockState(NamedTuple):
+    """The mesh clock of this robot: C(t) = t + offset + rate (t - at)."""
+
+    at: float
+    offset: float
+    rate: float
+    root: str
+    hop: int
+    error: float
+
+
+class Fit(NamedTuple):
+    """Offset of a neighbour's monotonic clock to ours as a straight line."""
+
+    at: float
+    offset: float
+    skew: float
+    error: float
+    """Standard error of the offset, s."""
+    skew_error: float
+    """Standard error of the skew, s/s."""
+
+    def offset_at(self, now: float) -> float:
+        """The offset at another time."""
+        return self.offset + self.skew * (now - self.at)
+
+    def error_at(self, now: float) -> float:
+        """Its standard error, which grows with the distance from the samples' middle."""
+        return math.hypot(self.error, self.skew_error * (now - self.at))
+
+
+class LinkClock:
+    """Offset between a neighbour's monotonic clock and ours."""
+
+    __slots__ = ("_samples", "_unfitted", "fit")
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SAMPLES)
+        self._unfitted = 0
+        self.fit: Fit | None = None
+
+    def add(self, now: float, rtt: float, offset: float) -> None:
+        """A two-way sample of this moment. Its error is at most rtt / 2: one that is further off than that shows that
+        the neighbour's clock began anew."""
+        if self.fit is not None and abs(offset - self.fit.offset_at(now)) > rtt + STEP:
+            self._samples.clear()
+        self._samples.append((now, rtt, offset))
+        while self._samples[0][0] < now - WINDOW:
+            self._samples.popleft()
+        self._unfitted += 1
+        if self._unfitted >= _REFIT or len(self._samples) < _ENOUGH:
+            self._unfitted = 0
+            self.fit = self._fit()
+
+    def _fit(self) -> Fit:
+        by_rtt = sorted(self._samples, key=lambda sample: sample[1])
+        best = by_rtt[: max(1, math.ceil(len(by_rtt) * BEST))]
+        count = len(best)
+        at = math.fsum(sample[0] for sample in best) / count
+        mean = math.fsum(sample[2] for sample in best) / count
+        skew, skew_error = 0.0, UNKNOWN_SKEW
+        square = math.fsum((sample[0] - at) ** 2 for sample in best)
+        fitted = self._samples[-1][0] - self._samples[0][0] >= SKEW_AFTER and square > 0.0
+        if fitted:
+            skew = math.fsum((sample[0] - at) * (sample[2] - mean) for sample in best) / square
+            skew = max(-MAX_SKEW, min(MAX_SKEW, skew))
+        if count < 2:
+            return Fit(at, mean, skew, best[0][1] / 2, skew_error)
+        rest = math.fsum((sample[2] - mean - skew * (sample[0] - at)) ** 2 for sample in best) / (count - 1)
+        if fitted:
+            # The slope of some noisy samples says less than that quartz clocks hardly differ: the mean of both, each by
+            # what it is worth.
+            share = square / (square + rest / UNKNOWN_SKEW**2)
+            skew *= share
+            skew_error *= math.sqrt(1.0 - share)
+        return Fit(at, mean, skew, math.sqrt(rest / count), skew_error)
+
+
+class _Neighbour:
+    """What one neighbour told, and how its clock compares."""
+
+    __slots__ = ("advanced", "claim", "link")
+
+    def __init__(self) -> None:
+        self.link = LinkClock()
+        self.claim: Claim | None = None
+        self.advanced = -math.inf
+        """When it last told a new epoch of the root that it claims."""
+
+
+class MeshClock:
+    """The mesh clock of one robot. Calls with `now`, its monotonic clock, must not go back in time."""
+
+    def __init__(self, robot: str, incarnation: int, robots: frozenset[str]) -> None:
+        """`robots` are those that may be root."""
+        self._robot = robot
+        self._incarnation = incarnation & 0xFFFFFFFF
+        self._robots = robots
+        self._neighbours: dict[str, _Neighbour] = {}
+        self._roots: dict[tuple[str, int], tuple[int, float, bool]] = {}
+        """Newest epoch of each root (and its incarnation) heard of, when it came, and whether that root is settled."""
+        self._started: float | None = None
+        self._root = (robot, self._incarnation)
+        self._followed = robot
+        """Whose time this is: that of the root as soon as there is a way to it."""
+        self._parent: str | None = None
+        self._hop = 0
+        self._epoch = 0
+        self._settled = False
+        self._own_epoch = 0
+        self._own_epoch_at = -math.inf
+        self._at = 0.0
+        self._offset = 0.0
+        self._steps_until = -math.inf
+        self._rate = 0.0
+        self._error = 0.0
+
+    # -- inputs --
+
+    def sample(self, peer: str, now: float, rtt: float, offset: float) -> None:
+        """A heartbeat came: round trip, and the peer's monotonic clock minus ours, s."""
+        self._neighbour(peer).link.add(now, rtt, offset)
+
+    def hear(self, peer: str, claim: Claim, now: float) -> None:
+        """A neighbour's claim came."""
+        if claim.root not in self._robots or claim.root == self._robot:
+            # Who still follows our own earlier process will hear of this one.
+            claim = claim._replace(root=peer, child=True)
+        neighbour = self._neighbour(peer)
+        before, neighbour.claim = neighbour.claim, claim
+        if claim.child:
+            return
+        root = (claim.root, claim.incarnation)
+        if before is None or (before.root, before.incarnation) != root or claim.epoch > before.epoch:
+            neighbour.advanced = now
+        if claim.epoch > self._roots.get(root, (-1, 0.0, False))[0]:
+            self._roots[root] = (claim.epoch, now, claim.settled)
+            if len(self._roots) > _MAX_ROOTS:
+                del self._roots[min(self._roots, key=lambda each: self._roots[each][1])]
+
+    def lost(self, peer: str) -> None:
+        """The link to a neighbour is down: what it said is void, how its clock runs is not."""
+        if (neighbour := self._neighbours.get(peer)) is not None:
+            neighbour.claim = None
+
+    # -- outputs --
+
+    def claim(self, peer: str, now: float) -> Claim:
+        """What to tell a neighbour now."""
+        self._update(now)
+        # A neighbour nearer to the root may have named an offset at the limit. What this robot adds to it must not pass
+        # the limit: the next robot would take that for a bad frame and end its link with this one, which is innocent.
+        return Claim(
+            *self._root,
+            self._epoch,
+            self._hop,
+            # Who has heard of the root but has no way to it yet has nothing to offer to anybody.
+            peer == self._parent or self._followed != self._root[0],
+            self._settled,
+            now,
+            max(-MAX_APART, min(self._offset, MAX_APART)),
+            self._rate,
+            min(self._error, MAX_APART),
+        )
+
+    def state(self, now: float) -> ClockState:
+        """The mesh clock now."""
+        self._update(now)
+        return ClockState(now, self._offset, self._rate, self._followed, self._hop, self._error)
+
+    # -- inside --
+
+    def _neighbour(self, peer: str) -> _Neighbour:
+        found = self._neighbours.get(peer)
+        if found is None:
+            found = self._neighbours[peer] = _Neighbour()
+        return found
+
+    def _update(self, now: float) -> None:
+        if self._started is None:
+            self._started = now
+        passed = now - self._at
+        self._offset += self._rate * passed
+        self._at = now
+        self._root = self._choose_root(now)
+        if self._root[0] == self._robot:
+            self._parent, self._hop, self._rate, self._error = None, 0, 0.0, 0.0
+            self._followed = self._robot
+            if now >= self._own_epoch_at + EPOCH_PERIOD:
+                self._own_epoch, self._own_epoch_at = self._own_epoch + 1, now
+            self._epoch = self._own_epoch
+            self._settled = now >= self._started + LISTEN
+            return
+        self._parent = self._choose_parent(now)
+        if self._parent is None:
+            self._rate = 0.0
+            if self._followed != self._robot:
+                self._error += UNKNOWN_SKEW * passed
+            return
+        parent = self._neighbours[self._parent]
+        assert parent.claim is not None
+        assert parent.link.fit is not None
+        self._hop = parent.claim.hop + 1
+        self._epoch = parent.claim.epoch
+        self._settled = parent.claim.settled
+        self._follow(parent.claim, parent.link.fit, now)
+        self._followed = self._root[0]
+
+    def _follow(self, claim: Claim, fit: Fit, now: float) -> None:
+        between = fit.offset_at(now)
+        target = between + claim.offset + claim.rate * (now + between - claim.at)
+        error = target - self._offset
+        if abs(error) > STEP:
+            self._steps_until = now + STEPS_FOR
+        if now < self._steps_until:
+            self._offset, error = target, 0.0
+        self._rate = max(-MAX_SLEW, min(MAX_SLEW, error / SETTLE))
+        # What is still to be slewed is an error, too.
+        self._error = math.hypot(claim.error, fit.error_at(now), error)
+
+    def _choose_root(self, now: float) -> tuple[str, int]:
+        """The smallest name heard of lately, or the own one; of two incarnations the one heard of last."""
+        assert self._started is not None
+        lately = [(root, at, settled) for root, (_, at, settled) in self._roots.items() if now < at + ROOT_LOST]
+        if now < self._started + LISTEN and any(settled for _, _, settled in lately):
+            lately = [each for each in lately if each[2]]
+        else:
+            lately.append(((self._robot, self._incarnation), now, True))
+        return min(lately, key=lambda each: (each[0][0], -each[1]))[0]
+
+    def _choose_parent(self, now: float) -> str | None:
+        """The neighbour with the fewest hops to the root, the present one where several have."""
+        best = None
+        for peer, neighbour in self._neighbours.items():
+            claim = neighbour.claim
+            if claim is None or claim.child or (claim.root, claim.incarnation) != self._root:
+                continue
+            if now >= neighbour.advanced + FRESH or claim.hop >= MAX_HOPS or neighbour.link.fit is None:
+                continue
+            rank = (claim.hop, peer != self._parent, peer)
+            if best is None or rank < best[0]:
+                best = (rank, peer)
+        return None if best is None else best[1]

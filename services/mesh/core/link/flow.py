@@ -1,0 +1,244 @@
+"""How much of what we send may be under way: enough to use the link, too little to fill the kernel's queue.
+
+The kernel takes 50 kB for an RFCOMM socket, 650 ms at its 78 kB/s, and nothing can overtake what it holds. So the
+other end acknowledges bytes (ACK: taken off the stream so far), and bulk leaves only while the bytes under way are
+fewer than a window. Control is never held back; sync is let `SYNC_EXTRA` bytes further, so that a flood of it cannot
+fill the queue either.
+
+The window looks for the knee: the smallest one that still gives nearly all of the link's rate, since above it bytes
+only wait. While bulk keeps it full, it is tried a quarter larger and a fifth smaller in turn, and the change is kept
+where the rate says so. Round trips are no guide here: with the thesis' jitter (10 ms each way, in order) they grow by
+half as soon as a link is busy, without a byte in any queue, and a window steered by them shrank to its floor.
+"""
+
+import struct
+
+from services.mesh.core.wire import fragments, frames
+from swarm.errors import FrameError
+
+FIRST_WINDOW = 6144
+"""Bytes; the bandwidth-delay product of the thesis' links, 78 kB/s x 60 ms, a write, and the delay of an ACK.
+Where several links in a row begin too small, none of them sees the backlog that would make it grow."""
+
+MIN_WINDOW = 1024
+MAX_WINDOW = 32 * 1024
+"""Less than the socket's buffer, which would limit the rate otherwise."""
+
+SYNC_EXTRA = 8 * 1024
+
+BUSY_FOR = 1.0
+"""s after a sync message for which the link counts as busy."""
+
+LARGER, SMALLER = 1.25, 0.8
+"""What is tried."""
+
+GAIN, LOSS = 1.07, 0.95
+"""A larger window is kept where the rate becomes more than this times what it was, a smaller one likewise."""
+
+COLLAPSE = 0.6
+"""Share of the rate below which the link has become slower; the window follows at once."""
+
+SLACK = 0.1
+"""s by which a round trip may exceed twice the smallest one; above, bytes wait whatever the rate says, as on a link
+much slower than expected. Jitter stays far below it."""
+
+RELIEF = 0.7
+"""Factor of the window then, once a round trip."""
+
+BASE_WINDOW = 15.0
+"""s; the smallest round trip is taken over one to two of these, since a link may get slower for good."""
+
+PERIOD = 0.1
+"""s over which a rate is measured at least;"""
+
+ROUND_TRIPS = 8
+"""and in round trips."""
+
+REST = 4
+"""Periods between two trials."""
+
+FIRST_REST = 3
+"""Periods before the first one: what begins speeds up by itself, which must not be taken for the merit of a trial."""
+
+ACK_EVERY = 512
+"""Bytes of bulk after which an ACK is sent by itself; an ACK that is due also rides with any other frame."""
+
+ACK_AT_LATEST = 2 * ACK_EVERY
+"""Bytes of anything after which it is."""
+
+_ACK = struct.Struct("<I")
+_MODULUS = 1 << 32
+
+
+def encode_ack(count: int) -> bytes:
+    """An ACK frame; `count` is that of all bytes so far."""
+    return frames.encode(frames.ACK, frames.CONTROL, _ACK.pack(count % _MODULUS))
+
+
+def decode_ack(body: bytes) -> int:
+    """The count of an ACK frame, modulo 2^32. Raises `FrameError`."""
+    if len(body) != _ACK.size:
+        raise FrameError(f"ACK of {len(body)} bytes: it has {_ACK.size}")
+    count: int = _ACK.unpack(body)[0]
+    return count
+
+
+class Receipts:
+    """The receiving side of one connection: which bytes are to be acknowledged."""
+
+    __slots__ = ("_acknowledged", "bulk", "taken")
+
+    def __init__(self) -> None:
+        self.taken = 0
+        """Bytes taken off the stream so far."""
+        self.bulk = False
+        """Whether bulk was among those not acknowledged yet."""
+        self._acknowledged = 0
+
+    def due(self) -> bool:
+        """Whether an ACK is worth a write of its own."""
+        owed = self.taken - self._acknowledged
+        return owed >= ACK_AT_LATEST or (self.bulk and owed >= ACK_EVERY)
+
+    def take(self, *, at_once: bool) -> int | None:
+        """What to acknowledge beside other frames; None where there is too little. `at_once` takes anything."""
+        if self.taken - self._acknowledged >= (1 if at_once else ACK_EVERY):
+            self._acknowledged = self.taken
+            self.bulk = False
+            return self.taken
+        return None
+
+
+class Window:
+    """The sending side of one connection."""
+
+    __slots__ = (
+        "_base",
+        "_base_until",
+        "_busy_until",
+        "_from",
+        "_marks",
+        "_next_trial",
+        "_rate",
+        "_relieved",
+        "_rest",
+        "_rtt",
+        "_since",
+        "_trial",
+        "acknowledged",
+        "limit",
+        "sent",
+    )
+
+    def __init__(self) -> None:
+        self.limit = float(FIRST_WINDOW)
+        """Bytes that may be under way before bulk has to wait."""
+        self.sent = 0
+        self.acknowledged = 0
+        self._marks: list[tuple[int, float]] = []
+        """Where writes with bulk in them ended, and when they were made."""
+        self._rtt = 0.0
+        self._base = [float("inf"), float("inf")]
+        self._base_until = 0.0
+        self._relieved = 0.0
+        self._busy_until = 0.0
+        self._since: float | None = None
+        """Since when the window has been full, or since the last measurement of the rate."""
+        self._from = 0
+        self._trial = 0.0
+        """The factor that is being tried; 0 = none."""
+        self._next_trial = LARGER
+        self._rest = FIRST_REST
+        self._rate = 0.0
+        """Rate with the window as it was before the trial, bytes/s."""
+
+    @property
+    def in_flight(self) -> int:
+        """Bytes written that the other end has not acknowledged."""
+        return self.sent - self.acknowledged
+
+    def fragment(self, now: float) -> int:
+        """Bytes of a message that may be sent in one piece."""
+        return fragments.SMALL if now < self._busy_until else fragments.LARGE
+
+    def free(self, size: int) -> float:
+        """Bytes that may still leave when `size` are about to be written. Bulk needs a positive number; sync may make
+        it as low as -`SYNC_EXTRA`."""
+        return self.limit - (self.sent - self.acknowledged) - size
+
+    def busy(self, now: float) -> None:
+        """A sync message leaves."""
+        self._busy_until = now + BUSY_FOR
+
+    def wrote(self, size: int, now: float, *, bulk: bool, waits: bool) -> None:
+        """So many bytes were written, `bulk` among them; `waits` = there is more bulk."""
+        self.sent += size
+        if bulk:
+            self._marks.append((self.sent, now))
+        if not waits or self.free(0) > 0.0:
+            self._since = None
+        elif self._since is None:
+            self._begin(now)
+
+    def on_ack(self, count: int, now: float) -> None:
+        """The other end has taken so many bytes, modulo 2^32. Raises `FrameError`."""
+        new = (count - self.acknowledged) % _MODULUS
+        if new > self.in_flight:
+            raise FrameError(f"ACK of {new} bytes where {self.in_flight} are under way")
+        self.acknowledged += new
+        marked = None
+        while self._marks and self._marks[0][0] <= self.acknowledged:
+            marked = self._marks.pop(0)[1]
+        if marked is not None and new >= ACK_EVERY:
+            # Fewer bytes are acknowledged only with a heartbeat: they say how long that took, not the link.
+            self._on_round_trip(now - marked, now)
+        if self._since is not None and now >= self._since + max(PERIOD, ROUND_TRIPS * self._rtt):
+            self._judge((self.acknowledged - self._from) / (now - self._since))
+            self._begin(now)
+
+    def _on_round_trip(self, rtt: float, now: float) -> None:
+        self._rtt += 0.125 * (rtt - self._rtt) if self._rtt else rtt
+        if now >= self._base_until:
+            self._base_until = now + BASE_WINDOW
+            self._base = [self._base[1], rtt]
+        self._base[1] = min(self._base[1], rtt)
+        if rtt > 2.0 * min(self._base) + SLACK and now >= self._relieved + rtt:
+            self._relieved = now
+            self._set(self.limit * RELIEF)
+            self._rest, self._trial, self._since = REST, 0.0, None
+
+    def _begin(self, now: float) -> None:
+        """Measure the rate from now on."""
+        self._since, self._from = now, self.acknowledged
+
+    def _judge(self, rate: float) -> None:
+        """Once in a period during which the window was full."""
+        if self._trial:
+            if rate > self._rate * (GAIN if self._trial > 1.0 else LOSS):
+                # As good as hoped, or not as bad as feared: keep it, and go on in that direction.
+                self._rate = rate
+                self._try(self._trial)
+                return
+            self._set(self.limit / self._trial)
+            self._next_trial = SMALLER if self._trial > 1.0 else LARGER
+            self._trial = 0.0
+            self._rest = REST
+            return
+        if rate < COLLAPSE * self._rate:
+            self._set(self.limit * rate / self._rate)
+            self._rate = rate
+        self._rate += 0.5 * (rate - self._rate) if self._rate else rate
+        self._rest -= 1
+        if self._rest <= 0:
+            self._try(self._next_trial)
+
+    def _try(self, factor: float) -> None:
+        before = self.limit
+        self._set(before * factor)
+        self._trial = self.limit / before if self.limit != before else 0.0
+        if not self._trial:
+            self._next_trial = SMALLER if factor > 1.0 else LARGER
+            self._rest = REST
+
+    def _set(self, limit: float) -> None:
+        self.limit = max(float(MIN_WINDOW), min(float(MAX_WINDOW), limit))

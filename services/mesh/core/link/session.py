@@ -1,0 +1,441 @@
+"""One connection of two neighbours, from the moment bytes can flow until they cannot.
+
+    connecting --HELLO and CONFIRM of the other end--> up <--silence/bytes--> suspect
+        any --transport lost, bad frame, BYE, silence--> down (for good: the next connection is a new session)
+
+Both ends send HELLO at once. Who accepts the other's HELLO sends CONFIRM, and a link is up on one side when
+the other's CONFIRM arrived: so a peer that refuses us never looks up for a moment, and one without the key never
+gets beyond this object. Frames are made when they leave (`data_to_send`), not when they are queued: priorities
+act until the last moment, heartbeats carry the true time, and the counter of the tags follows the order on the
+wire.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+
+from services.mesh.core.events import (
+    Event,
+    HandshakeFailed,
+    LinkDown,
+    LinkRecovered,
+    LinkSuspect,
+    LinkUp,
+    Received,
+)
+from services.mesh.core.link import flow, handshake
+from services.mesh.core.link.clock import MeshClock, decode_claim, encode_claim
+from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.heartbeat import Pulse
+from services.mesh.core.link.outbox import Message, Outbox, Part
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.auth import Keys, newest_common
+from services.mesh.core.wire.channels import Channels, overlay_of
+from services.mesh.core.wire.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
+from services.mesh.core.wire.frames import BULK, BYE_TEXT, SYNC, Frame, Hello
+from swarm.errors import FrameError, LocalError
+
+CONNECTING, UP, SUSPECT, DOWN = "connecting", "up", "suspect", "down"
+
+HANDSHAKE_TIMEOUT = 2.0
+"""s for HELLO and CONFIRM of the other end to arrive."""
+
+BULK_WRITE = 1000
+"""Bytes at which a write with bulk in it ends: what is handed over cannot be overtaken, and acknowledgements come one
+for each."""
+
+_NEVER = float("inf")
+
+SENT = ("sent_control", "sent_sync", "sent_bulk")
+"""Which counter counts the messages of a class that left."""
+
+
+class Session:
+    """One connection. Calls with `now` must not go back in time."""
+
+    __slots__ = (
+        "_admit",
+        "_auth",
+        "_bound",
+        "_channels",
+        "_clash",
+        "_clock",
+        "_confirm",
+        "_counters",
+        "_decoder",
+        "_events",
+        "_expected",
+        "_has_room",
+        "_heard",
+        "_heartbeat_at",
+        "_heartbeat_due",
+        "_hello",
+        "_incarnation",
+        "_is_held",
+        "_local",
+        "_outbox",
+        "_reassembly",
+        "_receipts",
+        "_urgent",
+        "_window",
+        "deadline",
+        "dialled",
+        "peer",
+        "pulse",
+        "received",
+        "sent",
+        "state",
+    )
+
+    def __init__(
+        self,
+        local: Local,
+        nonce: bytes,
+        now: float,
+        *,
+        dialled: str | None,
+        admit: Callable[[str, int, str], bool],
+        clock: MeshClock,
+        counters: Counter[str],
+        expected: str | None = None,
+        has_room: Callable[[str], bool] = lambda robot: True,
+        is_held: Callable[[str, float], bool] = lambda robot, now: False,
+        clash: Callable[[str, int, float], str] = lambda robot, process, now: "",
+    ) -> None:
+        """Bytes can flow from `now` on. `dialled` names whom we called, None where we were called;
+        `expected` names the robot whose address a caller has, where the transport knows it (Bluetooth does).
+
+        `admit(peer, overlay, key)` says whether that peer may use a channel, `has_room(robot)` whether a robot may
+        have a link with us now, `is_held(robot, now)` whether an operator wants none,
+        `clash(robot, process, now)` why a robot's process may have none, where another robot has its name.
+        """
+        self._local = local
+        self._has_room = has_room
+        self._is_held = is_held
+        self._clash = clash
+        self._admit = admit
+        self._clock = clock
+        self._counters = counters
+        self.dialled = dialled
+        self._expected = expected
+        self.peer = dialled
+        """Who is at the other end; None until an unknown caller's HELLO was accepted."""
+        self.state = CONNECTING
+        self.pulse = Pulse(now)
+        self.sent = 0
+        """Frames handed out to be sent."""
+        self.received = 0
+        self._incarnation: int | None = None
+        self._decoder = frames.Decoder()
+        self._events: list[Event] = []
+        self._outbox = Outbox(counters)
+        self._window = flow.Window()
+        self._receipts = flow.Receipts()
+        self._reassembly = Reassembly(counters)
+        self._channels = Channels()
+        self._bound: dict[int, tuple[str, int] | None] = {}
+        ids = tuple(sorted(local.keys, reverse=True))
+        self._hello = frames.encode_hello(
+            Hello(local.network, local.robot, local.incarnation, nonce, dialled is not None, local.insecure, ids)
+        )
+        self._urgent = [self._hello]
+        self._auth: Keys | None = None
+        """The keys of this connection, once the other's HELLO was accepted; None on insecure links."""
+        self._confirm = b""
+        self._heard = now
+        self._heartbeat_at = now
+        self._heartbeat_due = False
+        self.deadline = now + HANDSHAKE_TIMEOUT
+        """When `handle_timer` wants to be called; it may turn out to be early, never late."""
+
+    @property
+    def is_up(self) -> bool:
+        """Whether messages pass; a suspect link still carries them."""
+        return self.state in (UP, SUSPECT)
+
+    @property
+    def process(self) -> int:
+        """The number of the mesh process at the other end; 0 before its HELLO was accepted."""
+        return handshake.process_of(self._incarnation or 0)
+
+    @property
+    def sent_bytes(self) -> int:
+        """Bytes handed out to be sent."""
+        return self._window.sent
+
+    @property
+    def received_bytes(self) -> int:
+        """Bytes taken off the stream."""
+        return self._receipts.taken
+
+    @property
+    def queue(self) -> Outbox:
+        """What waits to leave."""
+        return self._outbox
+
+    @property
+    def window(self) -> flow.Window:
+        """What is under way."""
+        return self._window
+
+    @property
+    def wants_to_send(self) -> bool:
+        """Whether `data_to_send` has something."""
+        if self._urgent or self._heartbeat_due or (self._receipts.due() and self.is_up):
+            return True
+        return self._outbox.waiting > 0 and self._outbox.leaves(self._window.free(0))
+
+    def events(self) -> list[Event]:
+        """What happened since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    # -- inputs ------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes from the transport, cut anyhow."""
+        if self.state == DOWN:
+            return
+        self._receipts.taken += len(data)
+        self._decoder.feed(data)
+        try:
+            while self.state != DOWN and (frame := self._decoder.next()) is not None:
+                self.received += 1
+                # Whole frames only: whoever can add bytes to the stream must not keep a dead link looking alive.
+                self._heard = now
+                if self.state == SUSPECT:
+                    self.state = UP
+                    self._events.append(LinkRecovered())
+                if frame.kind == frames.DATA and self.is_up:
+                    self._on_data(frame)
+                else:
+                    self._on_control(frame, now)
+        except frames.VersionError as error:
+            self._end(frames.BAD_VERSION, str(error))
+        except frames.TagError as error:
+            self._end(frames.BAD_TAG, str(error))
+        except FrameError as error:
+            self._end(frames.BAD_FRAME, f"bad frame: {error}")
+
+    def send(self, priority: int, key: str, payload: bytes, *, latest: bool) -> bool:
+        """Queue a message for the other end; the link must be up. False = too much bulk waits, come again later.
+
+        `key` is the name of the channel (`channels`).
+        """
+        if not self.is_up:
+            raise LocalError(f"the link to {self.peer} is {self.state}")
+        return self._outbox.push(priority, key, payload, latest)
+
+    def transport_down(self, reason: str) -> None:
+        """The transport is gone; nothing can be sent any more."""
+        if self.state != DOWN:
+            self._close(reason, None)
+
+    def close(self, code: int, reason: str) -> None:
+        """End the connection from our side and say why to the other."""
+        if self.state != DOWN:
+            self._end(code, reason)
+
+    def handle_timer(self, now: float) -> None:
+        """Heartbeats, and what silence means. Call it at `deadline` or any other time."""
+        if self.state == CONNECTING:
+            if now >= self.deadline:
+                self._end(frames.SILENT, f"no handshake within {HANDSHAKE_TIMEOUT:g} s")
+        elif self.is_up:
+            # The same sums as in the deadline below: a difference could round to just short of it, for ever.
+            if now >= self._heard + self._local.dead:
+                self._end(frames.SILENT, f"silent for {self._local.dead:g} s")
+                return
+            if now >= self._heard + self._local.suspect and self.state == UP:
+                self.state = SUSPECT
+                self._events.append(LinkSuspect())
+            if now >= self._heartbeat_at:
+                self._heartbeat_due = True
+                self._heartbeat_at = self._next_beat(now)
+            patience = self._local.dead if self.state == SUSPECT else self._local.suspect
+            self.deadline = min(self._heartbeat_at, self._heard + patience)
+
+    def data_to_send(self, now: float, max_bytes: int) -> bytes:
+        """Whole frames to be sent next, most urgent first; stops when `max_bytes` are reached or passed."""
+        outbox, receipts = self._outbox, self._receipts
+        if not (outbox.waiting or self._urgent or self._heartbeat_due or receipts.due()):
+            return b""
+        chunks, self._urgent = self._urgent, []
+        size = sum(map(len, chunks)) if chunks else 0
+        bulk = False
+        if self.is_up:
+            beat, self._heartbeat_due = self._heartbeat_due, False
+            if beat:
+                self._beat(chunks, now)
+            if (count := receipts.take(at_once=beat)) is not None:
+                chunks.append(flow.encode_ack(count))
+            window = self._window
+            fragment = window.fragment(now)
+            while size < max_bytes and (item := outbox.pop(window.free(size), fragment)) is not None:
+                part = item if isinstance(item, Part) else None
+                message = item if isinstance(item, Message) else item.message
+                channel, new = self._channels.handle(message.key)
+                if new:
+                    chunks.append(frames.encode_bind(frames.Bind(channel, *overlay_of(message.key))))
+                if part is None:
+                    chunks.append(frames.encode_data(message.priority, channel, message.payload))
+                elif new and part.number:
+                    # So many other keys were used since its last part that the key has lost its handle.
+                    outbox.restart(part)
+                    continue
+                else:
+                    total = 0 if part.number else len(message.payload)
+                    chunks.append(encode_fragment(Fragment(channel, part.number, part.last, total, part.data)))
+                size += len(chunks[-1])
+                if part is None or part.last:
+                    self._counters[SENT[message.priority]] += 1
+                if message.priority == SYNC:
+                    window.busy(now)
+                elif message.priority == BULK:
+                    bulk = True
+                    if size >= BULK_WRITE:
+                        break
+        self.sent += len(chunks)
+        data = b"".join(chunks) if self._auth is None else self._auth.seal(chunks, self._confirm)
+        self._window.wrote(len(data), now, bulk=bulk, waits=outbox.bulk_waits)
+        return data
+
+    def _next_beat(self, now: float) -> float:
+        """Those of all links of a robot leave together: each time it wakes costs. Robots have moments of their own."""
+        period = self._local.heartbeat
+        wait = period - (now - self._local.incarnation % 1024 / 1024 * period) % period
+        return now + (wait if wait > period / 4 else wait + period)
+
+    def _beat(self, chunks: list[bytes], now: float) -> None:
+        """A heartbeat, and what goes with it."""
+        assert self.peer is not None
+        stamps = self.pulse.beat(now, self.sent_bytes, self.received_bytes)
+        chunks += (frames.encode_heartbeat(stamps), encode_claim(self._clock.claim(self.peer, now)))
+        self._reassembly.expire(now)
+
+    # -- frames of the other end -------------------------------------------------------------------
+
+    def _on_data(self, frame: Frame) -> None:
+        channel, payload = frames.decode_data(frame.body)
+        if frame.priority == BULK:
+            self._receipts.bulk = True
+        try:
+            bound = self._bound[channel]
+        except KeyError:
+            raise FrameError(f"DATA on channel {channel}, which is not bound") from None
+        if bound is None:
+            self._counters["inbound_refused"] += 1
+        else:
+            key, overlay = bound
+            self._events.append(Received(key, payload, frame.priority, overlay))
+
+    def _on_fragment(self, frame: Frame, now: float) -> None:
+        fragment = decode_fragment(frame.body)
+        self._receipts.bulk = True
+        if fragment.channel not in self._bound:
+            raise FrameError(f"FRAGMENT on channel {fragment.channel}, which is not bound")
+        bound = self._bound[fragment.channel]
+        if bound is None:
+            self._counters["inbound_refused"] += fragment.number == 0
+        elif (payload := self._reassembly.add(fragment, now)) is not None:
+            key, overlay = bound
+            self._events.append(Received(key, payload, BULK, overlay))
+
+    def _on_control(self, frame: Frame, now: float) -> None:
+        if frame.kind == frames.BYE:
+            code = frames.decode_bye(frame.body)
+            self._counters["byes"] += 1
+            self._close(f"the other end says: {BYE_TEXT.get(code, f'code {code}')}", None, code)
+        elif self._incarnation is None:
+            if frame.kind != frames.HELLO:
+                raise FrameError(f"frame kind {frame.kind} before HELLO")
+            self._on_hello(frames.decode_hello(frame.body), frame, now)
+        elif self.state == CONNECTING:
+            if frame.kind != frames.CONFIRM:
+                raise FrameError(f"frame kind {frame.kind} before CONFIRM")
+            self._on_confirm(frame, now)
+        elif frame.kind == frames.FRAGMENT:
+            self._on_fragment(frame, now)
+        elif frame.kind == frames.ACK:
+            self._window.on_ack(flow.decode_ack(frame.body), now)
+        elif frame.kind == frames.HEARTBEAT:
+            assert self.peer is not None
+            if (heard := self.pulse.heard(frames.decode_heartbeat(frame.body), now)) is not None:
+                self._clock.sample(self.peer, now, *heard)
+        elif frame.kind == frames.CLOCK:
+            assert self.peer is not None
+            self._clock.hear(self.peer, decode_claim(frame.body), now)
+        elif frame.kind == frames.BIND:
+            self._on_bind(frames.decode_bind(frame.body))
+        else:
+            raise FrameError(f"frame kind {frame.kind} after the handshake")
+
+    def _on_hello(self, hello: Hello, frame: Frame, now: float) -> None:
+        local = self._local
+        key_id = newest_common(local.keys, hello.key_ids)
+        refusal = handshake.refusal(
+            hello, local, dialled=self.dialled, expected=self._expected, has_room=self._has_room,
+            is_held=lambda robot: self._is_held(robot, now),
+            clash=lambda robot, process: self._clash(robot, process, now),
+        )  # fmt: skip
+        if refusal is not None:
+            self._end(*refusal)
+            return
+        self.peer = hello.robot
+        self._incarnation = hello.incarnation
+        if key_id is not None:
+            # The decoder takes nothing that `encode` would write differently, so this is the frame as it was sent.
+            theirs = frames.encode(frame.kind, frame.priority, frame.body)
+            self._auth = Keys(
+                local.keys[key_id],
+                key_id,
+                frames.VERSION,
+                self._hello,
+                theirs,
+                dialler=self.dialled is not None,
+            )
+        self._confirm = frames.encode_confirm(b"" if self._auth is None else self._auth.confirm)
+        self._urgent.append(self._confirm)
+
+    def _on_confirm(self, frame: Frame, now: float) -> None:
+        auth = self._auth
+        mac = frames.decode_confirm(frame.body, 0 if auth is None else frames.MAC_SIZE)
+        if auth is not None:
+            if not auth.confirms(mac):
+                self._end(frames.BAD_KEY, f"who calls itself {self.peer} does not hold the key that it offers")
+                return
+            self._decoder.tag = auth.inbound
+        self._on_up(now)
+
+    def _on_up(self, now: float) -> None:
+        assert self.peer is not None
+        assert self._incarnation is not None
+        self.state = UP
+        self._decoder.limit = frames.MAX_FRAME
+        self._events.append(LinkUp(self.peer, self._incarnation))
+        self._heartbeat_at = now
+        self.deadline = now
+        self.handle_timer(now)
+
+    def _on_bind(self, bind: frames.Bind) -> None:
+        assert self.peer is not None
+        self._reassembly.drop(bind.channel)
+        admitted = self._admit(self.peer, bind.overlay, bind.key)
+        self._bound[bind.channel] = (bind.key, bind.overlay) if admitted else None
+
+    # -- the end -----------------------------------------------------------------------------------
+
+    def _end(self, code: int, reason: str) -> None:
+        """We end it: BYE is the last thing to be sent."""
+        if code in handshake.REFUSED:
+            self._counters[handshake.REFUSED[code]] += 1
+        self._close(reason, code)
+        self._urgent = [frames.encode_bye(code)]
+
+    def _close(self, reason: str, code: int | None, said: int | None = None) -> None:
+        was_up = self.is_up
+        self.state = DOWN
+        self.deadline = _NEVER
+        self._urgent = []
+        self._heartbeat_due = False
+        self._outbox.clear()
+        self._events.append(LinkDown(reason, code, said) if was_up else HandshakeFailed(reason, code, said))

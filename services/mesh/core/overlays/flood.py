@@ -1,0 +1,334 @@
+"""Flooding: one robot's message to the whole swarm (thesis 3.4.5), and how those who missed it catch up.
+
+Who sees a flood for the first time delivers it and passes it on over all links but the one it came by: it crosses
+each edge once or twice, 2E - (N - 1) messages in all. A confirmed one has its echo (`core.echo`), 2E messages; the
+origin tries a second time where links broke meanwhile. Of keys marked latest each robot keeps the newest value;
+neighbours compare checksums when their link comes up and every 30 s, and hand each other what is missing.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Collection
+
+from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.bulk import pieces
+from services.mesh.core.overlays import large_floods
+from services.mesh.core.overlays.catch_up import CatchUp
+from services.mesh.core.overlays.echo import Id, Waves
+from services.mesh.core.overlays.flood_store import NEW, OLD, Store
+from services.mesh.core.overlays.large_floods import LargeFloods
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.fragments import MAX_MESSAGE as MAX_LARGE
+from services.mesh.core.wire.frames import BULK, FLOOD
+from services.mesh.core.wire.packets import Spread
+from swarm.errors import FrameError
+from swarm.messages.keys import parse
+
+MAX_ATTEMPTS = 64
+"""Own confirmed floods under way; more are refused."""
+
+BEGIN_ANEW = 1.0
+"""Seconds between two changes of the own incarnation. The pause doubles while another robot with this name answers each
+of them with a change of its own, up to `LONGEST_PAUSE`."""
+
+LONGEST_PAUSE = 60.0
+QUIET = 180.0
+"""Seconds without a change of the own incarnation after which the pause is `BEGIN_ANEW` again."""
+
+COUNTERS = ("flood_sent", "flood_duplicates", "flood_old", "flood_retries", "flood_unkept", "wave_sent")
+
+_NEVER = float("inf")
+
+
+class Attempt:
+    """An own flood whose echo is awaited."""
+
+    __slots__ = ("deadline", "first", "goal", "key", "patience", "payload", "priority", "robots", "settle",
+                 "token", "tries")  # fmt: skip
+
+    def __init__(self, token: object, key: str, payload: bytes, priority: int, patience: float, settle: float) -> None:
+        self.token = token
+        self.key = key
+        self.payload = payload
+        self.priority = priority
+        self.patience = patience
+        self.settle = settle
+        """s that echoes may still come after all edges have spoken."""
+        self.first = 0
+        self.tries = 0
+        self.deadline = 0.0
+        self.robots: set[str] = set()
+        self.goal: set[str] = set()
+        """Who could be reached when it began."""
+
+
+class Flood:
+    """The flood overlay of one robot. Calls with `now` must not go back in time."""
+
+    def __init__(
+        self,
+        me: str,
+        incarnation: int,
+        robots: frozenset[str],
+        *,
+        emit: Emit,
+        deliver: Callable[[str, str, bytes, int, int], None],
+        reached: Callable[[object, frozenset[str], bool], None],
+        towards: Callable[[str], str | None],
+        expected: Callable[[], Collection[str]],
+        random: Callable[[], float],
+        counters: Counter[str],
+    ) -> None:
+        """`deliver(origin, key, payload, priority, incarnation)` is called for each flood of others;
+        `reached(token, robots, complete)` ends each `confirm`; `expected()` are the robots there is a way to."""
+        self._me = me
+        self._robots = robots
+        self._emit = emit
+        self._deliver = deliver
+        self._reached = reached
+        self._expected = expected
+        self._counters = counters
+        self._store = Store()
+        self.incarnation = incarnation
+        self._sequence = 0
+        self._store.begin(me, incarnation)
+        self._began_at = -_NEVER
+        self._pause = BEGIN_ANEW
+        self._attempts: dict[int, Attempt] = {}
+        self._waves = Waves(me, self._emit_wave, towards=towards, heard=self._heard)
+        self._neighbours = CatchUp(me, self._store, emit=emit, random=random, counters=counters)
+        self._links = self._neighbours.links
+        self.large = LargeFloods(
+            me, self._store, self._waves, pass_on=self._pass_on, deliver=deliver, counters=counters
+        )
+
+    # -- own floods --------------------------------------------------------------------------------------------
+
+    def publish(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> bool:
+        """Flood a value of an own key; with `latest` it is kept for those who come later. False where too many large
+        ones are under way."""
+        if len(payload) > packets.MAX_SPREAD and not self.large.has_room(len(payload)):
+            self._counters["flood_large_refused"] += 1
+            return False
+        self._spread(key, Spread(self.incarnation, self._next(now), payload, latest=latest), priority, now)
+        return True
+
+    def confirm(self, token: object, key: str, payload: bytes, priority: int, patience: float, now: float) -> bool:
+        """Flood, and learn by `reached` whom; False where too many are under way. `patience` is how long a try of a
+        small one may take, s."""
+        settle = patience
+        if len(payload) > packets.MAX_SPREAD:
+            if not self.large.has_room(len(payload)):
+                return False
+            patience += large_floods.patience(len(payload))
+        if len(self._attempts) >= MAX_ATTEMPTS:
+            return False
+        attempt = Attempt(token, key, payload, priority, patience, settle)
+        attempt.goal.update(self._expected())
+        self._try(attempt, now)
+        return True
+
+    def progress(self, token: object) -> tuple[int, int] | None:
+        """Bytes of an own large flood that every neighbour who fetches it has, and all its bytes; None where that flood
+        is not under way."""
+        for attempt in self._attempts.values():
+            if attempt.token == token:
+                id = pieces.Id(self._me, self.incarnation, attempt.first, flood=True)
+                return self.large.progress(id), len(attempt.payload)
+        return None
+
+    def forget(self, origin: str) -> None:
+        """A robot has been gone for long: its values are not handed on any more."""
+        self._store.forget(origin)
+
+    def known(self, origin: str) -> int:
+        """The newest incarnation of a robot that was heard of; 0 = none."""
+        return self._store.incarnation(origin)
+
+    # -- inputs ------------------------------------------------------------------------------------------------
+
+    def link_up(self, peer: str, now: float) -> None:
+        """Tell a new neighbour what we keep."""
+        self._neighbours.link_up(peer, now)
+
+    def unlink(self, peer: str) -> None:
+        """A neighbour is gone: nothing goes to it any more."""
+        self._neighbours.unlink(peer)
+
+    def link_down(self, peer: str, now: float) -> None:
+        """After `unlink`, when routes know it, too: what echoes make of it."""
+        self._waves.link_down(peer, now)
+
+    def receive(self, peer: str, key: str, data: bytes, priority: int, now: float) -> None:
+        """A packet of a neighbour; raises `FrameError`."""
+        if peer not in self._links:
+            return
+        match packets.kind_of(data):
+            case packets.SPREAD:
+                self._on_spread(peer, key, packets.decode_spread(data), data, priority, now)
+            case packets.ECHO:
+                echo = packets.decode_echo(data)
+                if not set(echo.robots) <= self._robots:
+                    raise FrameError("ECHO with robots that are not in our configuration")
+                self._waves.echo(Id(parse(key).robot, echo.incarnation, echo.sequence), key, priority, peer, echo, now)
+            case packets.DIGEST:
+                digest = packets.decode_digest(data)
+                incarnation, _ = digest.origins.get(self._me, (0, 0))
+                if incarnation > self.incarnation:
+                    self._go_above(incarnation, now)
+                self._neighbours.on_digest(peer, digest, now)
+            case packets.SUMMARY:
+                self._neighbours.on_summary(peer, packets.decode_summary(data), now)
+            case kind:
+                raise FrameError(f"flood packet kind {kind}: not known")
+
+    def pushed_back(self, packet: Transmit, now: float) -> None:
+        """The queue of a link had no room for one of our packets: it is sent later."""
+        self._neighbours.pushed_back(packet, now)
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due."""
+        self._waves.handle_timer(now)
+        self.large.handle_timer(now)
+        for sequence, attempt in list(self._attempts.items()):
+            if now >= attempt.deadline and self._attempts.get(sequence) is attempt:
+                self._expire(sequence, attempt, now)
+        self._neighbours.handle_timer(now)
+        self._counters["flood_unkept"] = self._store.unkept
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called."""
+        deadline = min((attempt.deadline for attempt in self._attempts.values()), default=_NEVER)
+        return min(deadline, self.large.next_deadline(), self._neighbours.next_deadline())
+
+    # -- spreading ---------------------------------------------------------------------------------------------
+
+    def _next(self, now: float) -> int:
+        if self._sequence == packets.MAX_SEQUENCE:
+            self._begin(self.incarnation + 1, now)
+        self._sequence += 1
+        return self._sequence
+
+    def _spread(self, key: str, packet: Spread, priority: int, now: float) -> None:
+        """An own flood: noted as seen, and off."""
+        self._store.take(self._me, key, packet, priority)
+        if len(packet.payload) > packets.MAX_SPREAD:
+            id = pieces.Id(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
+            self.large.hold(id, packet.payload, now, key if packet.latest else "")
+            packet = packet._replace(payload=b"", size=len(packet.payload))
+        self._pass_on(key, packet, priority, None)
+
+    def _pass_on(
+        self, key: str, packet: Spread, priority: int, source: str | None, data: bytes | None = None
+    ) -> list[str]:
+        """Send a flood on as it is; `data` is the packet's bytes, where they are there."""
+        data = packets.encode_spread(packet) if data is None else data
+        others = [peer for peer in self._links if peer != source]
+        for peer in others:
+            self._counters["flood_sent"] += 1
+            self._counters["wave_sent"] += packet.echo
+            self._neighbours.spread(Transmit(peer, FLOOD, key, data, priority, packet.latest))
+        return others
+
+    def _on_spread(self, peer: str, key: str, packet: Spread, data: bytes, priority: int, now: float) -> None:
+        origin = parse(key).robot
+        if origin == self._me:
+            self._on_own(peer, key, packet, priority, now)
+            return
+        if packet.size:
+            self.large.announced(peer, origin, key, packet, now)
+            return
+        verdict = self._store.take(origin, key, packet, priority)
+        if verdict == OLD:
+            self._counters["flood_old"] += 1
+            return
+        id = Id(origin, packet.incarnation, packet.sequence)
+        if verdict != NEW:
+            self._counters["flood_duplicates"] += 1
+            if packet.echo:
+                self._waves.again(id, key, priority, peer, now)
+            return
+        others = self._pass_on(key, packet, priority, peer, data)
+        if packet.echo:
+            self._waves.join(id, key, priority, peer, others, now)
+        if not packet.first or not self._store.has_seen(origin, packet.first):
+            self._deliver(origin, key, packet.payload, priority, packet.incarnation)
+
+    def _on_own(self, peer: str, key: str, packet: Spread, priority: int, now: float) -> None:
+        """Our own flood came round; or one of an earlier life of ours, or of a member that pretends to be us."""
+        if (packet.incarnation, packet.sequence) > (self.incarnation, self._sequence):
+            self._go_above(packet.incarnation, now)
+        elif packet.echo and packet.incarnation == self.incarnation:
+            self._waves.again(Id(self._me, packet.incarnation, packet.sequence), key, priority, peer, now)
+
+    def _go_above(self, incarnation: int, now: float) -> None:
+        """Others know us by a higher incarnation: without this they would take all we say for old."""
+        if now >= self._began_at + self._pause and incarnation < packets.MAX_INCARNATION:
+            quiet = now >= self._began_at + QUIET
+            self._pause = BEGIN_ANEW if quiet else min(LONGEST_PAUSE, 2.0 * self._pause)
+            self._began_at = now
+            self._begin(incarnation + 1, now)
+
+    def _begin(self, incarnation: int, now: float) -> None:
+        kept = self._store.kept(self._me)
+        self.incarnation, self._sequence = incarnation, 0
+        self._store.begin(self._me, incarnation)
+        for key, value in kept:
+            packet = Spread(incarnation, self._next(now), value.payload, latest=True)
+            self._spread(key, packet, value.priority, now)
+        # Tried again at the next timer; until then under numbers that no sequence can have.
+        attempts = set(self._attempts.values())
+        self._attempts = {-1 - place: attempt for place, attempt in enumerate(attempts)}
+        for attempt in attempts:
+            attempt.tries, attempt.first, attempt.deadline = 0, 0, 0.0
+
+    # -- the echo at the origin --------------------------------------------------------------------------------
+
+    def _try(self, attempt: Attempt, now: float) -> None:
+        sequence = self._next(now)
+        attempt.tries += 1
+        attempt.deadline = now + attempt.patience
+        self._attempts[sequence] = attempt
+        packet = Spread(self.incarnation, sequence, attempt.payload, echo=True, first=attempt.first)
+        attempt.first = attempt.first or sequence
+        self._spread(attempt.key, packet, attempt.priority, now)
+        id = Id(self._me, self.incarnation, sequence)
+        life = large_floods.patience(len(attempt.payload))
+        self._waves.begin(id, attempt.key, attempt.priority, self._links, now, life)
+
+    def _heard(self, id: Id, robots: Collection[str], lost: bool, over: bool, now: float) -> None:
+        attempt = self._attempts.get(id.sequence)
+        if attempt is None or id.incarnation != self.incarnation:
+            return
+        attempt.robots.update(robots)
+        # Where a link broke, those behind it may be back in a moment: that is what the second try is for.
+        if over and (not lost or attempt.robots.issuperset(attempt.goal.union(self._expected()))):
+            self._end(attempt, complete=True)
+        elif over:
+            attempt.deadline = min(attempt.deadline, now + attempt.settle)
+
+    def _expire(self, sequence: int, attempt: Attempt, now: float) -> None:
+        if attempt.robots.issuperset(self._expected()):
+            self._end(attempt, complete=True)
+        elif attempt.tries >= 2:
+            self._end(attempt, complete=False)
+        else:
+            # The first try stays known: a late echo of an orphan still counts.
+            self._counters["flood_retries"] += 1
+            self._try(attempt, now)
+
+    def _end(self, attempt: Attempt, *, complete: bool) -> None:
+        for sequence in [sequence for sequence, each in self._attempts.items() if each is attempt]:
+            del self._attempts[sequence]
+            self._waves.forget(Id(self._me, self.incarnation, sequence))
+        self._reached(attempt.token, frozenset(attempt.robots - {self._me}), complete)
+
+    # -- inside ------------------------------------------------------------------------------------------------
+
+    def _emit_wave(self, packet: Transmit) -> None:
+        self._counters["wave_sent"] += 1
+        self._emit(packet)
+
+
+def limit_of(priority: int) -> int:
+    """Bytes that a flood of a class may have."""
+    return MAX_LARGE if priority == BULK else packets.MAX_SPREAD

@@ -1,0 +1,187 @@
+"""What apps ask of the overlays, and the answers they get.
+
+A request carries a ticket. One that is repeated is done once and answered again, since the bus may lose both. A large
+payload is not repeated for that: a reminder names the ticket alone, and leads to the answer, to how far it is, or to
+the word that there is no such request here.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+from services.mesh.core.overlays import flood
+from services.mesh.core.overlays.flights import Hop
+from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.overlays.unicast import Unicast
+from services.mesh.core.routing.wanted_links import Linking
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import BULK, CONTROL, PRIORITIES
+from swarm.frozen import frozen
+from swarm.messages import (
+    Flooded,
+    FloodRequest,
+    Passed,
+    Progress,
+    Reminder,
+    SendRequest,
+    Sent,
+    TopologyRequest,
+    TopologySet,
+)
+from swarm.messages.codec import encode
+from swarm.messages.keys import is_name
+from swarm.messages.keys import key as key_of
+
+MAX_TICKETS = 1024
+"""Requests whose answers are remembered, so that a repeated request is answered again, not done again."""
+
+
+@frozen
+class _Ticket:
+    """Whose answer is awaited."""
+
+    ticket: str
+    app: str
+    announce: bool = False
+
+
+Answer = Flooded | Sent | TopologySet
+
+
+class Requests:
+    """The requests of all apps of one robot."""
+
+    def __init__(
+        self,
+        me: str,
+        *,
+        to_bus: Callable[[str, bytes, int], None],
+        patience: Callable[[int], float],
+        now: Callable[[], float],
+    ) -> None:
+        """`patience(priority)` is how long a confirmed flood may take, s. `flood` and `unicast` are to be set before
+        anything is asked."""
+        self._me = me
+        self._to_bus = to_bus
+        self._patience = patience
+        self._now = now
+        self.flood: Flood
+        self.unicast: Unicast
+        self._tickets: OrderedDict[str, Answer | _Ticket] = OrderedDict()
+        self._flooded_key = key_of(me, "mesh", "flooded")
+        self._keys = {
+            Flooded: self._flooded_key,
+            Sent: key_of(me, "mesh", "sent"),
+            TopologySet: key_of(me, "mesh", "topology_set"),
+        }
+        self._progress_key = key_of(me, "mesh", "progress")
+        self._passed_key = key_of(me, "mesh", "passed")
+
+    def request_flood(self, request: FloodRequest) -> None:
+        """The answer goes to `mesh/flooded`."""
+        token = _Ticket(request.ticket, request.app, request.announce)
+        if self._is_known(token):
+            return
+        problem = _problem(request.app, request.priority)
+        priority = PRIORITIES.get(request.priority, BULK)
+        if len(request.payload) > (limit := flood.limit_of(priority)):
+            problem = f"{len(request.payload)} bytes, a flood has at most {limit} in its class"
+        if not problem:
+            key = key_of(self._me, "app", request.app, "flood")
+            if self.flood.confirm(token, key, request.payload, priority, self._patience(priority), self._now()):
+                return
+            problem = "too many floods, or bytes of large ones, are under way"
+        self._answer_flood(token, (), complete=False, problem=problem)
+
+    def request_send(self, request: SendRequest) -> None:
+        """The answer goes to `mesh/sent`."""
+        token = _Ticket(request.ticket, request.app)
+        if self._is_known(token):
+            return
+        problem = _problem(request.app, request.priority) or ("" if is_name(request.to) else "that is no robot's name")
+        if problem:
+            self.sent(token, request.to, problem)
+            return
+        key = key_of(self._me, "app", request.app, "send", request.to)
+        priority = PRIORITIES[request.priority]
+        self.unicast.send(token, request.to, key, request.payload, priority, self._now(), timeout=request.timeout)
+
+    def request_topology(self, request: TopologyRequest, linking: Linking) -> None:
+        """Somebody's wish for other links; the answer goes to `mesh/topology_set`."""
+        if self._is_known(_Ticket(request.ticket, "")):
+            return
+        problem = linking.set(request.shape, request.edges, request.after, self._now())
+        self._end(TopologySet(self._now(), request.ticket, linking.value.version, problem))
+
+    def remind(self, reminder: Reminder) -> None:
+        """The answer again, or how far it is."""
+        known = self._tickets.get(reminder.ticket)
+        if known is not None and not isinstance(known, _Ticket):
+            self._tell(known)
+            return
+        moved, size = 0, 0
+        if known is not None:
+            moved, size = self.unicast.transfers.progress(known) or self.flood.progress(known) or (0, 0)
+        progress = Progress(self._now(), reminder.ticket, known is not None, size, moved)
+        self._to_bus(self._progress_key, encode(progress), CONTROL)
+
+    def reached(self, token: object, robots: frozenset[str], complete: bool) -> None:
+        """A flood has ended."""
+        if isinstance(token, _Ticket):
+            problem = "" if complete else "a link broke, or a robot did not answer"
+            self._answer_flood(token, packets.sorted_names(robots), complete=complete, problem=problem)
+
+    def sent(self, token: object, to: str, problem: str) -> None:
+        """A message has ended."""
+        if isinstance(token, _Ticket):
+            self._end(Sent(self._now(), token.ticket, token.app, to, not problem, problem))
+
+    def passed(self, hop: Hop) -> None:
+        """This robot has handed a message, or the answer to one, to a neighbour: told of those of apps. What an answer
+        was to is not known on its way."""
+        app = app_of(hop.key)
+        if not app and (hop.key or not hop.back):
+            return
+        ticket = hop.token.ticket if isinstance(hop.token, _Ticket) else ""
+        passed = Passed(self._now(), app, hop.sender, hop.to, hop.number, hop.back, hop.next_hop, ticket)
+        self._to_bus(self._passed_key, encode(passed), CONTROL)
+
+    def _answer_flood(self, token: _Ticket, robots: tuple[str, ...], *, complete: bool, problem: str) -> None:
+        answer = Flooded(self._now(), token.ticket, token.app, robots, complete, problem)
+        self._end(answer)
+        payload = encode(answer)
+        if token.announce and complete and len(payload) <= packets.MAX_SPREAD:
+            self.flood.publish(self._flooded_key, payload, CONTROL, self._now(), latest=False)
+
+    def _is_known(self, token: _Ticket) -> bool:
+        """Whether a request was seen before; its answer, if it is there, is told again."""
+        known = self._tickets.get(token.ticket)
+        if known is not None:
+            if not isinstance(known, _Ticket):
+                self._tell(known)
+            return True
+        if len(self._tickets) >= MAX_TICKETS:
+            self._tickets.popitem(last=False)
+        self._tickets[token.ticket] = token
+        return False
+
+    def _end(self, answer: Answer) -> None:
+        self._tickets[answer.ticket] = answer
+        self._tell(answer)
+
+    def _tell(self, answer: Answer) -> None:
+        self._to_bus(self._keys[type(answer)], encode(answer), CONTROL)
+
+
+def app_of(key: str) -> str:
+    """The app that a message's key belongs to, `swarm/<sender>/app/<app>/send/<to>`; empty where it is no app's."""
+    chunks = key.split("/")
+    return chunks[3] if len(chunks) == 6 and chunks[2] == "app" and chunks[4] == "send" else ""
+
+
+def _problem(app: str, priority: str) -> str:
+    """What is wrong with a request; empty where it is fine."""
+    if not is_name(app):
+        return f"{app[:40]!r} is no app's name"
+    if priority not in PRIORITIES:
+        return f"priority {priority[:40]!r}: expected {', '.join(PRIORITIES)}"
+    return ""

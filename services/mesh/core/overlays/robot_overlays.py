@@ -1,0 +1,446 @@
+"""All overlays of one robot: flood, unicast, link state, membership and the stop register, joined.
+
+The node feeds it links and packets, and carries out `actions()`. It knows no sessions, so the same code runs between
+real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
+"""
+
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from functools import lru_cache
+
+from services.mesh.core.actions import LinkAction, Transmit
+from services.mesh.core.bulk import exchange, transfers
+from services.mesh.core.bulk.pieces import Packet
+from services.mesh.core.events import Received
+from services.mesh.core.overlays import around, catch_up, flood, large_floods, unicast
+from services.mesh.core.overlays.around import Around
+from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.overlays.large_messages import Large
+from services.mesh.core.overlays.requests import Requests
+from services.mesh.core.overlays.stop_register import Register
+from services.mesh.core.overlays.stop_reports import Stops
+from services.mesh.core.overlays.unicast import Unicast
+from services.mesh.core.routing.graph_report import Survey
+from services.mesh.core.routing.link_state import HOPS, Known, LinkState
+from services.mesh.core.routing.membership import SETTLE, Membership
+from services.mesh.core.routing.name_clashes import Clashes
+from services.mesh.core.routing.wanted_links import Linking, Start
+from services.mesh.core.wire import packets
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
+from swarm.errors import FrameError, PayloadError
+from swarm.messages import (
+    FloodRequest,
+    Members,
+    MeshGraph,
+    Reminder,
+    SendRequest,
+    Stop,
+    Stopped,
+    Topology,
+    TopologyRequest,
+)
+from swarm.messages.codec import encode
+from swarm.messages.keys import is_name, parse
+from swarm.messages.keys import key as key_of
+
+MEMBERS_PERIOD = 10.0
+"""s between two publications of `mesh/members` when nothing changes."""
+
+LEAST_PATIENCE = {CONTROL: 1.0}
+LEAST_PATIENCE_ELSE = 3.0
+"""s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
+
+COUNTERS = (*around.COUNTERS, *flood.COUNTERS, *catch_up.COUNTERS, *large_floods.COUNTERS, *unicast.COUNTERS,
+            *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
+
+_NEVER = float("inf")
+
+
+Action = Transmit | Received | LinkAction
+
+
+class Overlays:
+    """Calls with `now` must not go back in time; no call may overlap another."""
+
+    def __init__(
+        self,
+        me: str,
+        robots: Collection[str],
+        *,
+        incarnation: int,
+        random: Callable[[], float],
+        counters: Counter[str],
+        metric: str = HOPS,
+        process: int = 0,
+        start: Start | None = None,
+        admits_flood: Callable[[str], bool] = lambda key: False,
+        admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
+        admits_around: Callable[[str, str], bool] = lambda sender, key: False,
+        wanted: Callable[[str], bool] = lambda key: True,
+    ) -> None:
+        """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
+        `process` is the number of this mesh process in HELLO, 0 where there are no HELLOs. `start` is where the
+        topology begins; without it links are the caller's matter. `admits_flood(key)`, `admits_unicast(sender, key)`,
+        `admits_around(sender, key)`: which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on
+        the own bus, where that can be known."""
+        self.me = me
+        self._robots = frozenset(robots)  # the very same, if it is one already: simulations share it
+        if me not in self._robots:
+            self._robots |= {me}
+        self._counters = counters
+        counters.update(dict.fromkeys(COUNTERS, 0))
+        self._admits_flood = admits_flood
+        self._admits_unicast = admits_unicast
+        self._actions: list[Action] = []
+        emit = self._actions.append
+        self._requests = Requests(me, to_bus=self._to_bus, patience=self._patience, now=lambda: self._now)
+        self._flood = Flood(
+            me, incarnation, self._robots,
+            emit=emit, deliver=self._on_flood, reached=self._requests.reached, towards=self._towards,
+            expected=lambda: self._map.routes().keys(), random=random, counters=counters,
+        )  # fmt: skip
+        self._map = LinkState(
+            me,
+            self._robots,
+            metric=metric,
+            publish=self._publish_links,
+            aged=self._flood.forget,
+            random=random,
+            process=process,
+        )
+        self.clashes = Clashes(me, self._robots, self._map)
+        self._unicast = Unicast(
+            me, incarnation, self._robots,
+            emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
+            ended=self._requests.sent, passed=self._requests.passed, on_large=self._on_large, counters=counters,
+        )  # fmt: skip
+        self._around = Around(
+            me, self._robots,
+            emit=emit, route=self._map.route_around, admits=admits_around, deliver=self._to_bus, counters=counters,
+        )  # fmt: skip
+        self._requests.flood, self._requests.unicast = self._flood, self._unicast
+        self._large = Large(
+            me, self._unicast.transfers, self._flood.large,
+            emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
+        )  # fmt: skip
+        self._register = Register(
+            me,
+            lambda: self._flood.incarnation,
+            self._robots,
+            emit=emit,
+            changed=lambda: self._stops.changed(self._now),
+        )
+        self._stops = Stops(me, self._register, self._flood, self._to_bus)
+        names = _sorted(self._robots)
+        self._wanted = wanted
+        self._membership = Membership(me, names, self._map.routes)
+        self._survey = Survey(me, names, self._membership, self._map, self._flood.known)
+        self._now = 0.0
+        self._random = random
+        self._version = 0
+        self._deadline = 0.0
+        self._look_at = _NEVER
+        self._members_at = 0.0
+        self._lsa_key = key_of(me, "mesh", "lsa")
+        self._members_key = key_of(me, "mesh", "members")
+        self.linking: Linking | None = None
+        """Which links there are to be; None where that is the caller's matter."""
+        if start is not None:
+            self.linking = Linking(
+                me, start, self._map,
+                emit=emit, act=emit, random=random, counters=counters,
+            )  # fmt: skip
+
+    # -- links and packets -------------------------------------------------------------------------------------
+
+    def link_up(self, peer: str, now: float) -> bool:
+        """A link to a neighbour is up; False where this robot has no use for it and is to close it."""
+        self._now = now
+        if self.linking is not None and not self.linking.link_up(peer, now):
+            return False
+        self._register.link_up(peer)
+        news = self._map.link_up(peer, now)
+        self._flood.link_up(peer, now)
+        self._routes_changed(now, look=news)
+        return True
+
+    def settle(self, links: Mapping[str, Mapping[str, int]], known: dict[str, Known], now: float) -> None:
+        """Begin in a swarm that has been there for long, with the links of all its robots, see `LinkState.settle`.
+        Robots tell who is there within `MEMBERS_PERIOD`, not all at once. Both tables may be the same for all robots:
+        none of them changes one."""
+        self._now = now
+        self._map.settle(links[self.me], known, now)
+        self._membership.settle(links, now)
+        self._version = self._map.version
+        self._look_at = self._members_at = now + SETTLE + MEMBERS_PERIOD * self._random()
+
+    def link_down(self, peer: str, now: float) -> None:
+        """It is down."""
+        self._now = now
+        self._register.link_down(peer)
+        self._flood.unlink(peer)
+        # First the map, so that the next two find the other way, and others hear of it before what takes that way.
+        self._map.link_down(peer, now)
+        self._flood.link_down(peer, now)
+        self._unicast.link_down(peer, now)
+        self._routes_changed(now)
+        if self.linking is not None:
+            self.linking.link_down(peer, now)
+
+    def dial_failed(self, peer: str, reason: str, now: float) -> None:
+        """A robot that was called does not answer."""
+        self._now = now
+        if self.linking is not None:
+            self.linking.dial_failed(peer, reason, now)
+
+    def tell_clashes(self, now: float) -> None:
+        """Have the link state name the robots of which this one has seen two."""
+        self._now = now
+        self._map.tell_twins(tuple(sorted(self.clashes.own(now))), now)
+
+    def measured(self, peer: str, rtt: float, now: float) -> None:
+        """The smoothed round-trip time of a link, s."""
+        self._now = now
+        self._map.measured(peer, rtt, now)
+
+    def admits(self, peer: str, overlay: int, key: str) -> bool:
+        """Whether a neighbour may bind a channel of flood or unicast to this key."""
+        try:
+            robot, service, topic = parse(key)
+        except PayloadError:
+            return False
+        if robot not in self._robots:
+            return False
+        if overlay != FLOOD:
+            return robot == peer and service == "mesh" and topic in ("unicast", "pieces")
+        if service == "mesh" and topic in ("digest", "halt", "topology"):
+            return robot == peer
+        if (service, topic) in (("mesh", "lsa"), ("mesh", "flooded"), ("mesh", "stopped"), ("mesh", "watch")):
+            return True
+        return _is_app_flood(service, topic) or self._admits_flood(key)
+
+    def receive(self, peer: str, overlay: int, key: str, data: bytes, priority: int, now: float) -> None:
+        """A packet of a neighbour on an admitted channel. What is wrong is dropped and counted: the one who made it
+        may be far away, and innocent links must not break for it."""
+        self._now = now
+        if len(data) > MAX_PAYLOAD and (overlay != FLOOD or data[0] != packets.TOPOLOGY):
+            # It came in fragments. Where a number of packets is kept, each of these would hold up to a megabyte.
+            self._counters["bad_packets"] += 1
+            return
+        try:
+            kind = packets.kind_of(data)
+            if overlay != FLOOD and kind == around.AROUND:
+                self._around.receive(data, priority)
+            elif overlay != FLOOD:
+                self._unicast.receive(peer, data, priority, now)
+            elif kind == packets.HALT:
+                self._register.receive(peer, data, now)
+            elif kind == packets.TOPOLOGY and self.linking is not None:
+                self.linking.receive(peer, data, now)
+            else:
+                self._flood.receive(peer, key, data, priority, now)
+        except (FrameError, PayloadError):
+            self._counters["bad_packets"] += 1
+        if self._version != self._map.version:
+            self._routes_changed(now)
+
+    def pushed_back(self, packet: Transmit) -> None:
+        """The queue of a link has refused a packet. Unicast repeats end to end; a flood is offered again from here."""
+        if packet.overlay == FLOOD:
+            self._flood.pushed_back(packet, self._now)
+            self._deadline = min(self._deadline, self._flood.next_deadline())
+
+    # -- what this robot wants ---------------------------------------------------------------------------------
+
+    def flood(self, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
+        """Carry a value of an own key to all robots, as a relay rule says."""
+        self._now = now
+        if key == self._lsa_key:
+            return  # nobody's business but the map's, whatever a rule with ** says
+        self._flood.publish(key, payload, priority, now, latest=latest)
+
+    def send(self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
+        """Carry a value to one robot, as a relay rule says."""
+        self._now = now
+        self._unicast.send(None, to, key, payload, priority, now, latest=latest)
+
+    def go_around(self, to: str, key: str, payload: bytes, priority: int, now: float) -> None:
+        """Carry a value to a neighbour, but not over the link with it, as a relay rule says."""
+        self._now = now
+        self._around.send(to, key, payload, priority)
+
+    def request(self, request: FloodRequest | SendRequest | Reminder | TopologyRequest, now: float) -> None:
+        """An app's wish; the answer goes to the own bus."""
+        self._now = now
+        if isinstance(request, FloodRequest):
+            self._requests.request_flood(request)
+        elif isinstance(request, SendRequest):
+            self._requests.request_send(request)
+        elif isinstance(request, TopologyRequest):
+            if self.linking is not None:
+                self._requests.request_topology(request, self.linking)
+        else:
+            self._requests.remind(request)
+
+    def stop(self, stop: Stop, now: float) -> None:
+        """Somebody on this robot has published `swarm/stop`."""
+        self._now = now
+        self._register.stop(stop.reason, now)
+
+    def arm(self, now: float) -> None:
+        """Somebody on this robot takes the stops back."""
+        self._now = now
+        self._register.arm(now)
+
+    def leave(self, now: float) -> None:
+        """This robot's mesh stops."""
+        self._now = now
+        self._map.leave(now)
+
+    # -- time and outputs --------------------------------------------------------------------------------------
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due."""
+        self._now = now
+        self._map.handle_timer(now)
+        self._flood.handle_timer(now)
+        self._unicast.handle_timer(now)
+        self._large.handle_timer(now)
+        self._register.handle_timer(now)
+        if self._version != self._map.version:
+            self._routes_changed(now)
+        if self.linking is not None:
+            self.linking.handle_timer(now)
+        if now >= self._look_at:
+            self._look(now)
+        if now >= self._members_at:
+            self._members_at = now + MEMBERS_PERIOD
+            if self._wanted(self._members_key):
+                self._to_bus(self._members_key, encode(self.members(now)), BULK)
+        self._stops.handle_timer(now)
+
+    @property
+    def now(self) -> float:
+        """The time of the last call."""
+        return self._now
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called, as of the last `actions`. It may turn out to be early, never late."""
+        return self._deadline
+
+    def actions(self) -> list[Action]:
+        """What is to be done, in this order, since the last call. To be called after everything else: it also looks
+        for the next deadline, which a node that only carries lockstep messages then has at no cost."""
+        self._deadline = min(
+            self._map.next_deadline(),
+            self._flood.next_deadline(),
+            self._unicast.next_deadline(),
+            self._large.next_deadline(),
+            self._register.next_deadline(),
+            _NEVER if self.linking is None else self.linking.next_deadline(),
+            self._look_at,
+            self._members_at,
+            self._stops.next_deadline(),
+        )
+        actions = self._actions[:]
+        self._actions.clear()  # the list itself is shared
+        return actions
+
+    def members(self, now: float) -> Members:
+        """For the key `mesh/members`."""
+        return Members(now, self._membership.members(), tuple(self._membership.changes))
+
+    def stopped(self, now: float) -> Stopped:
+        """For the key `mesh/stopped`."""
+        return self._stops.stopped(now)
+
+    def graph(self, now: float, after: str = "") -> MeshGraph:
+        """For the key `mesh/graph`: robots with names behind `after`."""
+        return self._survey.graph(now, stopped=bool(self._register.stops), after=after)
+
+    def topology(self, now: float) -> Topology:
+        """For the key `mesh/topology`."""
+        linking = self.linking
+        assert linking is not None
+        value = linking.value
+        since = now if linking.adopted is None else linking.adopted
+        return Topology(
+            now, value.version, value.step, value.issuer, value.auto, since, value.edges,
+            tuple(sorted(linking.wanted)), linking.up, linking.kept, dict(linking.missing),
+        )  # fmt: skip
+
+    def topology_file(self) -> bytes:
+        """What is to be kept of it through restarts."""
+        assert self.linking is not None
+        return self.linking.to_file()
+
+    # -- inside ------------------------------------------------------------------------------------------------
+
+    def _to_bus(self, key: str, payload: bytes, priority: int) -> None:
+        self._actions.append(Received(key, payload, priority))
+
+    def _on_flood(self, origin: str, key: str, payload: bytes, priority: int, incarnation: int) -> None:
+        _, service, topic = parse(key)
+        if (service, topic) == ("mesh", "lsa"):
+            self._map.receive(origin, incarnation, payload, self._now)
+            return
+        if (service, topic) == ("mesh", "stopped"):
+            self._survey.heard(origin, incarnation, key, payload)
+        self._to_bus(key, payload, priority)
+
+    def _on_large(self, packet: Packet, now: float) -> None:
+        self._large.receive(packet, now)
+
+    def _publish_links(self, payload: bytes) -> None:
+        self._flood.publish(self._lsa_key, payload, CONTROL, self._now, latest=True)
+
+    def _towards(self, robot: str) -> str | None:
+        route = self._map.route(robot)
+        return route.next_hop if route is not None else None
+
+    def _patience(self, priority: int) -> float:
+        """4 (D + 1) L: twice the time there and back, 2 D L, and one hop to spare."""
+        farthest = max(self._map.routes().values(), key=lambda route: route.time, default=None)
+        least = LEAST_PATIENCE.get(priority, LEAST_PATIENCE_ELSE)
+        if farthest is None:
+            return least
+        return max(least, 4 * (farthest.hops + 1) * (farthest.time / farthest.hops) * 1e-4)
+
+    def _routes_changed(self, now: float, *, look: bool = True) -> None:
+        self._version = self._map.version
+        if look:
+            self._look_at = min(self._look_at, now + SETTLE)
+        self._unicast.routes_changed(now)
+        self._large.ways_changed(now)
+        if self.linking is not None:
+            self.linking.map_changed(now)
+
+    def _look(self, now: float) -> None:
+        self._look_at = _NEVER
+        if self._map.undisturbed:
+            return  # all are here, as `settle` was told
+        incarnations = {name: self._flood.known(name) for name in self._robots}
+        left = [name for name in self._robots if self._map.has_left(name)]
+        if self._membership.look(self._map.told(), incarnations, left, now):
+            self._members_at = now
+
+    def _admits_message(self, sender: str, key: str) -> bool:
+        if sender == self.me:
+            return False  # what we send ourselves crosses no link: somebody pretends to be us
+        robot, service, topic = parse(key)
+        if robot == sender and service == "app":
+            chunks = topic.split("/")
+            if len(chunks) == 3 and chunks[1:] == ["send", self.me] and is_name(chunks[0]):
+                return True
+        return (robot, service, topic) == (sender, "mesh", "view") or self._admits_unicast(sender, key)
+
+
+@lru_cache(maxsize=1)
+def _sorted(robots: frozenset[str]) -> tuple[str, ...]:
+    """Names in order; of the robots of a simulation the same for all."""
+    return tuple(sorted(robots))
+
+
+def _is_app_flood(service: str, topic: str) -> bool:
+    app, _, rest = topic.partition("/")
+    return service == "app" and rest == "flood" and is_name(app)

@@ -1,0 +1,1 @@
+"""Who is in the swarm and how to reach them: membership, link state, topology. Imports `wire`."""

@@ -1,0 +1,170 @@
+"""Which links the swarm is to have: a value that can be changed at run time, and is the same everywhere in the end.
+
+Values have a total order, that of their fields: the version first (an operator's sets), then the step (what the
+automatic rule changes within a version), then the issuer's name, then the content. Of two values the greater one holds,
+so two sets at once end alike on every robot. Version 0 is what the configuration says; a value belongs to one
+configuration (`Ground.base`), and another configuration makes it void.
+"""
+
+import struct
+import zlib
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+from services.mesh.core.wire.packets import TOPOLOGY
+from swarm.core.graph import SHAPES, Edge, Graph
+from swarm.errors import FrameError, LocalError
+
+MAX_LINKS = 7
+"""Links of one robot: a Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6)."""
+
+AUTO = "auto"
+"""In place of a shape: the robots find their neighbours themselves."""
+
+MAX_VERSION = MAX_STEP = (1 << 32) - 1
+
+_HEAD = struct.Struct("<BBIII")
+_INDEX = struct.Struct("<H")
+_AUTO = 1
+_MAGIC = b"BSTOPO1\n"
+_CHECK = struct.Struct("<I")
+_MAX_SHOWN = 8
+
+
+class Topology(NamedTuple):
+    """The links of the whole swarm. Later ones are greater."""
+
+    version: int
+    """Counts an operator's sets, u32; 0 = as configured."""
+    step: int
+    """Counts the changes of the automatic rule within a version, u32."""
+    issuer: str
+    """The robot it was set on; empty for version 0, step 0."""
+    auto: bool
+    """Whether the automatic rule may change it."""
+    edges: tuple[Edge, ...]
+
+    def neighbours(self, name: str) -> frozenset[str]:
+        """Who is to be linked with a robot."""
+        return frozenset(b if a == name else a for a, b in self.edges if name in (a, b))
+
+
+class Ground:
+    """What all values of one configuration have in common: the robots, and where they start from."""
+
+    def __init__(self, names: Sequence[str], edges: Collection[Edge], *, auto: bool) -> None:
+        self.names = tuple(names)
+        self.first = Topology(0, 0, "", auto, Graph(names, tuple(edges)).edges)
+        """The configuration's own."""
+        self.place = {name: index for index, name in enumerate(self.names)}
+        text = f"{' '.join(self.names)} {self.first.edges} {auto}"
+        self.base = zlib.crc32(text.encode())
+        """Tells configurations apart."""
+        # A value goes over every link that comes up, and is mostly the same one: in a swarm of a thousand robots making
+        # and reading it took more than all else of the start.
+        self._packet = (self.first, self._encode(self.first))
+        self._read: dict[bytes, Topology] = {self._packet[1]: self.first}
+
+    def edges_of(self, shape: str, edges: Collection[Sequence[str]]) -> tuple[Edge, ...]:
+        """The links that an operator asks for by a shape, or one by one; `LocalError` says what is wrong with them."""
+        if shape:
+            graph = Graph.of_shape(shape, self.names)
+        else:
+            for pair in edges:
+                if len(pair) != 2:
+                    raise LocalError(f"a link has two ends, got {' '.join(pair)[:80]!r}")
+            graph = Graph(self.names, [(pair[0], pair[1]) for pair in edges])
+        _check(graph)
+        if not graph.is_connected():
+            parts = graph.components()
+            shown = "; ".join(" ".join(part[:_MAX_SHOWN]) for part in parts[:_MAX_SHOWN])
+            raise LocalError(f"not connected: these parts could not reach each other: {shown}")
+        return graph.edges
+
+    def tag(self, value: Topology) -> int:
+        """A short name of a value for link states, u32; 0 = the configuration's own."""
+        return 0 if value == self.first else zlib.crc32(self.encode(value)) or 1
+
+    def encode(self, value: Topology) -> bytes:
+        """A TOPOLOGY packet: head, issuer, then for each robot its neighbours that come later in the configuration."""
+        if self._packet[0] is not value:
+            self._packet = (value, self._encode(value))
+        return self._packet[1]
+
+    def _encode(self, value: Topology) -> bytes:
+        issuer = value.issuer.encode()
+        head = _HEAD.pack(TOPOLOGY, value.auto * _AUTO, self.base, value.version, value.step)
+        later: list[list[int]] = [[] for _ in self.names]
+        for a, b in value.edges:
+            later[self.place[a]].append(self.place[b])
+        rows = b"".join(bytes((len(row),)) + b"".join(map(_INDEX.pack, sorted(row))) for row in later)
+        return head + bytes((len(issuer),)) + issuer + rows
+
+    def decode(self, data: bytes) -> Topology | None:
+        """The value in a TOPOLOGY packet; None where it belongs to another configuration. Raises `FrameError`."""
+        if (known := self._read.get(data)) is not None:
+            return known
+        if len(data) <= _HEAD.size:
+            raise FrameError(f"TOPOLOGY of {len(data)} bytes: it has more than {_HEAD.size}")
+        kind, flags, base, version, step = _HEAD.unpack_from(data)
+        if kind != TOPOLOGY or flags & ~_AUTO:
+            raise FrameError(f"TOPOLOGY kind {kind}, flags {flags:#x}: kind {TOPOLOGY} and bit 0 are known")
+        if base != self.base:
+            return None
+        at = _HEAD.size + 1
+        end = at + data[at - 1]
+        issuer = data[at:end].decode("ascii", "replace")
+        value = Topology(version, step, issuer, bool(flags & _AUTO), self._edges(data, end))
+        if value != self.first and (issuer not in self.place or not (version or value.auto)):
+            raise FrameError(f"TOPOLOGY {version}.{step} issued by {issuer[:16]!r}")
+        return value
+
+    def to_file(self, value: Topology) -> bytes:
+        """What a robot keeps of a value through restarts."""
+        body = _MAGIC + self.encode(value)
+        return body + _CHECK.pack(zlib.crc32(body))
+
+    def from_file(self, data: bytes) -> Topology | None:
+        """The value that was kept; None where it belongs to another configuration. Raises `FrameError`."""
+        body = data[: -_CHECK.size]
+        if not body.startswith(_MAGIC) or _CHECK.pack(zlib.crc32(body)) != data[-_CHECK.size :]:
+            raise FrameError("the file is damaged")
+        return self.decode(body[len(_MAGIC) :])
+
+    def _edges(self, data: bytes, at: int) -> tuple[Edge, ...]:
+        names, edges = self.names, []
+        for place, name in enumerate(names):
+            if at >= len(data):
+                raise FrameError(f"TOPOLOGY of {len(data)} bytes ends too early")
+            row = range(at + 1, at + 1 + _INDEX.size * data[at], _INDEX.size)
+            at = row.stop
+            if at > len(data):
+                raise FrameError(f"TOPOLOGY of {len(data)} bytes ends too early")
+            before = place
+            for offset in row:
+                (other,) = _INDEX.unpack_from(data, offset)
+                if not before < other < len(names):
+                    raise FrameError(f"TOPOLOGY: robot {place} is linked with robot {other}, in this order")
+                edges.append((name, names[other]))
+                before = other
+        if at != len(data):
+            raise FrameError(f"TOPOLOGY of {len(data)} bytes: {len(data) - at} too many")
+        if tuple(edges) == self.first.edges:
+            return self.first.edges  # a configuration may have more links than a radio holds
+        try:
+            graph = Graph(names, edges)
+            _check(graph)
+        except LocalError as error:
+            raise FrameError(f"TOPOLOGY: {error}") from None
+        return graph.edges
+
+
+def _check(graph: Graph) -> None:
+    for name in graph.names:
+        if graph.degree(name) > MAX_LINKS:
+            raise LocalError(f"{name} would have {graph.degree(name)} links, a robot has at most {MAX_LINKS}")
+
+
+def shapes() -> str:
+    """What can be set, for messages."""
+    return ", ".join((*SHAPES, AUTO))

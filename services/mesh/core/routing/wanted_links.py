@@ -1,0 +1,402 @@
+"""Which links this robot has: those of the topology in force, and for a while those that hold the swarm together.
+
+The topology (core.topology) is a register that neighbours merge: the greatest value holds. It goes to each new link,
+and what is new to a robot goes on to its other neighbours at once, so it reaches everybody who can be reached, whoever
+issued it and whether that robot is still there. (A flooded latest value would be void when its origin restarts.)
+
+Make before break. A new value's links are asked for at once. A link that it does not contain stays until
+1. every robot in reach has the same value (its link state says so), or `PATIENCE` is over,
+2. this robot's own links of it are up, as far as their other ends are in reach, or `MAKE` is over, and
+3. for `GRACE` its two ends have been connected without it: by links of the topology, and unwanted ones of lower rank.
+By 3 the links that stay are a minimum spanning forest with the topology's links at no cost (Kruskal 1956), so robots
+that drop links at the same time, on old news even, never count on one another's: whatever is dropped, a chain of lower
+ones remains. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good, should the
+links that are to replace it never come up: a bad topology leaves a swarm that can be told a better one.
+
+Any robot of the configuration may call: it may have missed the news, or look for the rest of its swarm. Its link counts
+as an unwanted one. Who cannot be reached is looked for (core.search) once the topology is not the configuration's own.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from services.mesh.core.actions import Connect, Disconnect, Emit, Keep, LinkAction, Report, Transmit
+from services.mesh.core.routing.automatic_topology import plan
+from services.mesh.core.routing.link_state import LinkState
+from services.mesh.core.routing.search import Search
+from services.mesh.core.routing.topology import AUTO, MAX_LINKS, MAX_STEP, MAX_VERSION, Ground, Topology
+from services.mesh.core.wire import frames
+from swarm.core.graph import Edge
+from swarm.errors import LocalError
+from swarm.messages.keys import key as key_of
+
+PATIENCE = 30.0
+"""s after which a robot in reach with another value is not waited for any more."""
+
+MAKE = 10.0
+"""s after which new links are not waited for: a radio that is full has no room for them before old ones are gone."""
+
+GRACE = 1.0
+"""s for which the other way must have been there: what is being flooded has passed, routes have been told."""
+
+LOOK = 0.05
+"""s from a change of the map until it is looked at: news come in packs."""
+
+REPEAT_PERIOD = 10.0
+"""s between two messages to neighbours that still have another value, for queues may drop anything."""
+
+DOUBT = 10.0
+"""s that a link of the topology must have been down, and called in vain, until its other end counts as out of reach."""
+
+SETTLE = 1.0
+"""s of news that the automatic rule waits for, and between two changes of it."""
+
+FORGET = 60.0
+"""s after which the automatic rule takes a link between two robots that do not hear each other out of the topology."""
+
+_NEVER = float("inf")
+
+
+class Start(NamedTuple):
+    """What a robot knows of links before it has any."""
+
+    ground: Ground
+    dials: Mapping[str, bool]
+    """All robots that this one could be linked with, and whether it dials them."""
+    saved: Topology | None = None
+    """The value that was kept when it was running last."""
+
+
+class Linking:
+    """The links of one robot. Calls with `now` must not go back in time."""
+
+    def __init__(
+        self,
+        me: str,
+        start: Start,
+        map: LinkState,
+        *,
+        emit: Emit,
+        act: Callable[[LinkAction], None],
+        random: Callable[[], float],
+        counters: Counter[str],
+    ) -> None:
+        """`random` gives numbers from 0 up to 1."""
+        self._me = me
+        self._ground = start.ground
+        self._dials = start.dials
+        self._map = map
+        self._emit = emit
+        self._act = act
+        self._counters = counters
+        self._place = start.ground.place
+        self._search = Search(random)
+        self._links: dict[str, None] = {}
+        self._spare: dict[str, float] = {}
+        """Unwanted links that are not needed any more, and since when."""
+        self._reach: dict[str, bool] = {}
+        """Of the robots that we dial, as far as we have tried: whether we hear each other."""
+        self._down: dict[str, float] = {}
+        """Links of the topology that are down, and since when."""
+        self._dead: dict[Edge, float] = {}
+        """Links of the topology between robots in reach that do not hear each other, and since when."""
+        self.missing: dict[str, str] = {}
+        """Robots out of reach that this one has called, and why in vain."""
+        self._channel = key_of(me, "mesh", "topology")
+        self._look_at = 0.0
+        self._plan_at = _NEVER
+        self._repeat_at = _NEVER
+        self._check_at = _NEVER
+        self.value = max(start.saved or start.ground.first, start.ground.first)
+        self.wanted = self.value.neighbours(me)
+        self.adopted: float | None = None
+        """When the value came into force here; None before the first timer."""
+        for peer in sorted(self.wanted):
+            act(Connect(peer))
+
+    # -- inputs ------------------------------------------------------------------------------------------------
+
+    def set(self, shape: str, edges: tuple[tuple[str, ...], ...], after: int | None, now: float) -> str:
+        """Somebody on this robot wants another topology; what is wrong with that, empty where it is in force."""
+        version = self.value.version
+        if after is not None and after != version:
+            return f"version {version} is in force, not {after}: look at it (swarm topology show) and set again"
+        if version == MAX_VERSION:
+            return f"version {version} is the last one: take the file `topology` out of all robots' state directories"
+        try:
+            links = self.value.edges if shape == AUTO else self._ground.edges_of(shape, edges)
+        except LocalError as error:
+            return str(error)
+        self._adopt(Topology(version + 1, 0, self._me, shape == AUTO, links), None, now)
+        return ""
+
+    def has_room(self, peer: str) -> bool:
+        """Whether a robot of the configuration may have a link with this one."""
+        if peer in self._links or len(self._links) < MAX_LINKS:
+            return True
+        # While one set topology gives way to another there may be links of both; a radio knows itself what it holds.
+        return peer in self.wanted and not self.value.auto
+
+    def link_up(self, peer: str, now: float) -> bool:
+        """A connection with a robot is there; False where it is good for nothing but to know that."""
+        self._search.ended(peer, now)
+        self.missing.pop(peer, None)
+        self._down.pop(peer, None)
+        if self._dials.get(peer):
+            self._note_reach(peer, True, now)
+        needless = peer not in self.wanted and peer in self._map.routes() and self._map.topology(peer) == self.tag
+        if needless or not self.has_room(peer):
+            return False
+        self._links[peer] = None
+        self._send(peer)
+        self._look_soon(now)
+        return True
+
+    def link_down(self, peer: str, now: float) -> None:
+        """It is gone."""
+        if peer not in self._links:
+            return
+        del self._links[peer]
+        self._spare.pop(peer, None)
+        if peer in self.wanted:
+            self._down[peer] = now
+        else:
+            self._act(Disconnect(peer, frames.UNWANTED))
+        self._look_soon(now)
+
+    def dial_failed(self, peer: str, reason: str, now: float) -> None:
+        """A robot could not be reached."""
+        self._search.ended(peer, now)
+        if peer in self._links:
+            return  # a second call crossed the one that succeeded
+        if peer not in self._map.routes():
+            self.missing[peer] = reason
+        if peer not in self.wanted:
+            self._act(Disconnect(peer, frames.UNWANTED))
+            self._note_reach(peer, False, now)
+        elif now >= self._down.setdefault(peer, now) + DOUBT:
+            self._note_reach(peer, False, now)
+
+    def receive(self, peer: str, data: bytes, now: float) -> None:
+        """A neighbour's value; raises `FrameError`."""
+        value = self._ground.decode(data)
+        if value is None:
+            self._counters["topology_foreign"] += 1
+            self._act(Report(f"{peer} has another configuration: robots or topology differ", problem=True))
+            if peer not in self.wanted:
+                self._act(Disconnect(peer, frames.NOT_NEIGHBOUR))
+        elif value > self.value:
+            self._adopt(value, peer, now)
+        elif value < self.value:
+            self._send(peer)
+
+    def map_changed(self, now: float) -> None:
+        """The link state may be another one."""
+        self._look_soon(now)
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due."""
+        if self.adopted is None:
+            self.adopted = now
+            self._down = dict.fromkeys(self.wanted, now)
+            self._announce(now)
+        if now >= min(self._look_at, self._check_at):
+            self._look(now)
+        if now >= self._plan_at:
+            self._plan(now)
+        if now >= self._repeat_at:
+            self._repeat_at = _NEVER
+            for peer in self._links:
+                if self._map.topology(peer) != self.tag:
+                    self._repeat_at = now + REPEAT_PERIOD
+                    self._send(peer)
+        if (stranger := self._search.take(now)) is not None:
+            self._act(Connect(stranger, once=True))
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called."""
+        return min(self._look_at, self._check_at, self._plan_at, self._repeat_at, self._search.next_deadline())
+
+    # -- outputs -----------------------------------------------------------------------------------------------
+
+    @property
+    def tag(self) -> int:
+        """The value's short name in link states."""
+        return self._ground.tag(self.value)
+
+    @property
+    def up(self) -> tuple[str, ...]:
+        """Neighbours of the topology whose links are up."""
+        return tuple(sorted(self._links.keys() & self.wanted))
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Links that are up and not in the topology."""
+        return tuple(sorted(self._links.keys() - self.wanted))
+
+    def to_file(self) -> bytes:
+        """What is to be kept through restarts."""
+        return self._ground.to_file(self.value)
+
+    # -- the value ---------------------------------------------------------------------------------------------
+
+    def _adopt(self, value: Topology, source: str | None, now: float) -> None:
+        before, self.value = self.wanted, value
+        self.wanted = value.neighbours(self._me)
+        self.adopted = now
+        self._spare.clear()
+        for peer in sorted(self.wanted - before):
+            self._down[peer] = now
+            self._act(Connect(peer))
+        for peer in sorted(before - self.wanted):
+            self._down.pop(peer, None)
+            if peer not in self._links:
+                self._act(Disconnect(peer, frames.UNWANTED))
+        self._act(Keep())
+        kind = "auto" if value.auto else "fixed"
+        text = f"topology version={value.version}.{value.step} by={value.issuer} {kind} links={len(value.edges)}"
+        self._act(Report(text, problem=False))
+        for peer in self._links:
+            if peer != source:
+                self._send(peer)
+        self._repeat_at = now + REPEAT_PERIOD
+        self._announce(now)
+        self._look_soon(now)
+
+    def _send(self, peer: str) -> None:
+        data = self._ground.encode(self.value)
+        priority = frames.CONTROL if len(data) <= frames.MAX_PAYLOAD else frames.BULK
+        self._emit(Transmit(peer, frames.FLOOD, self._channel, data, priority))
+
+    def _announce(self, now: float) -> None:
+        """Tell the swarm which value holds here and, where the automatic rule wants to know, whom we hear."""
+        heard = 0
+        if self.value.auto:
+            heard = sum(1 << self._place[peer] for peer, reached in self._reach.items() if reached)
+        self._map.tell(self.tag, heard, now)
+
+    def _note_reach(self, peer: str, reached: bool, now: float) -> None:
+        if self._reach.get(peer) != reached:
+            self._reach[peer] = reached
+            self._announce(now)
+            self._look_soon(now)
+
+    # -- looking at the map ------------------------------------------------------------------------------------
+
+    def _look_soon(self, now: float) -> None:
+        self._look_at = min(self._look_at, now + LOOK)
+
+    def _look(self, now: float) -> None:
+        self._look_at = self._check_at = _NEVER
+        # Routes are only asked for where somebody needs them: in a large swarm they cost more than all else here.
+        if self.missing:
+            for peer in self.missing.keys() & self._map.routes().keys():
+                del self.missing[peer]
+        if kept := self.kept:
+            self._look_for_spare(kept, now)
+        if not self.value.auto and not self.value.version:
+            return
+        reachable = self._map.routes()
+        strangers = self._strangers()
+        far = [name for name in strangers if name not in reachable]
+        if len(self._links) >= MAX_LINKS:
+            self.missing |= dict.fromkeys(far, f"not called, this robot has all its {MAX_LINKS} links")
+            far = strangers = []
+        near = (
+            [name for name in strangers if name in reachable and not self._reach.get(name)] if self.value.auto else []
+        )
+        self._search.aim(far, near, now)
+        if self.value.auto:
+            self._plan_at = min(self._plan_at, now + SETTLE)
+
+    def _strangers(self) -> list[str]:
+        return [name for name, dials in self._dials.items()
+                if dials and name not in self._links and name not in self.wanted]  # fmt: skip
+
+    def _look_for_spare(self, kept: tuple[str, ...], now: float) -> None:
+        """Drop what has not been needed for a while."""
+        assert self.adopted is not None
+        reachable = self._map.routes()
+        agreed = self._is_agreed(now)
+        made = now >= self.adopted + MAKE or all(peer in self._links for peer in self.wanted if peer in reachable)
+        graph = self._map.graph() if agreed and made else {}
+        topology = frozenset(self.value.edges)
+        for peer in kept:
+            if not graph or not self._is_connected(graph, topology, peer):
+                self._spare.pop(peer, None)
+            elif now >= self._spare.setdefault(peer, now) + GRACE:
+                del self._spare[peer]
+                self._act(Disconnect(peer, frames.UNWANTED))
+            else:
+                self._check_at = min(self._check_at, self._spare[peer] + GRACE)
+        for end in (self.adopted + MAKE, self.adopted + PATIENCE):
+            if now < end:
+                self._check_at = min(self._check_at, end)
+
+    def _is_agreed(self, now: float) -> bool:
+        """Whether all in reach have this value, or were waited for."""
+        assert self.adopted is not None
+        tag = self.tag
+        return now >= self.adopted + PATIENCE or all(self._map.topology(name) == tag for name in self._map.routes())
+
+    def _edge(self, a: str, b: str) -> Edge:
+        return (a, b) if self._place[a] < self._place[b] else (b, a)
+
+    def _rank(self, edge: Edge) -> tuple[int, int]:
+        return self._place[edge[0]], self._place[edge[1]]
+
+    def _is_connected(self, graph: Mapping[str, Mapping[str, object]], topology: frozenset[Edge], peer: str) -> bool:
+        """Whether there is a way to a neighbour by links of the topology, and unwanted ones below its own."""
+        limit = self._rank(self._edge(self._me, peer))
+        seen, todo = {self._me}, [self._me]
+        while todo:
+            here = todo.pop()
+            for other in graph.get(here, ()):
+                if other in seen:
+                    continue
+                edge = self._edge(here, other)
+                if edge in topology or self._rank(edge) < limit:
+                    if other == peer:
+                        return True
+                    seen.add(other)
+                    todo.append(other)
+        return False
+
+    # -- the automatic rule ------------------------------------------------------------------------------------
+
+    def _plan(self, now: float) -> None:
+        """Mend the topology, where that falls to this robot: it has the lowest place of those in reach."""
+        self._plan_at = _NEVER
+        routes = self._map.routes()
+        members = {self._me, *routes}
+        if not self.value.auto or min(members, key=self._place.__getitem__) != self._me:
+            self._dead.clear()
+            return
+        if not self._is_agreed(now):
+            self._plan_at = now + SETTLE
+            return
+        names = self._ground.names
+        up = {self._edge(a, b) for a, near in self._map.graph().items() for b in near if a in members and b in members}
+        heard = set(up)
+        for name in members:
+            places = _places(self._map.heard(name), len(names))
+            heard |= {self._edge(name, names[place]) for place in places if names[place] in members - {name}}
+        silent = {edge for edge in self.value.edges if edge[0] in members and edge[1] in members and edge not in heard}
+        self._dead = {edge: self._dead.get(edge, now) for edge in silent}
+        dead = {edge for edge, since in self._dead.items() if now >= since + FORGET}
+        if len(dead) < len(silent):
+            self._plan_at = min(since + FORGET for edge, since in self._dead.items() if edge not in dead)
+        edges = plan(names, members, [edge for edge in self.value.edges if edge not in dead], heard, up)
+        if edges == self.value.edges:
+            return
+        if self.value.step == MAX_STEP:
+            text = f"topology step {MAX_STEP} is the last one of version {self.value.version}: set a topology anew"
+            self._act(Report(text, problem=True))
+        else:
+            self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, edges=edges), None, now)
+
+
+def _places(bits: int, count: int) -> list[int]:
+    """The places below `count` whose bit is set. A peer may have set others."""
+    return [place for place in range(count) if bits >> place & 1]

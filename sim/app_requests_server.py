@@ -1,0 +1,72 @@
+"""The simulation's ear for orders (`sim.control.app_requests`): it starts and stops apps, and answers."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgpack
+
+from services.apps.loader import BUILT_IN
+from sim.control import app_requests, datagrams
+from sim.control.app_requests import Order
+from sim.processes import Processes
+from swarm.errors import LocalError, SwarmError
+
+_AT_ONCE = 8
+
+
+class Orders:
+    """Looked at by the simulation's main thread, which is the one that may start processes."""
+
+    def __init__(
+        self, run_dir: Path, processes: Processes, names: Sequence[str], start: Callable[[str, str], None]
+    ) -> None:
+        """`start(robot, app)` starts an app that has not run yet; it raises `LocalError`."""
+        self._processes, self._names, self._start = processes, names, start
+        self._socket = datagrams.listen(run_dir, app_requests.DOOR)
+
+    def look(self) -> list[str]:
+        """Carry out what has come; what was done, in words."""
+        said = []
+        for _ in range(_AT_ONCE):
+            try:
+                datagram, sender = self._socket.recvfrom(app_requests.MAX_DATAGRAM)
+            except BlockingIOError:
+                break
+            done = problem = ""
+            try:
+                done = self._carry_out(app_requests.unpack(datagram))
+                said.append(done)
+            except SwarmError as error:
+                problem = str(error)
+            if sender:
+                with contextlib.suppress(OSError):  # who asked has gone
+                    self._socket.sendto(msgpack.packb({"done": done, "problem": problem}), sender)
+        return said
+
+    def close(self) -> None:
+        """Take no more."""
+        self._socket.close()
+
+    def _carry_out(self, order: Order) -> str:
+        unknown = [name for name in order.robots if name not in self._names]
+        if unknown:
+            raise LocalError(f"no robot {unknown[0]}, there are {', '.join(self._names)}")
+        service = f"app/{order.app}"
+        there = {name: child for name in order.robots if (child := self._processes.find(name, service)) is not None}
+        if order.act == "stop":
+            if not there:
+                raise LocalError(f"{order.app} does not run on {' '.join(order.robots)}")
+            for child in there.values():
+                child.hold()
+            return f"{order.app}: stopped on {' '.join(there)}"
+        for name in order.robots:
+            if name in there:
+                there[name].release()
+            elif order.app in BUILT_IN:
+                self._start(name, order.app)
+            else:
+                raise LocalError(
+                    f"no app {order.app}: expected {', '.join(BUILT_IN)}, or the one that ran from the start"
+                )
+        return f"{order.app}: started on {' '.join(order.robots)}"

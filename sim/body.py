@@ -1,0 +1,18 @@
+"""`python -m sim.body`: the balancer of one simulated robot, the real one but for its I2C bus.
+
+The body moves with the loop's own clock (sim/core), tells its true pose to the world, and is acted upon by
+people (sim/door.py).
+"""
+
+from services.balancer.loop import main as balance
+from sim.wiring import lying, simulated_bus
+from swarm.process.edges import run
+
+
+def main() -> None:
+    """Stand up, since nobody has to be warned of a simulated robot; where they begin lying they wait for an order."""
+    balance(simulated_bus, start_mode="rest" if lying() else "stand")
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,1 @@
+"""Actions on a running simulation: the datagrams that commands send to it."""

@@ -1,0 +1,75 @@
+"""Orders to a running simulation: apps of its robots start and stop, as systemd would have it on real ones.
+
+A datagram to RUN/orders.sock, which the simulation answers: msgpack maps both ways.
+"""
+
+import socket
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+
+from swarm.errors import LocalError, PayloadError
+from swarm.messages.codec import unpack as unpack_value
+from swarm.messages.keys import is_name
+from swarm.process.paths import socket_path
+
+DOOR = "orders.sock"
+ACTS = ("start", "stop")
+MAX_DATAGRAM = 65536
+ANSWER_S = 3.0
+"""How long a simulation may take; it looks twenty times a second."""
+
+
+class Order(NamedTuple):
+    """What is to happen."""
+
+    act: str
+    """One of `ACTS`."""
+    app: str
+    robots: tuple[str, ...]
+
+
+def give(run_dir: Path, act: str, app: str, robots: Sequence[str]) -> str:
+    """Have it done by the simulation in `run_dir`; what was done, in words. Raises `LocalError`."""
+    order = pack(check(act, app, robots))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        sock.bind("")  # a name that the kernel chooses, for the answer
+        sock.settimeout(ANSWER_S)
+        try:
+            sock.sendto(order, str(socket_path(run_dir, DOOR)))
+            answer = msgpack.unpackb(sock.recv(MAX_DATAGRAM))
+        except TimeoutError:
+            raise LocalError(f"the simulation has not answered within {ANSWER_S:g} s; look whether it did it") from None
+        except OSError as error:
+            raise LocalError(f"the simulation in {run_dir} takes no orders ({error.strerror})") from None
+    if answer["problem"]:
+        raise LocalError(answer["problem"])
+    return str(answer["done"])
+
+
+def check(act: str, app: str, robots: Sequence[str]) -> Order:
+    """The order if it can be one, else `LocalError`."""
+    if act not in ACTS:
+        raise LocalError(f"expected {' or '.join(ACTS)}, got {act[:20]!r}")
+    if not is_name(app):
+        raise LocalError(f"{app[:20]!r} is no name of an app")
+    if not robots or not all(map(is_name, robots)):
+        raise LocalError("expected names of robots")
+    return Order(act, app, tuple(robots))
+
+
+def pack(order: Order) -> bytes:
+    """The datagram."""
+    datagram: bytes = msgpack.packb(order._asdict())
+    return datagram
+
+
+def unpack(datagram: bytes) -> Order:
+    """The order in a datagram; `PayloadError` where there is none."""
+    try:
+        found: Any = unpack_value(datagram)
+        return check(str(found["act"]), str(found["app"]), [str(name) for name in found["robots"]])
+    except (PayloadError, KeyError, IndexError, TypeError, LocalError) as error:
+        raise PayloadError(f"no order: {error}") from None

@@ -1,0 +1,34 @@
+"""Datagrams to and within a running simulation: what people do to its robots comes by Unix sockets in its folders."""
+
+import os
+import socket
+from pathlib import Path
+
+from swarm.errors import LocalError
+from swarm.process.paths import socket_path
+
+_PATIENCE_S = 1.0
+"""Only a receiver that is stopped makes a sender wait."""
+
+
+def send(folder: Path, name: str, datagram: bytes, problem: str) -> None:
+    """To the socket `name` of that folder; `LocalError` that begins with `problem` where nobody listens there."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        sock.settimeout(_PATIENCE_S)
+        try:
+            sock.sendto(datagram, str(socket_path(folder, name)))
+        except OSError as error:
+            raise LocalError(f"{problem} ({error.strerror})") from None
+
+
+def listen(folder: Path, name: str) -> socket.socket:
+    """A socket at which those arrive, that never waits; `LocalError` where there can be none."""
+    path = socket_path(folder, name)
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        sock.bind(str(path))
+    except OSError as error:
+        sock.close()
+        raise LocalError(f"{path}: {os.strerror(error.errno or 0)}") from None
+    sock.setblocking(False)
+    return sock

@@ -1,0 +1,15 @@
+"""A hand on a simulated robot: tells its body what a person does.
+
+Each body of a running simulation listens at its door, a datagram socket in the robot's runtime directory; the balancer
+learns of it as a real one would, through its sensors.
+"""
+
+from pathlib import Path
+
+from sim.control import datagrams
+from sim.core.actions import DOOR, Act, check, pack
+
+
+def do(robot: Path, act: Act) -> None:
+    """Do it to the simulated robot with the runtime directory `robot`; `LocalError` where its body is not there."""
+    datagrams.send(robot, DOOR, pack(check(act)), f"the body of {robot.name} is not running at this moment")

@@ -1,0 +1,45 @@
+"""What a person's acts do to the simulated robot."""
+
+from services.balancer.core import balboa, display, imu
+from sim.core.actions import BUTTONS, Act, Lay, Place, Press, Push, Unplug
+from sim.core.devices import Device, SimulatedRobot
+
+ADDRESSES = {"imu": imu.ADDRESS, "atmega": balboa.ADDRESS, "display": display.ADDRESS}
+
+
+class Hands:
+    """Acts on one robot; `handle_timer` lets buttons go again."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+        self._until = [0.0] * len(BUTTONS)
+        self._unplugged: dict[int, Device] = {}
+
+    def do(self, act: Act, now: float) -> None:
+        """Do it now."""
+        body = self._robot.body
+        match act:
+            case Press(button, seconds):
+                self._until[BUTTONS.index(button)] = now + seconds
+                self.handle_timer(now)
+            case Push(impulse):
+                body.push(impulse)
+            case Lay(side):
+                body.lay(1 if side == "front" else -1)
+            case Unplug(device, back):
+                self._plug(ADDRESSES[device], back=back)
+            case Place(x, y, heading, tilt, held):
+                if not held:
+                    body.put_down(x, y, heading, tilt)
+
+    def _plug(self, address: int, *, back: bool) -> None:
+        """Move a device from the bus into the hand, or the other way."""
+        source, target = self._robot.devices, self._unplugged
+        if back:
+            source, target = target, source
+        if address in source:
+            target[address] = source.pop(address)
+
+    def handle_timer(self, now: float) -> None:
+        """Let go what was held long enough."""
+        self._robot.atmega.press(sum(1 << bit for bit, until in enumerate(self._until) if now < until))

@@ -1,0 +1,61 @@
+"""The measurement errors of the thesis' own simulations of localization (4.3.3, figure 4.9), as recordings to replay.
+
+"A 5 % random error to agent positions and distances (accuracy bias), and a 2 % periodic noise every 5 iterations
+(precision bias)": each coordinate of a robot's place and its range to the target are multiplied by 1 + u, u uniform
+within +-5 % and drawn once for the run, then by 1 + v, v uniform within +-2 % and drawn anew every five iterations. A
+place's error so grows with its distance to the corner of the table, where the thesis has its origin.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol
+
+from swarm.recording.thesis_ranges import Recording, Row
+
+ERRORS = {"none": (0.0, 0.0), "bias": (0.05, 0.0), "thesis": (0.05, 0.02)}
+"""By name: share of the bias, share of the noise. Figure 4.9 (a) and (b), (c), (d)."""
+
+EVERY = 5
+"""Iterations that one draw of the noise holds."""
+
+ITERATION = 0.32
+"""s; what the thesis' iterations took in its five localization runs."""
+
+Point = tuple[float, float]
+
+
+class Generator(Protocol):
+    """The part of `random.Random` that is used here."""
+
+    def uniform(self, a: float, b: float) -> float: ...  # noqa: D102
+
+
+def scene(
+    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: Generator
+) -> dict[str, Recording]:
+    """What robots at `places` measure in `rows` iterations, m, by name. All biases are drawn first: by the same numbers
+    two models have the same."""
+    bias, noise = ERRORS[model]
+    biased = {
+        name: [value * (1.0 + numbers.uniform(-bias, bias)) for value in (math.dist(place, target), *place)]
+        for name, place in places.items()
+    }
+    times = tuple(ITERATION * k for k in range(rows))
+    made = {}
+    for name, values in biased.items():
+        measured: list[Row] = []
+        for k in range(rows):
+            if k % EVERY == 0:
+                row = Row(*(value * (1.0 + numbers.uniform(-noise, noise)) for value in values))
+            measured.append(row)
+        made[name] = Recording(Path(f"{name}, noise {model}"), tuple(measured), times, ((0.0, 0.0),))
+    return made
+
+
+def as_csv(recording: Recording) -> str:
+    """The recording in the layout of `swarm.recording.thesis_ranges`; no estimates are known, so those columns are zero."""
+    lines = ["0.0" + ",0.0" * 6]
+    for t, row in zip(recording.times, recording.rows, strict=True):
+        lines.append(",".join([repr(t), *["0.0"] * 6, "0", "0.0", *(repr(100.0 * value) for value in row)]))
+    return "\n".join(lines) + "\n"

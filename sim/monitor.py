@@ -1,0 +1,127 @@
+"""What the simulation sees of its robots: the same keys anyone can watch, on every robot's bus."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from swarm.bus.throttle import SLOW, Slow
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import PayloadError
+from swarm.messages import (
+    AppEpoch,
+    AppProgress,
+    AppState,
+    BalancerState,
+    LedChange,
+    Links,
+    Pose,
+    Status,
+    Target,
+    Truth,
+    read,
+)
+from swarm.messages.keys import key
+
+SLOW_TRUTH_S = 0.2
+"""s between two messages of the truth's slow copy."""
+
+
+_TRUTHS = {Truth: "truth", Target: "target", LedChange: "leds"}
+
+
+@dataclass
+class Seen:
+    """The latest of one robot."""
+
+    status: dict[str, Status] = field(default_factory=dict)
+    """By service."""
+    balancer: BalancerState | None = None
+    links: Links | None = None
+    pose: Pose | None = None
+    progress: AppProgress | None = None
+    state: AppState | None = None
+    epoch: AppEpoch | None = None
+
+    def not_ready(self, services: Sequence[str]) -> list[str]:
+        """Which of `services` have not finished starting (a degraded one has)."""
+        return [name for name in services if name not in self.status or self.status[name].state == "starting"]
+
+
+class Monitor:
+    """Watches the buses of all robots and publishes the simulated truth on them.
+
+    Samples are kept as they came and decoded when somebody looks, each once: many are replaced before that, most are
+    the same as at the last look, and the simulation's own process should take little from the robots it watches.
+    """
+
+    def __init__(self, run_dir: Path, names: Sequence[str], app: str | None) -> None:
+        """`app` is the one whose progress is followed; others may be started meanwhile."""
+        self._app = app
+        self._samples: dict[str, dict[str, bytes]] = {name: {} for name in names}
+        self._seen = {name: Seen() for name in names}
+        self._decoded: dict[str, bytes] = {}  # by key: the sample that is in `_seen`
+        self._buses = {name: Bus.of(run_dir / name) for name in names}
+        self._slow = {name: Slow(bus, key(name, "sim", "truth"), SLOW_TRUTH_S) for name, bus in self._buses.items()}
+        for name, bus in self._buses.items():
+            bus.subscribe(
+                [
+                    key(name, "*", "status"),
+                    key(name, "app", "*", "status"),
+                    *([key(name, "app", app, topic) for topic in ("progress", "state/slow", "epoch")] if app else []),
+                    key(name, "balancer", "state", SLOW),
+                    key(name, "mesh", "links"),
+                    key(name, "dwm", "pose"),
+                ],
+                self._samples[name].__setitem__,
+            )
+
+    def truth(self, robot: str, message: Truth | Target | LedChange) -> None:
+        """Publish where a robot or the target really is, or what a robot's LEDs show."""
+        if isinstance(message, Truth):
+            self._slow[robot].publish(message, message.t)
+        self._buses[robot].publish(key(robot, "sim", _TRUTHS[type(message)]), message)
+
+    def ask_status(self) -> None:
+        """Ask every service for its status, and the app for its members: what was published before we were connected
+        is lost."""
+        for name, bus in self._buses.items():
+            epoch = [key(name, "app", self._app, "epoch")] if self._app else []
+            for pattern in (key(name, "*", "status"), key(name, "app", "*", "status"), *epoch):
+                bus.ask(pattern, self._samples[name].__setitem__)
+
+    def look(self) -> dict[str, Seen]:
+        """The latest of every robot, by name; it changes with the next look."""
+        for name, samples in self._samples.items():
+            # dict() of a dict is one step of the interpreter: Zenoh's threads may be storing meanwhile.
+            for topic, payload in dict(samples).items():
+                if self._decoded.get(topic) is not payload:
+                    self._decoded[topic] = payload
+                    _update(self._seen[name], topic, payload)
+        return self._seen
+
+    def close(self) -> None:
+        """Leave all buses."""
+        for bus in self._buses.values():
+            bus.close()
+
+
+def _update(seen: Seen, topic: str, payload: bytes) -> None:
+    try:
+        message = read(topic, payload)
+    except PayloadError:
+        return  # a picture for people: whoever needs the message reports what is wrong with it
+    match message:
+        case Status():
+            seen.status[message.service] = message
+        case BalancerState():
+            seen.balancer = message
+        case Links():
+            seen.links = message
+        case Pose():
+            seen.pose = message
+        case AppProgress():
+            seen.progress = message
+        case AppState():
+            seen.state = message
+        case AppEpoch():
+            seen.epoch = message

@@ -1,0 +1,90 @@
+"""What people see while a simulation starts and runs: a block that is redrawn on a terminal, plain lines elsewhere."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TextIO
+
+from sim.monitor import Seen
+from sim.scenario import Scenario
+from swarm.process.terminal import steer
+
+TERMINAL_PERIOD_S = 0.25
+PLAIN_PERIOD_S = 2.0
+
+
+class Progress:
+    """Draws the state of the run on `stream`, at most every period."""
+
+    def __init__(self, stream: TextIO, scenario: Scenario) -> None:
+        self._stream = stream
+        self._scenario = scenario
+        self._terminal = stream.isatty()
+        self._drawn = 0
+        self._next = 0.0
+
+    def show(self, now: float, elapsed: float, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> None:
+        """Draw if it is time; `missing` names the services of each robot that are not ready."""
+        if now < self._next:
+            return
+        self._next = now + (TERMINAL_PERIOD_S if self._terminal else PLAIN_PERIOD_S)
+        robots = [(name, _robot(self._scenario, seen[name], missing[name])) for name in seen]
+        if self._terminal:
+            lines = [f"{elapsed:6.1f} s", *(f"  {name}  {text}" for name, text in robots)]
+            self._erase()
+            self._stream.write("\n".join(lines) + "\n")
+            self._drawn = len(lines)
+        else:
+            self._stream.write(f"{elapsed:6.1f} s  " + "; ".join(f"{name} {text}" for name, text in robots) + "\n")
+        self._stream.flush()
+
+    def say(self, sentence: str) -> None:
+        """One line that stays."""
+        self._erase()
+        self._stream.write(sentence + "\n")
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Take the block away: the report follows."""
+        self._erase()
+        self._stream.flush()
+
+    def _erase(self) -> None:
+        if self._drawn:
+            steer(self._stream, f"\x1b[{self._drawn}F\x1b[J")
+            self._drawn = 0
+
+
+def _robot(scenario: Scenario, seen: Seen, missing: Sequence[str]) -> str:
+    parts = []
+    if missing:
+        parts.append("starting " + ", ".join(missing))
+    if seen.balancer is not None:
+        body = seen.balancer
+        parts.append(body.fault or f"{body.mode.replace('_', ' ')} {math.degrees(body.tilt):+.1f} deg")
+    if seen.links is not None:
+        away = [link.peer for link in seen.links.links if link.state != "up"]
+        if away:
+            parts.append("no link to " + ", ".join(away))
+    if seen.progress is not None:
+        parts.append(_app(scenario, seen))
+    return ", ".join(parts) or "starting"
+
+
+def _app(scenario: Scenario, seen: Seen) -> str:
+    progress, state = seen.progress, seen.state
+    assert progress is not None
+    text = f"k={max(progress.k, state.k if state is not None else 0)}"
+    if progress.waiting_for:
+        text += f" waits for {', '.join(progress.waiting_for)}"
+        text += f" ({progress.reason})" if progress.reason else ""
+    elif progress.phase != "running":
+        text += f" {progress.phase} {progress.reason}".rstrip()
+    if state is None:
+        return text
+    if scenario.app == "localization":
+        x, y = state.result.get("x"), state.result.get("y")
+        if isinstance(x, float) and isinstance(y, float) and not scenario.config.simulation.moving:
+            text += f" error {100 * math.dist((x, y), scenario.config.simulation.target):.1f} cm"
+        return text
+    numbers = [f"{name}={value:.4g}" for name, value in state.result.items() if isinstance(value, float | int)]
+    return " ".join([text, *numbers[:3]])

@@ -1,0 +1,194 @@
+"""What people write on the command line of `swarm sim`: times, rates, probabilities, and events of a run such as a cut.
+
+Each reader raises `argparse.ArgumentTypeError`, which says what was expected.
+"""
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+from services.mesh.core.radio_model import MAX_LOSS
+from swarm.app import settings
+from swarm.app.settings import Setting
+from swarm.errors import AppError
+from swarm.frozen import frozen
+from swarm.messages.keys import is_name
+
+_DURATION = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "": 1.0}
+_SIZE = {"B": 1.0, "kB": 1e3, "MB": 1e6, "": 1.0}
+_NUMBER = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?) *([a-zA-Z%]*)")
+
+AT_START = "start"
+"""In place of a time: from the beginning on."""
+
+SLOWEST, FASTEST = 0.01, 1000.0
+"""s of virtual time a second that a page may wish for."""
+
+MAX_VELOCITY = 10.0
+"""m/s of a target."""
+
+MAX_SKEW = 100e-6
+"""More than a crystal errs, and what the mesh clock is made for."""
+
+
+@frozen
+class Cut:
+    """A link that passes nothing for a while."""
+
+    a: str
+    b: str
+    at: float
+    """s after the first iteration of all robots (without an app: after all are ready)."""
+    seconds: float
+
+
+@frozen
+class Off:
+    """A robot that is switched off for a while, and forgets what it knew but for its votes."""
+
+    robot: str
+    at: float | None
+    """s, counted like a cut's; None: from the beginning."""
+    seconds: float
+
+
+@frozen
+class Press:
+    """A button that somebody presses."""
+
+    robot: str
+    button: str
+    at: float
+    """s, counted like a cut's."""
+
+
+def velocity(text: str) -> tuple[float, float]:
+    """`0.1,-0.03`: vx and vy, m/s."""
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (abs(x) <= MAX_VELOCITY and abs(y) <= MAX_VELOCITY):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a velocity such as 0.1,-0.03 (m/s, below {MAX_VELOCITY:g})")
+    return x, y
+
+
+def _quantity(text: str, units: dict[str, float], what: str) -> float:
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None or match[2] not in units:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+    try:
+        return float(match[1]) * units[match[2]]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}") from None
+
+
+def duration(text: str) -> float:
+    """Seconds of `30ms`, `3s`, `2min` or a bare number of seconds."""
+    return _quantity(text, _DURATION, "a time such as 30ms or 3s")
+
+
+def rate(text: str) -> float:
+    """Bytes per second of `78kB`, `1MB` or a bare number of bytes."""
+    value = _quantity(text, _SIZE, "a rate such as 78kB (per second)")
+    if value <= 0:
+        raise argparse.ArgumentTypeError("a bandwidth must be above zero")
+    return value
+
+
+def cut(text: str) -> Cut:
+    """A cut `r0-r1@12s,3s`: which link, when, how long."""
+    match = re.fullmatch(r"([a-z][a-z0-9_]*)-([a-z][a-z0-9_]*)@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a cut such as r0-r1@12s,3s (link, start, length)")
+    return Cut(match[1], match[2], duration(match[3]), duration(match[4]))
+
+
+def off(text: str) -> Off:
+    """A robot `r2@5s,10s` that is switched off: which, when, how long; `r2@start,10s` comes late."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)@([^,]+),(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a robot such as r2@5s,10s (which, from when, how long)")
+    at = None if match[2] == AT_START else duration(match[2])
+    seconds = duration(match[3])
+    if not seconds > 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a time above zero")
+    return Off(match[1], at, seconds)
+
+
+def press(text: str) -> Press:
+    """A button `r4.A@5s`: whose, which, when."""
+    match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
+    return Press(match[1], match[2].upper(), duration(match[3]))
+
+
+class AppSetting(NamedTuple):
+    """A parameter of an app."""
+
+    app: str
+    """Empty: of the first one."""
+    setting: Setting
+
+
+def setting(text: str) -> AppSetting:
+    """A parameter `value=0.5` or, of one robot, `r2.value=3`; with `led_sync/` before it, of that app."""
+    app, slash, rest = text.partition("/") if "/" in text.partition("=")[0] else ("", "", text)
+    if slash and not is_name(app):
+        raise argparse.ArgumentTypeError(f"{text!r}: {app!r} is no app's name")
+    try:
+        return AppSetting(app, settings.parse(rest))
+    except AppError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def at_least(low: int) -> Callable[[str], int]:
+    """Reads a whole number that is at least `low`."""
+
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+        if value < low:
+            raise argparse.ArgumentTypeError(f"must be at least {low}")
+        return value
+
+    return convert
+
+
+def speed(text: str) -> float:
+    """`0.5`, or `max`: infinity."""
+    if text == "max":
+        return math.inf
+    value = _quantity(text, {"": 1.0}, "a speed such as 0.5, or max")
+    if not SLOWEST <= value <= FASTEST:
+        raise argparse.ArgumentTypeError(f"expected {SLOWEST:g} to {FASTEST:g}, or max")
+    return value
+
+
+def loss(text: str) -> float:
+    """A probability `5%` or `0.05`."""
+    value = _quantity(text, {"": 1.0, "%": 0.01}, "a probability such as 5% or 0.05")
+    if not value <= MAX_LOSS:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {100 * MAX_LOSS:g}%")
+    return value
+
+
+def skew(text: str) -> float:
+    """An error of clocks, `20ppm`."""
+    value = _quantity(text, {"ppm": 1e-6}, "an error such as 20ppm")
+    if not value <= MAX_SKEW:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected at most {1e6 * MAX_SKEW:g}ppm")
+    return value
+
+
+def positive(text: str) -> float:
+    """A number above zero."""
+    value = _quantity(text, {"": 1.0}, "a number")
+    if value <= 0:
+        raise argparse.ArgumentTypeError("must be above zero")
+    return value

@@ -1,0 +1,167 @@
+"""`swarm check FILE`: what an app declares and costs, and how it behaves, before any robot moves.
+
+Two processes that hash differently rehearse it on standard graphs; here their findings are compared and told.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from services.apps.loader import BUILT_IN
+from swarm.errors import LocalError, PayloadError
+from swarm.messages.json_input import read_json
+from swarm.process import service
+
+PI_FACTOR = 10.0
+"""A Pi Zero 2 W (Cortex-A53, 1 GHz) runs plain Python about this much slower than a laptop [estimated: 8 to 15]."""
+
+STEP_BUDGET = 0.010
+"""s on a Pi: a third of what a message takes over Bluetooth, so that a step does not set the pace of the lockstep."""
+
+PATIENCE = 120.0
+"""s after which a rehearsal is ended from outside: it hangs where Python cannot be interrupted."""
+
+SEEDS = ("1", "2")
+"""Of Python's hashing, one for each process: sets and dicts of text come in another order."""
+
+Json = dict[str, Any]
+
+
+def main() -> int:
+    """Exit code 0: nothing is wrong; 1: something is; 2: it could not be looked at."""
+    parser = argparse.ArgumentParser(prog="swarm check", description=__doc__.partition("\n")[0])
+    parser.add_argument("app", metavar="APP", help=f"a file with an app, or {', '.join(BUILT_IN)}")
+    parser.add_argument("--robots", type=int, default=6, metavar="N", help="robots in the rehearsal (6)")
+    parser.add_argument("--iterations", type=int, default=300, metavar="K", help="iterations on each graph (300)")
+    parser.add_argument("--set", action="append", default=[], metavar="[ROBOT.]NAME=VALUE",
+                        help="a parameter or first value, for all robots or for one")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    options = parser.parse_args()
+    if options.robots < 1 or options.iterations < 4:
+        raise LocalError("--robots is at least 1, --iterations at least 4")
+    found = judge(*(_rehearse(options, seed) for seed in SEEDS))
+    sys.stdout.write(json.dumps(found) + "\n" if options.json else text(found))
+    return 0 if found["ok"] else 1
+
+
+def judge(one: list[Json], other: list[Json]) -> Json:
+    """What two rehearsals found, together: `problems` say what, where and in which line."""
+    app: Json = one[0] if one and "app" in one[0] else {}
+    graphs = [entry for entry in one if "graph" in entry]
+    again = {entry["graph"]: entry for entry in other if "graph" in entry}
+    source = app.get("source", "")
+    problems: list[str] = []
+    for entry in [entry for entry in (*one, *other) if entry.get("fault")]:
+        place = f" ({source}, line {entry['line']})" if entry.get("line") else ""
+        # The same fault on another graph says nothing new.
+        if not any(_kind(entry["fault"]) == _kind(known) for known in problems):
+            problems.append(f"{entry['fault']}{place}")
+    for entry in graphs:
+        if entry["trend"].get("grows"):
+            problems.append(f"it diverges on graph {entry['graph']}: the results grow without end ({_step(app)})")
+            break
+    for entry in graphs:
+        differs = _first_difference(entry["digests"], again.get(entry["graph"], entry)["digests"])
+        if differs is not None and not entry["fault"]:
+            problems.append(
+                f"graph {entry['graph']}, iteration {differs}: two processes came to different states: something goes "
+                f"by the order of a set, by the time or by a random number that is not robot.random ({_step(app)})"
+            )
+            break
+    # The quicker of two: what the machine did besides is no cost of the app.
+    steps = [min(entry["step_mean"], again.get(entry["graph"], entry)["step_mean"]) for entry in graphs]
+    mean = max(steps, default=0.0)
+    warnings = sorted({warning for entry in graphs for warning in entry["warnings"]})
+    if mean * PI_FACTOR > STEP_BUDGET:
+        warnings.append(
+            f"a step takes about {1e3 * PI_FACTOR * mean:.1f} ms on a Pi Zero 2 W, more than {1e3 * STEP_BUDGET:g} ms"
+        )
+    for entry in graphs:
+        entry.pop("digests")
+    return {
+        **app,
+        "step_s": mean,
+        "step_pi_s": PI_FACTOR * mean,
+        "pi_factor": PI_FACTOR,
+        "graphs": graphs,
+        "warnings": warnings,
+        "problems": problems,
+        "ok": not problems,
+    }
+
+
+def text(found: Mapping[str, Any]) -> str:
+    """The findings for people."""
+    lines = []
+    if "app" in found:
+        here, there = 1e6 * found["step_s"], 1e3 * found["step_pi_s"]
+        fields = ", ".join(f"{name} {kind}" for name, kind in found["fields"].items()) or "none"
+        algorithms = f", algorithms {', '.join(found['algorithms'])}" if found["algorithms"] else ""
+        lines += [
+            f"app         {found['app']}: {found['class']}, {found['kind']}{algorithms}",
+            f"state       {found['bytes']} bytes ({fields}), {found['bytes_on_air']} on the air with the frame's",
+            f"step        {here:.0f} us here, about {there:.1f} ms on a Pi Zero 2 W, by an estimated factor of "
+            f"{found['pi_factor']:g}",
+            "",
+            f"{'graph':<10} {'iterations':>10} {'settles at':>10} {'spread at the end':>18}",
+        ]
+        for entry in found["graphs"]:
+            trend = entry["trend"]
+            settles, spread = trend.get("settles"), trend.get("spread")
+            word = "diverges" if trend.get("grows") else "-" if settles is None else str(settles)
+            told = "-" if spread is None else f"{spread:.3g}"
+            lines.append(f"{entry['graph']:<10} {entry['iterations']:>10} {word:>10} {told:>18}")
+        lines.append("")
+    lines += [f"warning     {warning}" for warning in found["warnings"]]
+    lines += [f"problem     {problem}" for problem in found["problems"]]
+    if found["ok"]:
+        lines.append("ok          same step, same result; in two processes too")
+    return "\n".join(lines) + "\n"
+
+
+def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
+    command = [sys.executable, "-m", "sim.rehearsal.examine", options.app]
+    command += ["--robots", str(options.robots), "--iterations", str(options.iterations)]
+    for setting in options.set:
+        command += ["--set", setting]
+    environment = {**os.environ, "PYTHONHASHSEED": seed}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True) as child:
+        try:
+            output, errors = child.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            output, errors = child.communicate()
+            errors += f"\nit hangs: nothing within {PATIENCE:g} s, and Python could not be interrupted"
+    found = []
+    for line in output.splitlines():
+        with contextlib.suppress(PayloadError):  # what the app itself prints
+            entry = read_json(line)
+            if isinstance(entry, dict) and ("graph" in entry or "app" in entry or "fault" in entry):
+                found.append(entry)
+    if child.returncode != 0:
+        last = errors.strip().splitlines()[-1] if errors.strip() else f"it ended with code {child.returncode}"
+        found.append({"fault": f"{options.app}: {last}", "line": None})
+    return found
+
+
+def _kind(fault: str) -> str:
+    """A fault without robot and iteration."""
+    return fault.rpartition(": ")[2].partition(" (")[0]
+
+
+def _step(app: Json) -> str:
+    return f"{app.get('source', '')}, line {app.get('step_line', 1)}"
+
+
+def _first_difference(one: list[int], other: list[int]) -> int | None:
+    """Where two histories differ, as far as both go."""
+    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), None)
+
+
+if __name__ == "__main__":
+    service.run(main)

@@ -1,0 +1,76 @@
+"""The swarm an app is rehearsed with: robots on the thesis' table, starting values that differ, a measurement."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from services.apps.loader import App
+from swarm import config as configuration
+from swarm.app.sync_app import App as AnyApp
+from swarm.config import Anchor, Config, Robot
+from swarm.core.graph import Graph
+from swarm.errors import AppError
+from swarm.messages import Measurement
+from swarm.messages.codec import Value
+
+TARGET = (0.5, 1.0)
+PLACES = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5), (1.5, 0.5), (0.35, 0.4), (1.0, 1.75))
+ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
+"""Thesis figure 4.8, m; three more places."""
+
+STARTS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
+"""The thesis' starting values of consensus (figure 4.4), for shared floats whose class gives none."""
+
+
+def scene(
+    app: App,
+    robots: int,
+    topology: str,
+    parameters: Mapping[str, Value] | None = None,
+    values: Mapping[str, Mapping[str, Value]] | None = None,
+) -> Config:
+    """The configuration; `parameters` hold for all robots, `values` for single ones by name."""
+    names = [f"r{i}" for i in range(robots)]
+    for name in values or {}:
+        if name not in names:
+            raise AppError(f"values of {name}: the robots are {', '.join(names)}")
+    common = dict(parameters or {})
+    own: dict[str, dict[str, Value]] = {name: dict((values or {}).get(name, {})) for name in names}
+    kind, _ = app.choose({name: value for name, value in common.items() if name == "algorithm"})
+    for field in _without_start(kind):
+        if field not in common and not any(field in given for given in own.values()):
+            for index, name in enumerate(names):
+                own[name][field] = STARTS[index] if index < len(STARTS) else float(index)
+    return Config(
+        path=Path("swarm.toml"),
+        network="rehearsal",
+        robots=tuple(Robot(name) for name in names),
+        edges=Graph.of_shape(topology, names).edges,
+        relay=configuration.types.DEFAULT_RELAY,
+        anchors=ANCHORS,
+        apps={app.name: configuration.App(common, own)},
+    )
+
+
+def place(index: int) -> tuple[float, float]:
+    """Where a robot stands, m: on the table, then around it."""
+    if index < len(PLACES):
+        return PLACES[index]
+    angle = 2.4 * index  # the golden angle: no two in the same direction
+    return (1.0 + 1.4 * math.cos(angle), 1.0 + 1.4 * math.sin(angle))
+
+
+def measurement(name: str, k: int) -> Measurement:
+    """Exact range to the target and own place of step k, ten a second."""
+    here = place(int(name[1:]))
+    return Measurement(0.1 * k, k, math.dist(here, TARGET), *here)
+
+
+def _without_start(kind: type[AnyApp]) -> list[str]:
+    """Shared floats that the class gives no first value and no parameter."""
+    spec = kind.spec
+    return [
+        field.name
+        for field in spec.schema.fields
+        if field.kind in ("float", "float32") and not hasattr(kind, field.name) and field.name not in spec.parameters
+    ]

@@ -1,0 +1,90 @@
+"""A swarm of one synchronous app, all robots in this process, step by step: no time, no thread, no link."""
+
+from collections.abc import Callable, Mapping
+
+from services.apps import loader
+from services.apps.runner import Runner
+from sim.rehearsal.clock import CommonClock, NoRanges
+from sim.rehearsal.messages import Messages
+from sim.rehearsal.scene import measurement
+from swarm.app.sync_app import SyncApp
+from swarm.config import Config
+from swarm.core.graph import Graph
+from swarm.errors import AppError
+from swarm.messages import Measurement
+from swarm.messages.codec import Value
+
+Measure = Callable[[str, int], Measurement]
+
+
+class SyncRehearsal:
+    """`results[name][k]` is what a robot reports at iteration k, `states[name][k]` its packed shared state."""
+
+    def __init__(self, app: loader.App, config: Config, *, seed: int = 1, measure: Measure = measurement) -> None:
+        """`measure(robot, k)` gives the measurement of step k to an app that wants one."""
+        self.k = 0
+        self.names = config.names
+        self.graph = config.graph
+        self._measure = measure
+        self._looks = 0
+        self.runners: dict[str, Runner] = {}
+        self.messages: dict[str, Messages] = {}
+        for name in self.names:
+            instance = app.make(config, name, seed)
+            if not isinstance(instance, SyncApp):
+                raise AppError(f"{app.source}: {type(instance).__name__} is no SyncApp")
+            self.messages[name] = Messages(name, self.names, lambda to, message: self.messages[to].receive(message))
+            instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
+            instance.robot.time = self._now
+            instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]
+            instance.robot.ranging = NoRanges()  # type: ignore[assignment]
+            self.runners[name] = Runner(instance, app.source)
+        self.private: dict[str, bytes] = {}
+        self.states: dict[str, list[bytes]] = {}
+        self.results: dict[str, list[dict[str, Value]]] = {}
+        for name, runner in self.runners.items():
+            own, self.private[name] = runner.start(self.measured(name))
+            self.states[name] = [own]
+            self.results[name] = [runner.result()]
+
+    def measured(self, name: str) -> Measurement | None:
+        """The measurement for a robot's next step."""
+        return self._measure(name, self.k) if type(self.runners[name].app).measured else None
+
+    def around(self, name: str) -> dict[str, bytes]:
+        """The neighbours' states of this iteration."""
+        return {near: self.states[near][self.k] for near in self.graph.neighbours(name)}
+
+    def run(
+        self, iterations: int = 1, step: "Callable[[SyncRehearsal, str], tuple[bytes, bytes]] | None" = None
+    ) -> None:
+        """Do so many iterations; `step(self, robot)` takes the place of the plain step."""
+        for _ in range(iterations):
+            done = {name: (step or SyncRehearsal.step)(self, name) for name in self.names}
+            self.k += 1
+            for name, (own, private) in done.items():
+                self.states[name].append(own)
+                self.private[name] = private
+                self.results[name].append(self.runners[name].result())
+
+    def change(self, graph: Graph) -> None:
+        """Go over to other members and links now, as a swarm does that drops a robot: `on_epoch` of the app."""
+        self.graph, self.names = graph, graph.names
+        for name in self.names:
+            own, self.private[name] = self.runners[name].renew(
+                self.k, self.states[name][self.k], self.private[name], graph
+            )
+            self.states[name][self.k] = own
+
+    def step(self, name: str) -> tuple[bytes, bytes]:
+        """One robot's step: its next state, shared and private."""
+        return self.runners[name].step(self.k, self.states[name][self.k], self.around(name), self.measured(name))
+
+    def _now(self) -> float:
+        """An iteration takes 0.1 s here. No two looks at the clock are the same, as on a robot."""
+        self._looks += 1
+        return 0.1 * self.k + 1e-6 * self._looks
+
+    def result(self, name: str) -> Mapping[str, Value]:
+        """What a robot reports now."""
+        return self.results[name][-1]

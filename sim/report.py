@@ -1,0 +1,281 @@
+"""What a run found: one object for programs, one table for people."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+
+from sim import scene
+from sim.core.witness import Witness
+from sim.scenario import Scenario
+from swarm.frozen import frozen
+from swarm.messages import BalancerState
+from swarm.recording import trajectory
+from swarm.recording.trajectory import Trajectory
+
+Json = dict[str, object]
+
+MOST_ROWS = 50
+"""Robots that the table shows."""
+
+TARGET_COLUMNS = ("result.x", "result.y")
+
+
+@frozen
+class Outcome:
+    """What was seen of a run when it ended."""
+
+    scenario: Scenario
+    seed: int
+    started_s: float | None
+    """s from the command to the first iteration of all robots; None where there was none."""
+    seconds: float
+    """How long it ran after that."""
+    trajectories: Mapping[str, Trajectory]
+    bodies: Mapping[str, BalancerState | None]
+    messages: int | None
+    """App frames the mesh sent over all links; None without a mesh that reports."""
+    rss_mib: Mapping[str, float]
+    """Resident memory of each robot's processes."""
+    restarts: Mapping[str, int]
+    problems: tuple[str, ...]
+    missing: tuple[str, ...] = ()
+    """Robots that the others have gone on without, and that are not back at the end."""
+    computed_s: float | None = None
+    """s that a run under virtual time took to compute; None of one in real time."""
+    scene: Mapping[str, object] = field(default_factory=dict)
+    """What the world saw of it (sim/scene.py)."""
+    witness: Witness | None = None
+    """The world's own eyes, where somebody looked."""
+    began: float = 0.0
+    """When the run began, by the witness' clock, s."""
+    moves_from: float = math.inf
+    """When a target that moves began to, by the clock of the trajectories, s."""
+    beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)
+    """Of other apps that the robots ran meanwhile."""
+
+    def target(self, t: float) -> tuple[float, float]:
+        """Where the target was at a time of the trajectories, m."""
+        return self.scenario.config.simulation.target_after(t - self.moves_from)
+
+    def targets(self) -> dict[str, tuple[float, float]]:
+        """Where it was when each robot did its last iteration."""
+        return {name: self.target(path.times[path.last]) for name, path in self.trajectories.items() if path.last >= 0}
+
+
+def summary(outcome: Outcome) -> Json:
+    """The object of `--json`: lengths in m but for names with `_cm`, times in s."""
+    scenario = outcome.scenario
+    paths = outcome.trajectories
+    times = trajectory.iteration_times(paths)
+    iterations = min((path.last for name, path in paths.items() if name not in outcome.missing), default=0)
+    memory = list(outcome.rss_mib.values())
+    report: Json = {
+        "app": scenario.app,
+        "algorithm": scenario.algorithm,
+        "robots": len(scenario.config.robots),
+        "topology": scenario.topology,
+        "seed": outcome.seed,
+        "started_s": _rounded(outcome.started_s, 3),
+        "seconds": _rounded(outcome.seconds, 3),
+        "iterations": max(iterations, 0),
+        "iteration_s_median": _rounded(trajectory.median(times), 6),
+        "iteration_s_p95": _rounded(trajectory.percentile(times, 95), 6),
+        "result": {name: result(path) for name, path in paths.items()} or bodies(outcome),
+        "messages_per_iteration": (
+            round(outcome.messages / iterations, 2) if outcome.messages is not None and iterations > 0 else None
+        ),
+        "messages": outcome.messages,
+        "rss_mib_per_robot": round(sum(memory) / len(memory), 1) if memory else None,
+        "restarts": sum(outcome.restarts.values()),
+        "problems": list(outcome.problems),
+        "missing": list(outcome.missing),
+        **({"scene": dict(outcome.scene)} if outcome.scene else {}),
+    }
+    if outcome.beside:
+        report["beside"] = {
+            app: {
+                "iterations": max(min((path.last for path in others.values()), default=0), 0),
+                "result": {name: result(path) for name, path in others.items()},
+            }
+            for app, others in outcome.beside.items()
+        }
+    if outcome.computed_s is not None:
+        report["virtual"] = True
+        report["computed_s"] = round(outcome.computed_s, 3)
+    if scenario.app == "consensus":
+        report["mean"] = true_mean(scenario)
+        report["error"] = consensus_error(scenario, paths)
+    if scenario.app == "localization":
+        report["error_cm"] = target_error_cm(outcome, {name: estimate(path) for name, path in paths.items()})
+    if scenario.recorded:
+        last = {name: rec.estimates[min(iterations, len(rec.estimates) - 1)] for name, rec in scenario.recorded.items()}
+        report["recorded_error_cm"] = target_error_cm(outcome, last)
+        if scenario.algorithm == "thesis":  # another algorithm is not meant to follow the recorded one
+            report["replay_deviation_cm"] = replay_deviation_cm(scenario, paths)
+    return report
+
+
+def result(path: Trajectory) -> Json | None:
+    """The result columns of the last iteration, by name."""
+    if path.last < 0:
+        return None
+    return {
+        name.removeprefix("result."): _number(text)
+        for name, text in zip(path.columns, path.rows[path.last], strict=True)
+        if name.startswith("result.")
+    }
+
+
+def bodies(outcome: Outcome) -> Json:
+    """What there is to say of robots that only balance."""
+    return {
+        name: None
+        if body is None
+        else {"mode": body.mode, "tilt_deg": round(math.degrees(body.tilt), 2), "fault": body.fault}
+        for name, body in outcome.bodies.items()
+    }
+
+
+def true_mean(scenario: Scenario) -> float:
+    """The mean of the starting values of consensus."""
+    values = [float(parameters.get("value", 0.0)) for parameters in scenario.parameters.values()]  # type: ignore[arg-type]
+    return math.fsum(values) / len(values)
+
+
+def consensus_error(scenario: Scenario, paths: Mapping[str, Trajectory]) -> float | None:
+    """Largest deviation of a robot's value from the true mean, at its last iteration."""
+    mean = true_mean(scenario)
+    return max(
+        (abs(path.value(path.last, "value") - mean) for path in paths.values() if path.last >= 0),
+        default=None,
+    )
+
+
+def estimate(path: Trajectory, k: int | None = None) -> tuple[float, float]:
+    """The target as a robot sees it at iteration k (the last where None), m; nan where it has no estimate."""
+    at = path.last if k is None else k
+    if at not in path.rows:
+        return (math.nan, math.nan)
+    x, y = (path.value(at, name) for name in TARGET_COLUMNS)
+    return (x, y)
+
+
+def target_error_cm(outcome: Outcome, estimates: Mapping[str, tuple[float, float]]) -> float | None:
+    """Mean distance of the robots' last estimates to the true target, cm; None where a robot has none."""
+    targets = outcome.targets()
+    distances = [math.dist(place, targets[name]) if name in targets else math.nan for name, place in estimates.items()]
+    if not distances or any(math.isnan(distance) for distance in distances):
+        return None
+    return round(100 * math.fsum(distances) / len(distances), 4)
+
+
+def replay_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> float | None:
+    """Largest distance of an estimate to the recorded one of the same robot and iteration, cm."""
+    distances = [
+        math.dist(estimate(path, k), recorded)
+        for name, path in paths.items()
+        for k, recorded in enumerate(scenario.recorded[name].estimates)
+        if k in path.rows
+    ]
+    if not distances or any(math.isnan(distance) for distance in distances):
+        return None
+    return 100 * max(distances)
+
+
+def table(report: Json, outcome: Outcome) -> str:
+    """The report for people."""
+    rows = [("robot", "iterations", *_headings(outcome), "restarts")]
+    names = outcome.scenario.config.names
+    for name in names[:MOST_ROWS]:
+        path = outcome.trajectories.get(name, trajectory.EMPTY)
+        rows.append((name, str(max(path.last, 0)), *_cells(outcome, name), str(outcome.restarts[name])))
+    lines = _aligned(rows)
+    for app, others in outcome.beside.items():
+        rows = [("robot", "iterations", f"result of {app}, which ran beside")]
+        rows += [(name, str(max(others[name].last, 0)), _results(others[name])) for name in names[:MOST_ROWS]]
+        lines += ["", *_aligned(rows)]
+    if len(names) > MOST_ROWS:
+        lines.append(f"... and {len(names) - MOST_ROWS} robots more (--json has all)")
+    return "\n".join([*lines, "", *_sentences(report, outcome)])
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    lines.insert(1, "  ".join("-" * width for width in widths))
+    return lines
+
+
+def _results(path: Trajectory) -> str:
+    return ", ".join(f"{name}={_short(value)}" for name, value in (result(path) or {}).items()) or "-"
+
+
+def _headings(outcome: Outcome) -> tuple[str, ...]:
+    if outcome.scenario.app == "localization":
+        return ("target x m", "target y m", "error cm")
+    return ("result",) if outcome.scenario.app else ("mode", "tilt deg")
+
+
+def _cells(outcome: Outcome, name: str) -> tuple[str, ...]:
+    path = outcome.trajectories.get(name, trajectory.EMPTY)
+    if outcome.scenario.app == "localization":
+        x, y = estimate(path)
+        target = outcome.targets().get(name, outcome.scenario.config.simulation.target)
+        return (
+            f"{x:.4f}",
+            f"{y:.4f}",
+            f"{100 * math.dist((x, y), target):.2f}",
+        )
+    if outcome.scenario.app:
+        return (_results(path),)
+    body = outcome.bodies.get(name)
+    return ("-", "-") if body is None else (body.fault or body.mode, f"{math.degrees(body.tilt):.1f}")
+
+
+def _sentences(report: Json, outcome: Outcome) -> list[str]:
+    lines = []
+    median, p95 = report["iteration_s_median"], report["iteration_s_p95"]
+    if isinstance(median, float) and isinstance(p95, float):
+        lines.append(f"iteration   {1e3 * median:.1f} ms median, {1e3 * p95:.1f} ms 95 %")
+    if report["messages_per_iteration"] is not None:
+        lines.append(f"messages    {report['messages_per_iteration']} an iteration")
+    if outcome.started_s is not None:
+        ready = "the first iteration" if outcome.scenario.app else "all services ready"
+        lines.append(f"start       {outcome.started_s:.2f} s from the command to {ready}")
+    if outcome.computed_s is not None:
+        lines.append(f"virtual     {outcome.seconds:.2f} s of the robots' time in {outcome.computed_s:.2f} s")
+    if report["rss_mib_per_robot"] is not None:
+        lines.append(
+            f"memory      {report['rss_mib_per_robot']} MiB resident a robot (shared pages counted in each process)"
+        )
+    if outcome.scenario.app == "consensus":
+        lines.append(f"error       {_short(report['error'])} from the mean {_short(report['mean'])}")
+    if outcome.scenario.app == "localization":
+        recorded = f" (recorded: {_short(report['recorded_error_cm'])} cm)" if outcome.scenario.recorded else ""
+        lines.append(f"error       {_short(report['error_cm'])} cm mean distance to the true target{recorded}")
+    if "replay_deviation_cm" in report:
+        lines.append(f"deviation   {_short(report['replay_deviation_cm'])} cm from the recorded trajectory at most")
+    if outcome.missing:
+        lines.append(f"missing     {', '.join(outcome.missing)}: the others have gone on without")
+    lines += scene.sentences(outcome.scene)
+    lines += [f"problem     {problem}" for problem in outcome.problems]
+    return lines
+
+
+def _number(text: str) -> object:
+    """A cell as what it was written from."""
+    for convert in (int, float):
+        try:
+            number = convert(text)
+        except ValueError:
+            continue
+        return number if math.isfinite(number) else None
+    return {"True": True, "False": False, "": None}.get(text, text)
+
+
+def _short(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else "-" if value is None else str(value)
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)

@@ -1,0 +1,337 @@
+"""One run of a simulated swarm, from the start of its processes to what it found."""
+
+import contextlib
+import math
+import os
+import signal
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TextIO
+
+from sim import footprint, scene
+from sim.app_requests_server import Orders
+from sim.control import link_cuts
+from sim.control.send_action import do
+from sim.core import actions
+from sim.core.patience import START_LIMIT_S, Patience
+from sim.monitor import Monitor, Seen
+from sim.options import PRESS_S, Options
+from sim.power_server import Power
+from sim.processes import APP_FAULT, Processes
+from sim.progress import Progress
+from sim.quantities import Cut, Press
+from sim.report import Outcome
+from sim.scenario import Scenario
+from sim.world import World
+from swarm import clock
+from swarm.config.dump import dump
+from swarm.errors import LocalError
+from swarm.recording import folder, trajectory
+from swarm.recording.reader import SUFFIX
+from swarm.recording.trajectory import Trajectory
+
+SERVICE_MODULES = {
+    "bus": "services.bus",
+    "mesh": "services.mesh",
+    "balancer": "sim.body",
+    "dwm": "services.dwm",
+}
+"""Every robot's services and the modules that run them; the balancer gets a simulated body. An app comes on top."""
+APP_SERVICE = "services.apps"
+
+ASK_S, ASK_AGAIN_S = 1.0, 5.0
+"""s between two questions to all services for how they are, until the swarm has started, and then. They say so
+themselves when it changes."""
+
+TICK_S = 0.05
+REFRESH_LIMIT_S = 0.5
+
+
+class Run:
+    """Starts a swarm, watches it until it is done, and ends it. Use as a context: leaving it ends every process."""
+
+    def __init__(self, options: Options, scenario: Scenario, run_dir: Path, stream: TextIO) -> None:
+        self._options = options
+        self._scenario = scenario
+        self._run_dir = run_dir
+        self._records = (options.record or run_dir / "records").absolute()
+        self._commanded = footprint.commanded()
+        self._progress = Progress(stream, scenario)
+        self._problems: list[str] = []
+        self._moves_from = math.inf
+        self._stop = False
+        names = scenario.config.names
+        _make_records(self._records)
+        for name in names:
+            (run_dir / name).mkdir()
+        (run_dir / "swarm.toml").write_text(dump(scenario.config))
+        self._services = (*SERVICE_MODULES, *([f"app/{scenario.app}"] if scenario.app else []))
+        self._beside = {f"app/{each.app}": each for each in scenario.beside}
+        number = os.urandom(8)
+        if scenario.program is not None and scenario.beside:  # else the apps' processes begin the folder all alike
+            about = folder.describe(scenario.app or "", int.from_bytes(number, "big"), options.seed, scenario.digest)
+            folder.begin(self._records, about, {})
+        self._processes = Processes(self._environment(number.hex()))
+        self._monitor = Monitor(run_dir, names, scenario.app)
+        self._orders = Orders(run_dir, self._processes, names, self._start_app)
+        self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
+        self._power = Power(run_dir, names, self._processes)
+
+    def __enter__(self) -> "Run":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._interrupted)
+        for note in self._scenario.notes:
+            self._progress.say(note)
+        for name in self._scenario.config.names:
+            self._start_robot(name)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)  # the end goes through, it takes at most a few seconds
+        self._orders.close()
+        self._monitor.close()
+        self._processes.stop()
+        self._world.close()
+        self._power.close()
+        self._progress.close()
+
+    def watch(self) -> Outcome:
+        """Follow the run until its end (iterations, seconds, Ctrl-C, or a service that cannot be kept up)."""
+        started: float | None = None
+        cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
+        presses = sorted(self._options.presses, key=lambda press: press.at)
+        asked, patience = 0.0, Patience(self._commanded)
+        while not self._stop:
+            now = clock.now()
+            self._power.look(now)
+            for child in self._processes.supervise(now):
+                # An app has named its fault on the bus; else the end of the log is all there is.
+                reason = "" if child.exit_code == APP_FAULT else f": {child.last_words()}"
+                said = f"{child.robot} {child.service} {child.given_up}{reason}"
+                if child.service not in self._services:  # another app: beside, or one that somebody has started
+                    self._progress.say(said)
+                    if child.service in self._beside:
+                        self._problems.append(f"{child.robot} {child.service} {child.given_up}: {child.last_words()}")
+                    continue
+                self._problems.append(said)
+                self._stop = True
+            for done in self._orders.look():
+                self._progress.say(done)
+            if now - asked > (ASK_S if started is None else ASK_AGAIN_S):
+                asked = now
+                self._monitor.ask_status()
+            seen = self._monitor.look()
+            missing = {name: robot.not_ready(self._services) for name, robot in seen.items()}
+            self._progress.show(now, now - self._commanded, seen, missing)
+            if started is None:
+                if self._has_started(seen, missing):
+                    started = now
+                    self._moves_from = now
+                    self._world.move_target(now)
+                elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
+                    self._problems += faults
+                    break
+                elif patience.lost(_ready(seen, missing), now):
+                    found = _obstacles(seen, missing)
+                    self._problems.append(f"no first iteration, and nothing new for {START_LIMIT_S:g} s: {found}")
+                    break
+            else:
+                while cuts and now - started >= cuts[0].at:
+                    self._cut(cuts.pop(0))
+                while presses and now - started >= presses[0].at:
+                    self._press(presses.pop(0))
+                if self._is_done(seen, now - started):
+                    break
+            time.sleep(TICK_S)
+        return self._outcome(started)
+
+    def _start_robot(self, name: str) -> None:
+        directory = self._run_dir / name
+        for service, module in SERVICE_MODULES.items():
+            self._processes.add(name, service, [module], directory)
+        if self._scenario.app is not None and self._scenario.program is not None:
+            words = [APP_SERVICE, self._scenario.program, *self._scenario.conduct.words]
+            self._processes.add(name, f"app/{self._scenario.app}", words, directory)
+        for service, beside in self._beside.items():
+            words = [APP_SERVICE, beside.program, *self._scenario.conduct_beside.words]
+            self._processes.add(name, service, words, directory)
+
+    def _start_app(self, robot: str, app: str) -> None:
+        """One of the built-in apps, on order."""
+        self._processes.add(robot, f"app/{app}", [APP_SERVICE, app], self._run_dir / robot)
+
+    def _environment(self, run: str) -> dict[str, str]:
+        options = self._options
+        link = {
+            "latency": options.latency,
+            "jitter": options.jitter,
+            "bandwidth": options.bandwidth,
+            "loss": options.loss,
+            "seed": options.seed,
+        }
+        return {
+            "SWARM_CONFIG": str(self._run_dir / "swarm.toml"),
+            "SWARM_RECORD": str(self._records),
+            "SWARM_RUN": run,  # frames of another run, should one still be about, are told apart by it
+            "SWARM_SEED": str(options.seed),
+            "SWARM_SIM_LYING": self._scenario.lying or "",
+            "SWARM_SIM_LINK": ",".join(f"{name}={value}" for name, value in link.items() if value is not None),
+        }
+
+    def _has_started(self, seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> bool:
+        if self._scenario.app is None:
+            return not any(missing.values())
+        if not self._scenario.steps:  # it may wait for a button, or a message, for ever
+            return not any(missing.values()) and all(
+                robot.progress is not None and robot.progress.phase == "running" for robot in seen.values()
+            )
+        return all(_iteration(robot) >= 1 or _failed(robot) for robot in seen.values())
+
+    def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
+        faults = _faults(seen)
+        if faults and not self._scenario.conduct.drop:
+            self._problems += faults
+            return True
+        if self._options.seconds is not None:
+            return elapsed >= self._options.seconds
+        if self._scenario.app is None:
+            return False
+        members = _members(seen)  # robots that the others go on without are waited for no more
+        told = [progress for name in members if (progress := seen[name].progress) is not None]
+        if len(told) < len(members) or any(progress.phase not in ("done", "fault") for progress in told):
+            return False
+        self._problems += faults  # the others have gone on without them
+        return True
+
+    def _cut(self, cut: Cut) -> None:
+        self._progress.say(f"cut {cut.a}-{cut.b} for {cut.seconds:g} s")
+        for robot, peer in ((cut.a, cut.b), (cut.b, cut.a)):
+            with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
+                link_cuts.silence(self._run_dir, robot, peer, cut.seconds)
+
+    def _press(self, press: Press) -> None:
+        self._progress.say(f"press {press.button} of {press.robot}")
+        try:
+            do(self._run_dir / press.robot, actions.Press(press.button, PRESS_S))
+        except LocalError as error:
+            self._progress.say(f"warning: {error}")
+
+    def _refresh(self, now: float) -> None:
+        """Have every mesh's counters as they are at the end; one that does not answer keeps the last it told."""
+        self._monitor.ask_status()
+        while clock.now() < now + REFRESH_LIMIT_S:
+            seen = self._monitor.look()
+            if all("mesh" in robot.status and robot.status["mesh"].t >= now for robot in seen.values()):
+                return
+            time.sleep(TICK_S)
+
+    def _interrupted(self, *_: object) -> None:
+        self._stop = True
+
+    def _trajectories(self, app: str) -> dict[str, Trajectory]:
+        """By robot; all of it only for a picture, or to compare it with another run: that of a day takes gigabytes."""
+        whole = self._options.plot is not None or bool(self._scenario.recorded)
+        names = self._scenario.config.names
+        return {name: trajectory.read(self._records / f"{name}.{app}{SUFFIX}", whole=whole) for name in names}
+
+    def _outcome(self, started: float | None) -> Outcome:
+        names = self._scenario.config.names
+        now = clock.now()
+        self._refresh(now)
+        seen = self._monitor.look()
+        if self._options.seconds is not None:
+            self._problems += _held_up(seen)
+        memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
+        found = self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded))
+        self._processes.stop()  # only then are the recordings complete
+        paths = self._trajectories(self._scenario.app) if self._scenario.app is not None else {}
+        beside = {each.app: self._trajectories(each.app) for each in self._beside.values()}
+        firsts = [path.first_reached() for path in paths.values()]
+        reached = [at for at in firsts if at is not None]
+        if len(reached) == len(names):
+            started = max(reached)
+        return Outcome(
+            scenario=self._scenario,
+            seed=self._options.seed,
+            started_s=None if started is None else started - self._commanded,
+            seconds=0.0 if started is None else now - started,
+            trajectories=paths,
+            bodies={name: seen[name].balancer for name in names},
+            messages=_messages(seen),
+            rss_mib=memory,
+            restarts={name: sum(child.restarts for child in self._processes.of(name)) for name in names},
+            problems=tuple(self._problems),
+            missing=tuple(name for name in names if name not in _members(seen)),
+            scene=found,
+            witness=self._world.look(lambda witness: witness),
+            began=self._commanded,
+            moves_from=self._moves_from,
+            beside=beside,
+        )
+
+
+def _make_records(directory: Path) -> None:
+    """Recordings are never written over: a run's data may be all there is of an experiment."""
+    directory.mkdir(parents=True, exist_ok=True)
+    if next(directory.iterdir(), None) is not None:
+        raise LocalError(f"--record {directory}: the folder is not empty; name a new one")
+
+
+def _members(seen: Mapping[str, Seen]) -> tuple[str, ...]:
+    """The robots of the newest epoch that one of them knows."""
+    epochs = [robot.epoch for robot in seen.values() if robot.epoch is not None]
+    newest = max(epochs, key=lambda epoch: (epoch.epoch, epoch.frames), default=None)
+    return tuple(seen) if newest is None else newest.members
+
+
+def _faults(seen: Mapping[str, Seen]) -> list[str]:
+    return [f"{name} app {robot.progress.reason}" for name, robot in seen.items() if robot.progress and _failed(robot)]
+
+
+def _held_up(seen: Mapping[str, Seen]) -> list[str]:
+    """What members of the run wait for, where that is more than a robot that is away."""
+    waiting = [(name, seen[name].progress) for name in _members(seen)]
+    return [
+        f"{name} app waits for {', '.join(told.waiting_for)} at iteration {told.k}: {told.reason}"
+        for name, told in waiting
+        if told is not None and told.phase == "waiting" and told.waiting_for and told.reason
+    ]
+
+
+def _failed(seen: Seen) -> bool:
+    return seen.progress is not None and seen.progress.phase == "fault"
+
+
+def _iteration(seen: Seen) -> int:
+    return max(seen.progress.k if seen.progress is not None else 0, seen.state.k if seen.state is not None else 0)
+
+
+def _messages(seen: Mapping[str, Seen]) -> int | None:
+    """App frames sent by all meshes, as they count them in their status."""
+    counts = [robot.status["mesh"].counters.get("sent_sync", 0) for robot in seen.values() if "mesh" in robot.status]
+    return sum(counts) if counts else None
+
+
+def _ready(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> int:
+    """How much of a starting swarm is there: services that are ready, links that are up, apps that say something."""
+    services = sum(len(robot.status.keys() - set(missing[name])) for name, robot in seen.items())
+    links = sum(link.state == "up" for robot in seen.values() if robot.links for link in robot.links.links)
+    return services + links + sum(robot.progress is not None for robot in seen.values())
+
+
+def _obstacles(seen: Mapping[str, Seen], missing: Mapping[str, Sequence[str]]) -> str:
+    """Why a swarm did not start, robot by robot."""
+    found = []
+    for name, robot in seen.items():
+        if missing[name]:
+            found.append(f"{name}: {', '.join(missing[name])} not ready")
+        elif robot.progress is not None and robot.progress.k < 1:
+            waits = (
+                f"waits for {', '.join(robot.progress.waiting_for)}"
+                if robot.progress.waiting_for
+                else robot.progress.phase
+            )
+            found.append(f"{name}: app {waits} {robot.progress.reason}".rstrip())
+    return "; ".join(found) or "the apps say nothing"

@@ -1,0 +1,351 @@
+"""From options to the config of a simulated swarm: who is there, where, with which app parameters.
+
+The default scene is the thesis' table (figure 4.8): 2 m x 2 m, three anchors, the target at (0.5, 1.0), robots 0-2 at
+its three places. The simulated modules read as its modules did, so the thesis' calibration is what the robots use.
+"""
+
+import math
+import random
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from services.apps import loader
+from services.apps.localization.guard import check_step_size, limit_step_size
+from sim.core import noise
+from sim.core.module_line import SOURCE
+from sim.module import module_address
+from sim.options import Options
+from swarm import config as configuration
+from swarm.app.event_app import EventApp, PeriodicApp
+from swarm.app.run_options import Conduct
+from swarm.app.settings import on_top
+from swarm.config import Affine, Anchor, App, Config, Dwm, Linear, Mesh, Robot, Simulation
+from swarm.config.load import AUTO
+from swarm.config.types import DEFAULT_RELAY
+from swarm.core.graph import Graph
+from swarm.errors import AppError, ConfigError, LocalError
+from swarm.frozen import frozen
+from swarm.messages.codec import Value
+from swarm.process.paths import socket_path
+from swarm.recording.thesis_ranges import Recording, read_folder
+
+TARGET = "C933"
+ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
+"""Thesis figure 2.9 (the applications' scripts write the second as 1.97); addresses are ours."""
+
+PLACES = ((0.5, 1.5), (1.0, 0.5), (1.5, 1.5), (1.5, 0.5), (0.35, 0.4), (1.0, 1.75))
+"""m; the first three are the thesis' (figure 4.8), no three on a line with the target, none nearer than 0.5 m to it."""
+
+DISTANCE = Linear(0.946976, -0.05964849)
+POSITION = Affine(((0.93538932, 0.00353817), (-0.01071457, 0.94470965)), (0.046239576, 0.050861534))
+"""The thesis' calibrations, equations 2.8 and 2.10 with the digits its programs used."""
+
+WINDOW = 30
+"""Measurements averaged, as in the thesis' run of figure 4.10 (b): simulated robots stand in their places."""
+
+START_VALUES = {3: (0.5, 3.0, 5.0), 6: (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)}
+"""The thesis' starting values of consensus (figure 4.4)."""
+
+STANDING_UP_FROM = "front"
+"""How robots lie at the start where the app is about standing up."""
+
+DEFAULT_ITERATIONS = 100
+BEGUN_BY_BUTTON = ("flooding_demo", "stand_up", "unicast_demo")
+ITERATIONS = {"formation": 600, "goto": 3000, "stand_up": 5}
+"""Of apps that want others; those of goto are the most it may take, it ends when all have arrived."""
+
+NOISE = "noise"
+"""Folder of a run in which measurements that were made up are."""
+
+SHORTEST_ITERATION = 1e-3
+"""s: a run that ends by its time does no more iterations than these."""
+
+
+class Beside(NamedTuple):
+    """An app that each robot runs beside the one that the run is about: as long as that one does."""
+
+    app: str
+    program: str
+    """As of a `Scenario`."""
+
+
+@frozen
+class Scenario:
+    """A run, ready to start."""
+
+    config: Config
+    app: str | None
+    """The app's name, as in keys and in swarm.toml."""
+    program: str | None
+    """What the app host is started with: the name of a built-in app, or the path of a file."""
+    digest: bytes
+    """Of the app's code; empty without one."""
+    algorithm: str | None
+    """The algorithm the app runs, None where the app has no such parameter."""
+    topology: str
+    iterations: int | None
+    conduct: Conduct
+    """How its lockstep goes, `iterations` and all."""
+    recordings: dict[str, Recording]
+    """By robot; what --noise makes up, too."""
+    synthetic: bool
+    """Whether they were made up: then there are no estimates to compare with."""
+
+    beside: tuple["Beside", ...]
+    """Other apps on each robot."""
+
+    steps: bool
+    """Whether the app has iterations; one that only reacts to events has none."""
+
+    lying: str | None
+    """The side on which the robots lie at the start; None: they stand up by themselves."""
+
+    notes: tuple[str, ...]
+    """What to tell before it starts."""
+
+    @property
+    def conduct_beside(self) -> Conduct:
+        """How other apps go: as long as the first one does, or as there are measurements for."""
+        return replace(self.conduct, last=self.iterations if self.recordings else None, rule=None)
+
+    @property
+    def recorded(self) -> dict[str, Recording]:
+        """The recordings of real robots, with their estimates."""
+        return {} if self.synthetic else self.recordings
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Value]]:
+        """The app's parameters by robot."""
+        return {name: self.config.app(self.app or "").of(name) for name in self.config.names}
+
+
+def build(options: Options, run_dir: Path) -> Scenario:
+    """The scenario of `options` with its sockets in `run_dir`; raises `ConfigError` or `RecordingError`."""
+    recordings = read_folder(options.replay) if options.replay is not None else []
+    base = configuration.load(options.config) if options.config is not None else _default(options, len(recordings))
+    if recordings and len(recordings) != len(base.robots):
+        raise ConfigError(f"{options.replay} holds {len(recordings)} robots, the swarm has {len(base.robots)}")
+    app = loader.load(options.app) if options.app is not None else None
+    apps = _apps(app, options)
+    config = replace(
+        base,
+        robots=tuple(
+            replace(
+                robot,
+                link=f"sim:{socket_path(run_dir / robot.name, 'mesh.sock')}",
+                uwb=robot.uwb or module_address(index),
+            )
+            for index, robot in enumerate(base.robots)
+        ),
+        mesh=replace(base.mesh, insecure=True, key=None, listen=None),
+        dwm=_dwm(base, options.replay, run_dir),
+        simulation=_places(base),
+    )
+    if options.target_velocity is not None:
+        # An average over three seconds would be of places that the target has left.
+        moving = replace(config.simulation, target_velocity=options.target_velocity)
+        config = replace(config, simulation=moving, dwm=replace(config.dwm, window=1, position_window=WINDOW))
+    for each in apps:
+        parameters = _parameters(config, each, options, first=each is app)
+        config = replace(config, apps={**config.apps, each.name: parameters})
+        each.check(config)
+    for cut in options.cuts:
+        if not config.auto and cut.b not in config.neighbours(cut.a):
+            raise ConfigError(f"--cut {cut.a}-{cut.b}: there is no such link in the topology")
+    for off in options.offs:
+        if off.robot not in config.names:
+            raise ConfigError(f"--off {off.robot}: the robots are {', '.join(config.names)}")
+        if odd := [each.name for each in apps if any(issubclass(kind, EventApp) for kind in each.algorithms.values())]:
+            raise ConfigError(f"--off {off.robot}: {odd[0]} has no lockstep whose members could change")
+    for press in options.presses:
+        if press.robot not in config.names:
+            raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
+    iterations = options.iterations
+    if app is not None and iterations is None and options.seconds is None and options.conduct.rule is None:
+        iterations = ITERATIONS.get(app.name, DEFAULT_ITERATIONS)
+    if recordings:
+        rows = min(len(recording.rows) for recording in recordings)
+        iterations = rows if options.iterations is None else min(rows, options.iterations)
+    recorded = dict(zip(config.names, recordings, strict=False))
+    if options.noise is not None:
+        recorded = _study(config, options, iterations, run_dir)
+        config = replace(config, dwm=replace(config.dwm, source=f"replay:{run_dir / NOISE}"))
+    return Scenario(
+        config=config,
+        app=app.name if app is not None else None,
+        program=_program(app) if app is not None else None,
+        digest=app.digest if app is not None else b"",
+        algorithm=_algorithm(config, app) if app is not None else None,
+        topology=options.topology or ("file" if options.config is not None else "line"),
+        iterations=iterations,
+        conduct=replace(options.conduct, last=iterations),
+        recordings=recorded,
+        synthetic=options.noise is not None,
+        beside=tuple(Beside(each.name, _program(each)) for each in apps[1:]),
+        steps=app is not None and not _reacts_only(config, app),
+        lying=options.lying or (STANDING_UP_FROM if any(each.name == "stand_up" for each in apps) else None),
+        notes=tuple(
+            note
+            for each in apps
+            for note in (*_step_size(config, each, {} if options.noise else recorded), *_buttons(each, options))
+        ),
+    )
+
+
+def _apps(app: loader.App | None, options: Options) -> tuple[loader.App, ...]:
+    """The app that the run is about, and those beside it; whose parameters are given must be among them."""
+    apps = () if app is None else (app, *map(loader.load, options.beside))
+    names = [each.name for each in apps]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigError(f"{twice[0]} is there twice: a robot runs an app once")
+    for name, setting in options.settings:
+        if name and name not in names:
+            raise ConfigError(f"--set {name}/{setting.text}: the apps are {', '.join(names)}")
+    return apps
+
+
+def _study(config: Config, options: Options, iterations: int | None, run_dir: Path) -> dict[str, Recording]:
+    """The measurements of a simulation study, by robot; also as files, where there is a run directory to replay them
+    from."""
+    assert options.noise is not None
+    rows = iterations or math.ceil((options.seconds or 0.0) / SHORTEST_ITERATION)
+    places = {name: config.simulation.places[name][:2] for name in config.names}
+    numbers = random.Random(f"{options.seed} noise")
+    made = noise.scene(options.noise, places, config.simulation.target, rows, numbers)
+    if run_dir.is_dir():
+        (run_dir / NOISE).mkdir()
+        for index, recording in enumerate(made.values()):
+            (run_dir / NOISE / f"{index}.csv").write_text(noise.as_csv(recording))
+    return made
+
+
+def _reacts_only(config: Config, app: loader.App) -> bool:
+    kind, _ = app.choose(config.app(app.name).of(config.names[0]))
+    return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
+
+
+def _program(app: loader.App) -> str:
+    return app.name if app.name in loader.BUILT_IN else app.source
+
+
+def _algorithm(config: Config, app: loader.App) -> str | None:
+    """What the app runs, None where it has no choice; `check` has seen to it that all robots run the same."""
+    if "" in app.algorithms:
+        return None
+    return str(config.app(app.name).of(config.names[0]).get("algorithm", next(iter(app.algorithms))))
+
+
+def _step_size(config: Config, app: loader.App, recordings: Mapping[str, Recording]) -> tuple[str, ...]:
+    """Hold gradient tracking's step size against the limit of this graph and geometry.
+
+    One above it is refused, but in a replay, where the places are those of the recording, and with `check = false` it
+    is only told. Of an automatic topology nobody knows the graph yet.
+    """
+    algorithm = _algorithm(config, app)
+    if app.name != "localization" or algorithm not in ("thesis", "diging") or config.auto:
+        return ()
+    made: Any = app.make(config, config.names[0])
+    gamma = made.step_size
+    places = {name: (x, y) for name, (x, y, _) in config.simulation.places.items()}
+    places |= {name: (recording.rows[0].x, recording.rows[0].y) for name, recording in recordings.items()}
+    graph = Graph(config.names, config.edges)
+    limit = limit_step_size(graph, places, config.simulation.target, metropolis=algorithm == "diging")
+    told = (
+        f"step size {gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2, limit {limit * 1e-4:.3g} 1/cm^2 = {limit:.3g} 1/m^2"
+    )
+    try:
+        warning = check_step_size(gamma, limit)
+    except AppError as error:
+        if made.check and not recordings:
+            raise
+        warning = str(error)
+    return (told, f"warning: {warning}") if warning else (told,)
+
+
+def _buttons(app: loader.App, options: Options) -> tuple[str, ...]:
+    """Tell of the hands that an app waits for."""
+    if app.name not in BEGUN_BY_BUTTON or options.presses:
+        return ()
+    return (f"{app.name} waits for a button: swarm press r0 A, from another terminal, or --press r0.A@2s",)
+
+
+def _both_units(gamma: float) -> str:
+    return f"{gamma * 1e-4:.3g} 1/cm^2 = {gamma:.3g} 1/m^2"
+
+
+def _default(options: Options, recorded: int) -> Config:
+    count = options.robots or recorded or 3
+    names = [f"r{index}" for index in range(count)]
+    auto = options.topology == AUTO
+    return Config(
+        path=Path("swarm.toml"),
+        network="sim",
+        robots=tuple(Robot(name) for name in names),
+        edges=() if auto else _edges(options.topology or "line", names),
+        auto=auto,
+        relay=DEFAULT_RELAY,
+        anchors=ANCHORS,
+        mesh=Mesh(insecure=True),
+        dwm=Dwm(target=TARGET, window=WINDOW, distance=DISTANCE, position=POSITION),
+    )
+
+
+def _edges(topology: str, names: list[str]) -> tuple[tuple[str, str], ...]:
+    if not Path(topology).is_file():
+        try:
+            return Graph.of_shape(topology, names).edges
+        except LocalError as error:
+            raise ConfigError(f"--topology {topology}: {error} (nor is there a file of that name)") from None
+    rows = [line.replace(",", " ").split() for line in Path(topology).read_text().splitlines() if line.strip()]
+    try:
+        return Graph.of_matrix([[int(float(cell)) for cell in row] for row in rows], names).edges
+    except (ValueError, LocalError) as error:
+        raise ConfigError(f"--topology {topology}: {error}") from None
+
+
+def _dwm(base: Config, replay: Path | None, run_dir: Path) -> Dwm:
+    dwm = base.dwm
+    if dwm.calibration is not None:  # the run has its configuration elsewhere
+        dwm = replace(dwm, calibration=str((base.path.parent / dwm.calibration).absolute()))
+    if replay is not None:
+        return replace(dwm, source=f"replay:{replay.resolve()}")
+    if dwm.source == SOURCE:
+        return replace(dwm, target=dwm.target or TARGET)
+    return replace(dwm, source=f"serial:{run_dir}/{{robot}}/dwm.tty", target=dwm.target or TARGET)
+
+
+def _places(config: Config) -> Simulation:
+    """Places for the robots the config gives none: the table's, then rings of half a metre more each."""
+    places = dict(config.simulation.places)
+    for index, name in enumerate(config.names):
+        if name not in places:
+            places[name] = (*_place(index), 0.0)
+    return replace(config.simulation, places=places)
+
+
+def _place(index: int) -> tuple[float, float]:
+    if index < len(PLACES):
+        return PLACES[index]
+    ring, step = divmod(index - len(PLACES), 12)
+    angle, radius = 2 * math.pi * (step + 0.5 * (ring % 2)) / 12, 1.4 + 0.5 * ring
+    return (1.0 + radius * math.cos(angle), 1.0 + radius * math.sin(angle))
+
+
+def _parameters(config: Config, wanted: loader.App, options: Options, *, first: bool) -> App:
+    """The app's parameters: the file's, then the thesis' starting values, then what the command line sets; `first`: it
+    is the one that options mean which name none."""
+    app = config.app(wanted.name)
+    common: dict[str, Value] = dict(app.parameters)
+    robots: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}
+    if options.algorithm is not None and first:
+        common["algorithm"] = options.algorithm
+    if options.step_size is not None and first:
+        common["step_size"] = options.step_size * 1e4  # 1/cm^2 in 1/m^2
+    if wanted.name == "consensus" and "value" not in common:
+        starts = START_VALUES.get(len(config.names), tuple(float(index) for index in range(len(config.names))))
+        for robot, value in zip(config.names, starts, strict=True):
+            robots.setdefault(robot, {}).setdefault("value", value)
+    settings = [it for app, it in options.settings if app == wanted.name or (first and not app)]
+    return on_top(App(common, robots), settings, config.names)

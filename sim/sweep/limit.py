@@ -1,0 +1,66 @@
+"""The largest value of a parameter with which an app still settles, by bisection, for each point and all seeds."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sim.sweep.engines import Engine
+from sim.sweep.measure import Found
+from sim.sweep.plan import Point, jobs_of
+
+PRECISION = 0.01
+"""Share of the value to which it is found."""
+
+
+@dataclass
+class Bracket:
+    """What is known of one point."""
+
+    good: float | None = None
+    """The largest value with which all runs settled; None where none did."""
+    bad: float | None = None
+    """The smallest with which one did not."""
+
+
+def search(
+    app: str,
+    points: Sequence[Point],
+    seeds: Sequence[int],
+    rest: Sequence[str],
+    within: float,
+    name: str,
+    bounds: tuple[float, float],
+    engine: Engine,
+    done: Callable[[], None],
+    precision: float = PRECISION,
+) -> list[Bracket]:
+    """Bisect between `bounds`; a point that settles at the upper one, or fails at the lower one, is left there.
+
+    Assumes that what is larger than a value that fails fails too. All points go on side by side.
+    """
+    low, high = bounds
+    brackets = [Bracket() for _ in points]
+
+    def judge(values: dict[int, float]) -> None:
+        tried = [points[index].with_value(name, value) for index, value in values.items()]
+        found = engine(jobs_of(app, tried, seeds, rest, within), done)
+        for place, (index, value) in enumerate(values.items()):
+            if all(_settles(run) for run in found if run.point == place):
+                brackets[index].good = value
+            else:
+                brackets[index].bad = value
+
+    judge(dict.fromkeys(range(len(points)), low))
+    judge({index: high for index, each in enumerate(brackets) if each.good is not None})
+    while True:
+        open_ = {
+            index: 0.5 * (each.good + each.bad)
+            for index, each in enumerate(brackets)
+            if each.good is not None and each.bad is not None and each.bad - each.good > precision * each.bad
+        }
+        if not open_:
+            return brackets
+        judge(open_)
+
+
+def _settles(run: Found) -> bool:
+    return not run.problem and run.settled is not None

@@ -1,0 +1,118 @@
+"""What one run of a sweep gives. Runs in a process of its own, on this machine or on another."""
+
+import logging
+import math
+import statistics
+from collections.abc import Sequence
+
+from sim.sweep.plan import Job
+from sim.virtual.run import simulate
+from swarm.errors import SwarmError
+from swarm.frozen import frozen
+from swarm.recording.trajectory import Trajectory
+
+LATE = 0.9
+"""A result that still moves in the last tenth of the iterations has not settled."""
+
+
+@frozen
+class Found:
+    """Figures of one run."""
+
+    point: int
+    seed: int
+    iterations: int
+    settled: int | None
+    """Iterations after which all results stay near their last values; None where they do not."""
+    error: float | None
+    """Of the results, where the app's report knows the truth: from the mean (consensus), or cm (localization)."""
+    seconds: float
+    """Virtual."""
+    iteration_s: float | None
+    computed_s: float
+    problem: str
+    """Why it failed; empty where it did not."""
+
+
+def measure(job: Job) -> Found:
+    """Run it. What is wrong with a run is a result like any other."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)  # twenty runs at once would tell the same twenty times
+    try:
+        report, outcome = simulate(*job.arguments, rows=True)
+    except SwarmError as error:
+        return Found(job.point, job.seed, 0, None, None, 0.0, None, 0.0, str(error))
+    finally:
+        logging.disable(before)
+    path_error = report.get("error", report.get("error_cm"))
+    iteration = report["iteration_s_median"]
+    return Found(
+        point=job.point,
+        seed=job.seed,
+        iterations=min((path.last for path in outcome.trajectories.values()), default=0),
+        settled=settled(list(outcome.trajectories.values()), job.within),
+        error=path_error if isinstance(path_error, float) and math.isfinite(path_error) else None,
+        seconds=outcome.seconds,
+        iteration_s=iteration if isinstance(iteration, float) else None,
+        computed_s=outcome.computed_s or 0.0,
+        problem="; ".join(outcome.problems),
+    )
+
+
+def settled(paths: Sequence[Trajectory], within: float) -> int | None:
+    """Iterations after which every result of every robot stays within so much of its last value; None where one still
+    moves at the end, or there is none."""
+    ends = [path.last for path in paths]
+    if not ends or min(ends) < 1:
+        return None
+    found = 0
+    for path in paths:
+        columns = [column for column in path.columns if column.startswith("result.")]
+        for column in columns:
+            last = path.value(path.last, column)
+            for k in range(path.last, found - 1, -1):
+                # What is no number (no estimate yet) is far from every number, and equal to itself.
+                value = path.value(k, column)
+                if not (abs(value - last) <= within or (math.isnan(value) and math.isnan(last))):
+                    found = k + 1
+                    break
+    return found if found <= LATE * min(ends) else None
+
+
+@frozen
+class Summary:
+    """The runs of one point together."""
+
+    runs: int
+    failed: int
+    """With a problem."""
+    unsettled: int
+    """Without one, whose results do not settle."""
+    settled: float | None
+    """Median over those that do."""
+    settled_most: int | None
+    error: float | None
+    """Median."""
+    error_most: float | None
+    iteration_s: float | None
+    problem: str
+    """The first."""
+
+
+def together(runs: Sequence[Found]) -> Summary:
+    """What the runs of one point say."""
+    good = [run for run in runs if not run.problem]
+    rounds = [run.settled for run in good if run.settled is not None]
+    errors = [run.error for run in good if run.error is not None]
+    times = [run.iteration_s for run in good if run.iteration_s is not None]
+    return Summary(
+        runs=len(runs),
+        failed=len(runs) - len(good),
+        unsettled=sum(run.settled is None for run in good),
+        settled=statistics.median(rounds) if rounds else None,
+        settled_most=max(rounds, default=None),
+        error=statistics.median(errors) if errors else None,
+        error_most=max(errors, default=None),
+        iteration_s=statistics.median(times) if times else None,
+        problem=next((run.problem for run in runs if run.problem), ""),
+    )

@@ -1,0 +1,178 @@
+"""A robot's bus in memory, with the methods of `swarm.bus.zenoh_bus.Bus`: what talks to that one runs here unchanged.
+
+A message reaches the callbacks of other sessions at the same moment of virtual time, after the call that published it:
+as on the real bus nobody is called from within his own publishing. Nothing is lost, the router never goes away.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from services.mesh.core.relay import matches
+from sim.virtual.events import EventQueue
+from swarm.bus.packer import Packer
+from swarm.errors import LocalError
+from swarm.messages.keys import MAX_KEY_LENGTH
+
+OnSample = Callable[[str, bytes], None]
+OnQuery = Callable[[str, dict[str, str]], bytes | None]
+
+
+class _Subscription(NamedTuple):
+    expression: str
+    session: "VirtualBus"
+    callback: OnSample
+
+    def takes(self, key: str) -> bool:
+        return self.expression == key or ("*" in self.expression and matches(self.expression, key))
+
+
+@dataclass
+class VirtualRouter:
+    """What the sessions of one robot share."""
+
+    time: EventQueue
+    subscriptions: list[_Subscription] = field(default_factory=list)
+    servers: dict[str, OnQuery] = field(default_factory=dict)
+    tokens: list[str] = field(default_factory=list)
+    watchers: list[tuple[str, Callable[[str, bool], None]]] = field(default_factory=list)
+    sessions: list["VirtualBus"] = field(default_factory=list)
+    waiting: list[Callable[[], None]] = field(default_factory=list)
+    """Who is to be called when somebody hears other keys."""
+
+    def changed(self) -> None:
+        """Others may be interested in a key now than before."""
+        for session in self.sessions:
+            session.targets.clear()
+        waiting, self.waiting = self.waiting, []
+        for call in waiting:
+            call()
+
+
+class Subscription:
+    """What a session has asked to hear; until closed."""
+
+    def __init__(self, router: VirtualRouter, entries: list[_Subscription]) -> None:
+        self._router, self._entries = router, entries
+
+    def close(self) -> None:
+        """Hear no more; safe to call twice."""
+        gone = set(map(id, self._entries))
+        self._router.subscriptions = [each for each in self._router.subscriptions if id(each) not in gone]
+        self._router.changed()
+
+
+class VirtualBus:
+    """One session of a robot's bus."""
+
+    __slots__ = (
+        "_closed",
+        "_packer",
+        "_router",
+        "_time",
+        "counters",
+        "targets",
+    )
+
+    connected = True
+
+    def __init__(self, router: VirtualRouter) -> None:
+        self._router = router
+        self._time = router.time
+        self._closed = False
+        self.counters: Counter[str] = Counter()
+        """What was dropped, by name."""
+        self._packer = Packer(self.counters)
+        self.targets: dict[str, tuple[OnSample, ...]] = {}
+        """Who gets what this session publishes, by key, as far as it was asked for."""
+        router.sessions.append(self)
+
+    def wait_connected(self, timeout_s: float | None) -> bool:
+        """True."""
+        return True
+
+    def on_change(self, callback: Callable[[bool], None]) -> None:
+        """Call `callback(True)`."""
+        self._time.soon(callback, True)
+
+    def hearers(self, key: str) -> tuple[OnSample, ...]:
+        """Who hears what this session publishes there."""
+        return self._targets(key)
+
+    def wanted(self, key: str) -> bool:
+        """Whether anybody hears what this session publishes there: making a message may cost more than sending it."""
+        return bool(self._targets(key))
+
+    def await_change(self, call: Callable[[], None]) -> None:
+        """Call once, as soon as other keys may be `wanted` than now."""
+        self._router.waiting.append(call)
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        """Send to all other sessions that subscribe to it; drop what the real bus drops, raise what it raises."""
+        if len(key) > MAX_KEY_LENGTH:
+            raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
+        targets = self.targets.get(key)
+        if targets is None:
+            targets = self._targets(key)
+        if not targets:
+            return
+        payload = self._packer.pack(key, message)
+        if payload is None:
+            return
+        soon = self._time.soon
+        for callback in targets:
+            soon(callback, key, payload)
+
+    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
+        """Call `callback(key, payload)` for every sample of other sessions, until what is returned is closed."""
+        entries = [_Subscription(key, self, callback) for key in ((keys,) if isinstance(keys, str) else keys)]
+        self._router.subscriptions += entries
+        self._router.changed()
+        return Subscription(self._router, entries)
+
+    def serve(self, key: str, answer: OnQuery) -> None:
+        """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""
+        self._router.servers[key] = answer
+
+    def ask(self, key: str, on_reply: OnSample, *, timeout_s: float = 1.0, **parameters: object) -> None:
+        """Send a query; `on_reply(key, payload)` is called for each answer."""
+        self._time.soon(self._query, key, on_reply, {name: str(value) for name, value in parameters.items()})
+
+    def announce(self, key: str) -> None:
+        """Declare a liveliness token."""
+        self._router.tokens.append(key)
+        for expression, callback in self._router.watchers:
+            if matches(expression, key):
+                self._time.soon(callback, key, True)
+
+    def watch(self, key: str, callback: Callable[[str, bool], None]) -> None:
+        """Call `callback(key, True)` for each token."""
+        self._router.watchers.append((key, callback))
+        for token in self._router.tokens:
+            if matches(key, token):
+                self._time.soon(callback, token, True)
+
+    def close(self) -> None:
+        """Hear and say nothing any more."""
+        router = self._router
+        self._closed = True
+        self.targets.clear()
+        router.subscriptions = [each for each in router.subscriptions if each.session is not self]
+        router.sessions.remove(self)
+        router.changed()
+
+    def _targets(self, key: str) -> tuple[OnSample, ...]:
+        found = self.targets.get(key)
+        if found is None:
+            found = self.targets[key] = tuple(
+                each.callback
+                for each in self._router.subscriptions
+                if each.session is not self and each.takes(key) and not self._closed
+            )
+        return found
+
+    def _query(self, key: str, on_reply: OnSample, parameters: dict[str, str]) -> None:
+        for name, answer in tuple(self._router.servers.items()):
+            if matches(key, name) and (payload := answer(name, parameters)) is not None:
+                on_reply(name, payload)

@@ -1,0 +1,93 @@
+"""What a run under virtual time keeps of one app: its last states or all, and a recording where one is wanted."""
+
+from functools import partial
+from pathlib import Path
+
+from services.apps import loader
+from services.apps.changes import in_force
+from services.apps.recorder import Recorder
+from sim.virtual.bus import VirtualBus
+from sim.virtual.strand import Line, Teller, VirtualStrand
+from sim.virtual.tape import Tape
+from sim.virtual.world import World
+from swarm.messages import AppEpoch, AppProgress
+from swarm.recording import folder
+from swarm.recording.reader import SUFFIX
+from swarm.recording.recorded_topics import Watch
+from swarm.recording.trajectory import Trajectory
+from swarm.recording.virtual_file import PlainRecording
+
+
+class Ledger:
+    """Of one app, on all robots."""
+
+    def __init__(self, world: World, app: str, *, keep: bool, skewed: bool) -> None:
+        """`keep`: the states of all iterations, not only the last; `skewed`: each robot has a clock of its own."""
+        self.app = app
+        self._world = world
+        self._skewed = skewed
+        self._tapes = {name: Tape(keep=keep) for name in world.robots}
+        self._files: list[PlainRecording] = []
+        self._recorders: dict[str, Recorder] = {}
+
+    def record(self, place: Path, app: loader.App, number: int) -> None:
+        """Begin a recording: one file for all robots, or one for each where each has a clock of its own."""
+        world, run = self._world, folder.describe(app.name, number, self._world.seed, app.digest)
+        if self._skewed:
+            files = {name: PlainRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in world.robots}
+            self._files = list(files.values())
+        else:
+            self._files = [PlainRecording(place / f"{app.name}{SUFFIX}", run)]
+            files = dict.fromkeys(world.robots, self._files[0])
+        self._recorders = {name: Recorder(files[name], name, app.name) for name in world.robots}
+        world.records |= {(name, app.name): recorder.value for name, recorder in self._recorders.items()}
+        for name, robot in world.robots.items():
+            bus = VirtualBus(robot.router)
+            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), copies=False)
+            watch.on_sample = watch.drain
+            watch.hear_requests(bus, name)
+
+    def advanced(self, teller: Teller, line: Line) -> None:
+        """A robot has done an iteration."""
+        name = teller.robot
+        if self._recorders:
+            if line.k == 0:
+                self.progress(teller)
+                if isinstance(teller, VirtualStrand) and not teller.part:
+                    self._recorders[name].parameters(in_force(teller.runner.app, line.t))
+            if line.measurement is not None:
+                self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
+            self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
+        if not teller.part:
+            self._tapes[name].write(teller, line._replace(t=self._world.time.now) if self._skewed else line)
+
+    def progress(self, teller: Teller, phase: str = "") -> None:
+        """Record what has become of an app: it runs, waits, is done, or has failed."""
+        if not self._recorders:
+            return
+        reason = teller.reason or teller.obstacle
+        phase = phase or ("waiting" if teller.waiting or reason else "running")
+        now = self._world.robots[teller.robot].time.now
+        progress = AppProgress(now, phase, teller.runner.k, teller.waiting, reason)
+        self._recorders[teller.robot].progress(progress, teller.part)
+
+    def ended(self, teller: Teller) -> None:
+        """A robot is at its last iteration, or its app has failed."""
+        self.progress(teller, "fault" if teller.reason else "done")
+
+    def switched(self, teller: Teller, epoch: AppEpoch) -> None:
+        """The members have changed."""
+        if self._recorders:
+            self._recorders[teller.robot].epoch(epoch, teller.part)
+            self.progress(teller)
+        if not teller.part:
+            self._tapes[teller.robot].go_back(epoch.k)
+
+    def close(self) -> None:
+        """End the recording."""
+        for file in self._files:
+            file.close()
+
+    def trajectories(self) -> dict[str, Trajectory]:
+        """By robot."""
+        return {name: tape.trajectory() for name, tape in self._tapes.items()}

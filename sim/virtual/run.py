@@ -1,0 +1,283 @@
+"""`swarm sim APP --virtual`: one run under virtual time, with the report of the real one."""
+
+import contextlib
+import gc
+import math
+import os
+import random
+import time as real_time
+from collections.abc import Iterator
+from pathlib import Path
+
+from services.apps import loader
+from services.mesh.core.radio_model import AirModel
+from sim import scene
+from sim.core import actions
+from sim.core.witness import Witness
+from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
+from sim.options import parse as arguments_of
+from sim.report import Json, Outcome, summary
+from sim.scenario import Scenario, build
+from sim.virtual.event_host import VirtualEventHost
+from sim.virtual.hang import broken_off
+from sim.virtual.host import VirtualHost
+from sim.virtual.ledger import Ledger
+from sim.virtual.strand import Line, Teller, Told
+from sim.virtual.world import Launch, World
+from swarm.app.run_options import Conduct
+from swarm.config.dump import dump
+from swarm.errors import ConfigError, LocalError
+from swarm.messages import AppEpoch
+from swarm.recording import folder
+
+STALLED = 60.0
+"""s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
+ENDLESS = 120.0
+"""s of virtual time after the start, and the last button, at which an app without iterations ends that never rests."""
+LOOK_EVERY = 1.0
+"""s of virtual time between two looks whether it is to end."""
+
+PLACE = Path("/virtual")
+"""Stands for the run directory in the configuration of a run, which has none."""
+
+MAX_FROM_START = 50
+"""Robots whose mesh is started: the link states of N robots cross each link, which costs as much as N iterations."""
+
+_NEVER = float("inf")
+
+
+@contextlib.contextmanager
+def _without_looking_for_garbage() -> Iterator[None]:
+    """The robots live to the end and make no circles: going through millions of their objects again and again takes a
+    third of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+class Run:
+    """Runs a scenario until its end."""
+
+    @_without_looking_for_garbage()
+    def __init__(self, options: Options, scenario: Scenario, *, rows: bool = False) -> None:
+        """`rows`: keep the states of all iterations for the outcome, not only the last."""
+        self._options = options
+        self._scenario = scenario
+        self._rows = rows or bool(scenario.recordings) or options.plot is not None
+        names = scenario.config.names
+        mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
+        if mesh == DELAY and scenario.config.auto:
+            raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
+        model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
+        self._witness = Witness(names) if scenario.app in scene.WATCHED else None
+        self.world = World(
+            scenario.config,
+            model,
+            options.seed,
+            body=options.body,
+            mesh=mesh,
+            lying=scenario.lying,
+            skew=options.clock_skew,
+            witness=self._witness,
+        )
+        self._ledger = self._ledger_of(scenario.app or "")
+        self._beside = {each.app: self._ledger_of(each.app) for each in scenario.beside}
+        self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
+        self._running = set(names)
+        self._missing_first = set(names) - self._late.keys()
+        self._epoch = (0, 0)
+        """Counter and number of the newest epoch."""
+        self._members = frozenset(names)
+        """Of the newest epoch."""
+        self._started: float | None = None
+        self._last_progress = 0.0
+        self._problems: list[str] = []
+        self.computed = 0.0
+        """s of real time that it took."""
+
+    @_without_looking_for_garbage()
+    def go(self) -> Outcome:
+        """The whole run."""
+        with broken_off():
+            return self._go()
+
+    def _go(self) -> Outcome:
+        scenario, world = self._scenario, self.world
+        began = real_time.perf_counter()
+        if scenario.program is not None:
+            told = Told(self._advanced, self._ended, self._switched, self._ledger.progress)
+            launches = [self._launch(loader.load(scenario.program), "", scenario.conduct, self._ledger, told)]
+            for each in scenario.beside:
+                ledger = self._beside[each.app]
+                told = Told(ledger.advanced, self._ended_beside, ledger.switched, ledger.progress)
+                launches.append(
+                    self._launch(loader.load(each.program), f" {each.app}", scenario.conduct_beside, ledger, told)
+                )
+            for name, seconds in self._late.items():
+                world.switch_off(name, seconds)
+            for launch in launches:
+                for name in scenario.config.names:
+                    mine = launch._replace(recording=scenario.recordings.get(name))
+                    world.start_app(name, mine, after=self._late.get(name, 0.0))
+        else:
+            self._first_done()
+        self._watch()
+        ended_at = world.time.now
+        for ledger in (self._ledger, *self._beside.values()):
+            ledger.close()
+        self.computed = real_time.perf_counter() - began
+        return self._outcome(ended_at)
+
+    def _ledger_of(self, app: str) -> Ledger:
+        return Ledger(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
+
+    def _launch(self, app: loader.App, which: str, conduct: Conduct, ledger: Ledger, told: Told) -> Launch:
+        """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
+        tickets of requests begin with."""
+        place, scenario = self._options.record, self._scenario
+        number = random.Random(f"{self._options.seed} run{which}").getrandbits(64)
+        if place is not None:
+            files = {folder.CONFIG_FILE: dump(scenario.config).encode()}
+            if app.name not in loader.BUILT_IN:
+                files[f"{app.name}.py"] = Path(app.source).read_bytes()
+            folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
+            ledger.record(place, app, number)
+        return Launch(app, number, conduct, None, told)
+
+    def _watch(self) -> None:
+        """Let time pass until the run is over, looking now and then whether anything still moves."""
+        time, seconds = self.world.time, self._options.seconds
+        lasts = seconds
+        if seconds is None and self._scenario.app is not None and not self._scenario.steps:
+            lasts = ENDLESS + max((press.at for press in self._options.presses), default=0.0)
+        while True:
+            end = _NEVER if lasts is None or self._started is None else self._started + lasts
+            if not time.run(min(time.now + LOOK_EVERY, end)) or time.now >= end:
+                return
+            if seconds is None and self._scenario.app is not None and time.now > self._last_progress + STALLED:
+                self._stalled()
+                return
+
+    def _stalled(self) -> None:
+        """Nothing has happened for long. For an app that waits for events that is the end; for others, a problem."""
+        app = self._scenario.app
+        hosts = [host for robot in self.world.robots.values() for name, host in robot.apps.items() if name == app]
+        strands = [strand for host in hosts if isinstance(host, VirtualHost) for strand in host.strands.values()]
+        tellers: list[Teller] = [*strands, *(host for host in hosts if isinstance(host, VirtualEventHost))]
+        if tellers and all(_has_no_steps(each) for each in tellers):
+            return
+        stuck = [
+            each.obstacle or f"{each.robot} waits for {', '.join(each.waiting)}"
+            for each in tellers
+            if each.obstacle or each.waiting
+        ]
+        self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
+
+    def _advanced(self, teller: Teller, line: Line) -> None:
+        """A robot has done an iteration."""
+        self._last_progress = self.world.time.now
+        self._ledger.advanced(teller, line)
+        if not teller.part and self._started is None and (line.k >= 1 or _has_no_steps(teller)):
+            self._missing_first.discard(teller.robot)
+            if not self._missing_first:
+                self._first_done()
+
+    def _first_done(self) -> None:
+        """All robots have done their first iteration: the times of cuts and acts count from here."""
+        self._started = self.world.modules.moves_from = now = self.world.time.now
+        for press in self._options.presses:
+            self.world.act(press.robot, now + press.at, actions.Press(press.button, PRESS_S))
+        for cut in self._options.cuts:
+            self.world.cut(cut.a, cut.b, now + cut.at, cut.seconds)
+        for off in self._options.offs:
+            if off.at is not None:
+                self.world.time.at(now + off.at, self.world.switch_off, off.robot, off.seconds)
+
+    def _ended(self, teller: Teller) -> None:
+        """A robot is at its last iteration, or its app has failed: that ends the run."""
+        self._ledger.ended(teller)
+        if teller.reason:
+            self._problems.append(f"{teller.robot} app {teller.reason}")
+            if not self._scenario.conduct.drop:
+                self.world.time.stop()
+                return
+        if teller.part:
+            return
+        self._running.discard(teller.robot)
+        self._look_whether_over()
+
+    def _ended_beside(self, teller: Teller) -> None:
+        """An app beside is done, or has failed: the others go on."""
+        self._beside[teller.app].ended(teller)
+        if teller.reason:
+            self._problems.append(f"{teller.robot} {teller.app} {teller.reason}")
+
+    def _switched(self, teller: Teller, epoch: AppEpoch) -> None:
+        """The members have changed."""
+        name = teller.robot
+        self._last_progress = self.world.time.now
+        self._ledger.switched(teller, epoch)
+        if teller.part:
+            return
+        if name in epoch.members:
+            self._running.add(name)
+        if (epoch.epoch, epoch.frames) > self._epoch:
+            self._epoch = epoch.epoch, epoch.frames
+            self._members = frozenset(epoch.members)
+            self._missing_first &= self._members
+            if self._started is None and not self._missing_first:
+                self._first_done()
+            self._look_whether_over()
+
+    def _look_whether_over(self) -> None:
+        """Robots that the others go on without are waited for no more."""
+        if self._options.seconds is None and self._running.isdisjoint(self._members):
+            self.world.time.stop()
+
+    def _outcome(self, ended_at: float) -> Outcome:
+        names = self._scenario.config.names
+        started = self._started
+        frames = sum(robot.sent for robot in self.world.robots.values())
+        return Outcome(
+            scenario=self._scenario,
+            seed=self._options.seed,
+            started_s=started,
+            seconds=0.0 if started is None else ended_at - started,
+            trajectories=self._ledger.trajectories() if self._scenario.app else {},
+            beside={name: ledger.trajectories() for name, ledger in self._beside.items()},
+            bodies=dict.fromkeys(names),
+            messages=frames,
+            rss_mib={},
+            restarts=dict.fromkeys(names, 0),
+            problems=tuple(self._problems),
+            missing=tuple(name for name in names if name not in self._members),
+            computed_s=self.computed,
+            witness=self._witness,
+            moves_from=math.inf if started is None else started,
+            scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
+        )
+
+
+def _has_no_steps(teller: Teller) -> bool:
+    """Whether it waits for events alone."""
+    return isinstance(teller, VirtualEventHost) and teller.runner.period is None
+
+
+def simulate(*arguments: str, rows: bool = False) -> tuple[Json, Outcome]:
+    """Run `swarm sim ARGUMENTS --virtual` in this process: the report of `--json`, and what it was made from."""
+    options = arguments_of([*arguments, "--virtual"])
+    if options.record is not None:
+        make_records(options.record)
+    outcome = Run(options, build(options, PLACE), rows=rows).go()
+    return summary(outcome), outcome
+
+
+def make_records(directory: Path) -> None:
+    """Recordings are never written over: a run's data may be all there is of an experiment."""
+    directory.mkdir(parents=True, exist_ok=True)
+    if any(os.scandir(directory)):
+        raise LocalError(f"--record {directory}: the folder is not empty; name a new one")

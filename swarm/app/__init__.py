@@ -1,0 +1,1 @@
+"""The app API: what the author of a distributed algorithm imports and sees."""

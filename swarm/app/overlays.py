@@ -1,0 +1,296 @@
+"""Messages to the whole swarm, or to one robot anywhere in it, for any process of a robot (docs/overlays.md).
+
+    overlays = Overlays(bus, "r0", "myapp")
+    reached = overlays.flood(b"hello").result(timeout=5.0)      # whom it reached, and whether that is all
+    sent = overlays.send("r3", b"psst").result(timeout=5.0)     # whether it arrived
+
+The mesh of this robot does the work and publishes the answers. A request is repeated while somebody waits or looks for
+its answer, and when the bus comes back (which may lose messages); it is done once.
+"""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from swarm import clock
+from swarm.bus.protocol import BusLike, Clock
+from swarm.errors import PayloadError
+from swarm.messages import Arm, Flooded, FloodRequest, Progress, Reminder, SendRequest, Sent
+from swarm.messages.codec import decode, encode
+from swarm.messages.keys import key, parse
+
+REPEAT = 0.5
+"""s after which a request without an answer is published again."""
+
+MAX_OPEN = 1024
+"""Requests that are remembered, answered or not; the oldest ones are forgotten."""
+
+SMALL = 4096
+"""Bytes of a payload up to which the whole request is repeated; of larger ones only its ticket is."""
+
+MAX_COLLECTED = 256
+MAX_COLLECTED_BYTES = 4 * 1024 * 1024
+"""Messages of others that wait to be looked at, and their payloads; the oldest ones are lost."""
+
+A = TypeVar("A", Flooded, Sent)
+B = TypeVar("B", Flooded, Sent, Progress)
+
+OnPayload = Callable[[str, bytes], None]
+
+
+class Message(NamedTuple):
+    """What the same app on another robot has flooded, or sent to this one."""
+
+    sender: str
+    payload: bytes
+    flooded: bool
+
+
+class Handle(Generic[A]):
+    """One request under way: wait for its `result`, look at its `answer`, or have a callback (`on_done`)."""
+
+    def __init__(self, ticket: str, ask: Callable[[], None], remind: Callable[[], None], now: Clock) -> None:
+        """`ask()` makes the request, `remind()` repeats it."""
+        self._now = now
+        self.ticket = ticket
+        """Names the request: what an app keeps of it (`Overlays.answer`)."""
+        self.moved = 0
+        """Bytes of a large payload that have arrived, as of the last reminder."""
+        self._ask = ask
+        self._remind = remind
+        self._asked_at = self._now()
+        self._done = threading.Event()
+        self._answer: A | None = None
+        self._callback: Callable[[A], None] | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def done(self) -> bool:
+        """Whether the answer is there."""
+        return self._done.is_set()
+
+    @property
+    def answer(self) -> A | None:
+        """The answer if it is there; never waits."""
+        if self._answer is None and self._now() >= self._asked_at + REPEAT:
+            self.ask_again()
+        return self._answer
+
+    def result(self, timeout: float) -> A:
+        """Wait for the answer; `TimeoutError` where none came within `timeout` s. It may come later. Not to be called
+        on Zenoh's thread, which brings the answer."""
+        end = self._now() + timeout
+        while not self._done.wait(min(REPEAT, max(0.0, end - self._now()))):
+            if self._now() >= end:
+                raise TimeoutError(f"no answer of the mesh within {timeout:g} s")
+            self.ask_again()
+        assert self._answer is not None
+        return self._answer
+
+    def ask_again(self) -> None:
+        """Repeat the request: where it has arrived before, only the answer comes again."""
+        self._asked_at = self._now()
+        self._remind()
+
+    def ask(self) -> None:
+        """Make the request, payload and all."""
+        self._asked_at = self._now()
+        self._ask()
+
+    def on_done(self, callback: Callable[[A], None]) -> None:
+        """Call `callback(answer)` when it is there, on Zenoh's thread; at once where it is."""
+        with self._lock:
+            self._callback = callback
+            answer = self._answer
+        if answer is not None:
+            callback(answer)
+
+    def finish(self, answer: A) -> bool:
+        """Called by `Overlays` when the answer came; True for the first time."""
+        with self._lock:
+            first = self._answer is None
+            self._answer = answer
+            callback = self._callback
+            self._ask = self._remind = _nothing  # and let go of the payload
+        self._done.set()
+        if first and callback is not None:
+            callback(answer)
+        return first
+
+
+class Overlays:
+    """What one process, under an app's name, floods and sends."""
+
+    def __init__(
+        self, bus: BusLike, robot: str, app: str, *, now: Clock = clock.now, prefix: str | None = None
+    ) -> None:
+        """`app` is what both ends call themselves: payloads reach the processes of that name. Tickets begin with
+        `prefix`, which no other process may have: a random one, unless a simulation wants the same ones again."""
+        self._now = now
+        self._bus = bus
+        self._robot = robot
+        self._app = app
+        self._prefix = prefix or os.urandom(6).hex()
+        self._count = 0
+        self._lock = threading.Lock()
+        self._handles: dict[str, Handle[Any]] = {}
+        self.asked: Callable[[FloodRequest | SendRequest], None] = lambda request: None
+        """Called with each request that is made: for a recording."""
+        self._collected: deque[Message] = deque()
+        self._collected_bytes = 0
+        self._flood_key = key(robot, "mesh", "set", "flood")
+        self._send_key = key(robot, "mesh", "set", "send")
+        self._remind_key = key(robot, "mesh", "set", "remind")
+        self._on_answer: Callable[[str, Flooded | Sent], None] | None = None
+        bus.subscribe(key(robot, "mesh", "flooded"), self._on_flooded)
+        bus.subscribe(key(robot, "mesh", "sent"), self._on_sent)
+        bus.subscribe(key(robot, "mesh", "progress"), self._on_progress)
+        bus.on_change(self._on_bus)
+
+    def flood(self, payload: bytes, *, priority: str = "bulk", announce: bool = False) -> Handle[Flooded]:
+        """To all robots. With `announce` all of them learn when it is complete."""
+        request = FloodRequest(self._ticket(), self._app, payload, priority, announce)
+        return self._open(request, self._flood_key)
+
+    def send(self, to: str, payload: bytes, *, priority: str = "bulk", timeout: float = 30.0) -> Handle[Sent]:
+        """To one robot. After `timeout` s the mesh gives it up, if not sooner."""
+        request = SendRequest(self._ticket(), self._app, to, payload, priority, timeout)
+        return self._open(request, self._send_key)
+
+    def answer(self, ticket: str) -> Flooded | Sent | None:
+        """The answer to a request of this process, by its ticket; None as long as there is none, or of another one."""
+        with self._lock:
+            handle = self._handles.get(ticket)
+        answer: Flooded | Sent | None = handle.answer if handle is not None else None
+        return answer
+
+    def collect(self) -> None:
+        """From now on keep what the same app on other robots floods and sends, for `messages`."""
+        self.on_flood(lambda origin, payload: self._take(Message(origin, payload, flooded=True)))
+        self.on_message(lambda sender, payload: self._take(Message(sender, payload, flooded=False)))
+
+    def messages(self) -> list[Message]:
+        """What has come since the last call, in the order of its coming; `collect` comes first."""
+        with self._lock:
+            found = list(self._collected)
+            self._collected.clear()
+            self._collected_bytes = 0
+        return found
+
+    def on_answer(self, callback: Callable[[str, Flooded | Sent], None]) -> None:
+        """Call `callback(ticket, answer)` on Zenoh's thread when a request of this process is answered; `remind` is to
+        be called now and then."""
+        self._on_answer = callback
+
+    def remind(self) -> None:
+        """Repeat the requests that have waited for `REPEAT` s."""
+        with self._lock:
+            waiting = [handle for handle in self._handles.values() if not handle.done]
+        for handle in waiting:
+            _ = handle.answer
+
+    def on_flood(self, callback: OnPayload) -> None:
+        """Call `callback(origin, payload)` on Zenoh's thread for each flood of this app on other robots."""
+        self._subscribe(key("*", "app", self._app, "flood"), callback)
+
+    def on_message(self, callback: OnPayload) -> None:
+        """Call `callback(sender, payload)` on Zenoh's thread for each message to this robot."""
+        self._subscribe(key("*", "app", self._app, "send", self._robot), callback)
+
+    def on_complete(self, callback: Callable[[str, Flooded], None]) -> None:
+        """Call `callback(origin, answer)` on Zenoh's thread when another robot announces that a flood is complete."""
+
+        def handle(name: str, payload: bytes) -> None:
+            answer = _decoded(Flooded, name, payload)
+            origin = parse(name).robot
+            if answer is not None and answer.app == self._app and origin != self._robot:
+                callback(origin, answer)
+
+        self._bus.subscribe(key("*", "mesh", "flooded"), handle)
+
+    def arm(self) -> None:
+        """Take back every stop of the swarm that this robot knows of."""
+        self._bus.publish(key(self._robot, "mesh", "set", "arm"), Arm(self._now(), self._app), urgent=True)
+
+    # -- inside ------------------------------------------------------------------------------------------------
+
+    def _ticket(self) -> str:
+        with self._lock:
+            self._count += 1
+            return f"{self._prefix}-{self._count}"
+
+    def _open(self, request: FloodRequest | SendRequest, key: str) -> Handle[Any]:
+        small = len(request.payload) <= SMALL
+        encode(request)  # what is too large is refused here and now
+        self.asked(request)
+        # The bus has room for large ones in its ordinary queue alone.
+        ask = partial(self._bus.publish, key, request, urgent=small)
+        remind = ask if small else partial(self._bus.publish, self._remind_key, Reminder(request.ticket), urgent=True)
+        handle: Handle[Any] = Handle(request.ticket, ask, remind, self._now)
+        with self._lock:
+            if len(self._handles) >= MAX_OPEN:
+                del self._handles[next(iter(self._handles))]
+            self._handles[handle.ticket] = handle
+        handle.ask()
+        return handle
+
+    def _take(self, message: Message) -> None:
+        with self._lock:
+            self._collected.append(message)
+            self._collected_bytes += len(message.payload)
+            while len(self._collected) > MAX_COLLECTED or self._collected_bytes > MAX_COLLECTED_BYTES:
+                self._collected_bytes -= len(self._collected.popleft().payload)
+
+    def _on_bus(self, connected: bool) -> None:
+        """What was asked while the bus was away is lost."""
+        if connected:
+            with self._lock:
+                waiting = [handle for handle in self._handles.values() if not handle.done]
+            for handle in waiting:
+                handle.ask()
+
+    def _subscribe(self, keys: str, callback: OnPayload) -> None:
+        def handle(name: str, payload: bytes) -> None:
+            origin = parse(name).robot
+            if origin != self._robot:
+                callback(origin, payload)
+
+        self._bus.subscribe(keys, handle)
+
+    def _on_flooded(self, name: str, payload: bytes) -> None:
+        self._finish(_decoded(Flooded, name, payload))
+
+    def _on_sent(self, name: str, payload: bytes) -> None:
+        self._finish(_decoded(Sent, name, payload))
+
+    def _on_progress(self, name: str, payload: bytes) -> None:
+        progress = _decoded(Progress, name, payload)
+        if progress is not None:
+            with self._lock:
+                handle = self._handles.get(progress.ticket)
+            if handle is not None and progress.known:
+                handle.moved = progress.moved
+            elif handle is not None and not handle.done:
+                handle.ask()
+
+    def _finish(self, answer: Flooded | Sent | None) -> None:
+        if answer is not None:
+            with self._lock:
+                handle = self._handles.get(answer.ticket)
+            if handle is not None and handle.finish(answer) and self._on_answer is not None:
+                self._on_answer(answer.ticket, answer)
+
+
+def _nothing() -> None:
+    """What is done to repeat a request that was answered."""
+
+
+def _decoded(kind: type[B], name: str, payload: bytes) -> B | None:
+    """The answer; None where it is none, which only a broken process could have published."""
+    try:
+        return decode(kind, payload, name)
+    except PayloadError:
+        return None

@@ -1,0 +1,105 @@
+"""Parameters of an app: settings with type, unit and range, that the app's own code cannot change."""
+
+import dataclasses
+import math
+import typing
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from swarm.errors import AppError
+from swarm.frozen import frozen
+from swarm.messages.codec import Value
+
+KINDS = (float, int, bool, str)
+"""Types that a parameter may have."""
+
+
+@frozen
+class Parameter:
+    """One declared parameter."""
+
+    default: Value
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    live: bool | None = None
+    """Whether it may be changed while the app runs; None = as the kind of app has it."""
+    kind: type = float
+    """float, int, bool or str: the annotation."""
+
+    def expected(self) -> str:
+        """What a value must be, in words."""
+        if self.choices:
+            return " or ".join(map(repr, self.choices))
+        words = {float: "a finite number", int: "an integer", bool: "true or false", str: "a text"}[self.kind]
+        if self.low is not None and self.high is not None:
+            words += f" from {self.low:g} to {self.high:g}"
+        elif self.low is not None:
+            words += f" of at least {self.low:g}"
+        elif self.high is not None:
+            words += f" of at most {self.high:g}"
+        return words + (f" in {self.unit}" if self.unit not in ("", "1") else "")
+
+    def check(self, value: object) -> Value:
+        """`value` as the app gets it; `AppError` with what was expected."""
+        if self.kind is float and type(value) is int:
+            value = float(value)
+        fits = type(value) is self.kind and (not self.choices or value in self.choices)
+        if fits and isinstance(value, int | float):
+            fits = (
+                math.isfinite(value)
+                and (self.low is None or value >= self.low)
+                and (self.high is None or value <= self.high)
+            )
+        if not fits:
+            raise AppError(f"expected {self.expected()}, got {value!r}")
+        return typing.cast(Value, value)
+
+    def typed(self, name: str, hint: object, *, live: bool) -> "Parameter":
+        """The same with the annotation `hint`, its default checked; `live` where it did not say."""
+        kind = typing.get_args(hint)[0] if typing.get_origin(hint) is Annotated else hint
+        if kind not in KINDS:
+            shown = getattr(kind, "__name__", kind)
+            raise AppError(f"{name}: a parameter is of type float, int, bool or str, not {shown}")
+        typed = dataclasses.replace(self, kind=kind, live=live if self.live is None else self.live)
+        try:
+            return dataclasses.replace(typed, default=typed.check(self.default))
+        except AppError as error:
+            raise AppError(f"{name}: default: {error}") from None
+
+
+def value_of(text: str) -> Value:
+    """A value as people write it on a command line: 1, 0.5, true, [1,2] or a text. `AppError` for half a list."""
+    if text in ("true", "false"):
+        return text == "true"
+    if text.startswith("[") and text.endswith("]"):
+        try:
+            return tuple(float(item) for item in text[1:-1].split(",") if item.strip())
+        except ValueError:
+            raise AppError(f"{text!r} is not a list of numbers such as [0.5,1]") from None
+    for convert in (int, float):
+        try:
+            return convert(text)
+        except ValueError:
+            continue
+    return text
+
+
+def parameter(
+    default: Value,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: Sequence[str] = (),
+    live: bool | None = None,
+) -> Any:
+    """Declare a parameter: `gain: float = parameter(0.5, unit="1", low=0, high=1)`.
+
+    Its value comes from `[apps.NAME]` of swarm.toml, from `[apps.NAME.robots.ROBOT]`, or from `--set`; while the app
+    runs `swarm param` changes it, where it is `live`. In event-driven and periodic apps all are, unless `live=False`.
+    In synchronous ones none is, unless `live=True`: the robots then change it at different iterations, and a run can
+    no longer be repeated bit for bit.
+    """
+    return Parameter(default, unit, low, high, tuple(choices), live)

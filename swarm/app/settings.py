@@ -1,0 +1,66 @@
+"""An app's parameters given on a command line: `gain=0.5`, or `r2.value=3` for one robot, on top of swarm.toml."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from swarm.app.parameters import value_of
+from swarm.config import Config
+from swarm.config.types import App
+from swarm.errors import AppError, ConfigError
+from swarm.frozen import frozen
+from swarm.messages.codec import Value
+
+
+@frozen
+class Setting:
+    """A parameter of an app; `robot` is None where it holds for all."""
+
+    robot: str | None
+    name: str
+    value: Value
+
+    @property
+    def text(self) -> str:
+        """As people write it; `parse` reads it."""
+        value = self.value
+        if isinstance(value, bool):
+            shown = str(value).lower()
+        elif isinstance(value, tuple):
+            shown = f"[{','.join(map(repr, value))}]"
+        else:
+            shown = str(value)
+        return f"{f'{self.robot}.' if self.robot else ''}{self.name}={shown}"
+
+
+def parse(text: str) -> Setting:
+    """A setting as people write it; raises `AppError`."""
+    name, equals, value = text.partition("=")
+    robot, dot, parameter = name.rpartition(".")
+    if not equals or not parameter.isidentifier() or (dot and not robot):
+        raise AppError(f"{text!r} is not a setting such as value=0.5 or r2.value=3")
+    return Setting(robot if dot else None, parameter, value_of(value))
+
+
+def on_top(app: App, settings: Iterable[Setting], robots: Iterable[str]) -> App:
+    """The app's parameters with these settings, the later ones above; one for all robots is above the file's for one.
+
+    Raises `ConfigError` for a robot that there is not.
+    """
+    common: dict[str, Value] = dict(app.parameters)
+    single: dict[str, dict[str, Value]] = {robot: dict(values) for robot, values in app.robots.items()}
+    names = tuple(robots)
+    for setting in settings:
+        if setting.robot is None:
+            common[setting.name] = setting.value
+            for values in single.values():
+                values.pop(setting.name, None)
+        elif setting.robot in names:
+            single.setdefault(setting.robot, {})[setting.name] = setting.value
+        else:
+            raise ConfigError(f"--set {setting.robot}.{setting.name}: the robots are {', '.join(names)}")
+    return App(common, single)
+
+
+def with_settings(config: Config, app: str, settings: Iterable[Setting]) -> Config:
+    """The config with these settings of an app; raises `ConfigError` for a robot that there is not."""
+    return replace(config, apps={**config.apps, app: on_top(config.app(app), settings, config.names)})

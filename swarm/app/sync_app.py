@@ -1,0 +1,187 @@
+"""What an author of a distributed algorithm writes: a class with a typed state and a step.
+
+    from math import fsum
+
+    class Consensus(SyncApp):
+        value: float
+
+        def step(self, neighbours):
+            self.value += fsum(w * (n.value - self.value) for w, n in self.weighted(neighbours))
+
+All robots step together: `step` runs when the states of iteration k of all neighbours are there, and turns
+the own state k into k + 1. A step is a pure function of what it is given (no clock, no files, no unordered
+iteration): then a run is the same bit for bit whatever is cut, killed or restarted meanwhile. See
+docs/apps.md. Apps that react to events, or step each by their own clock, are in `swarm.app.event_app`.
+"""
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, cast
+
+from swarm.app.parameters import Parameter, parameter
+from swarm.app.robot import Robot
+from swarm.app.spec import Spec, checked, read_spec
+from swarm.errors import AppError
+from swarm.messages.codec import Value
+
+WEIGHTS = ("metropolis", "row")
+"""Consensus weights: Metropolis (symmetric, the mean) or row-normalised adjacency (thesis rule 4.1)."""
+
+
+class App:
+    """What all kinds of apps have in common: SyncApp, EventApp and PeriodicApp are derived from it.
+
+    Annotated class attributes are the state: shared with the neighbours, or private where the name starts
+    with an underscore (never sent). A default value in the class, or a parameter of the
+    same name on top of it, is the first value of a shared field; `start` may set another one. Without any it
+    starts at zero.
+    """
+
+    weights: str = parameter("metropolis", choices=WEIGHTS)
+    view_extras: ClassVar[tuple[str, ...]] = ()
+    """What a neighbour's view has beside `name` and the shared fields."""
+    live: ClassVar[bool] = False
+    """Whether parameters may be changed while it runs where they do not say."""
+    spec: ClassVar[Spec]
+    robot: Robot
+    k: int
+    """The iteration: the number of the state that the step starts from."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        try:
+            cls.spec = read_spec(cls)
+        except AppError as error:
+            raise AppError(f"class {cls.__name__}: {error}") from None
+
+    def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
+        """`values`: parameters and first values by name. `AppError` for one the class does not know."""
+        spec = type(self).spec
+        self.check_state()
+        fields = {f.name: f for f in spec.schema.fields}
+        given = dict(values or {})
+        for name, declared in spec.parameters.items():
+            self._put(name, checked(declared, name, given.pop(name)) if name in given else declared.default)
+        for name, shared in fields.items():
+            start = given.pop(name) if name in given else getattr(type(self), name, shared.zero)
+            self._put(name, checked(shared, name, start))
+        for name in spec.private:
+            if hasattr(type(self), name):
+                self._put(name, copy.deepcopy(getattr(type(self), name)))
+        if given:
+            known = ", ".join([*spec.parameters, *fields])
+            raise AppError(f"unknown parameter {min(given)!r}; {type(self).__name__} has {known}")
+        self._put("robot", robot)
+        self._put("k", 0)
+        self._weigh()
+
+    def start(self) -> None:
+        """Set the first state; may be left out."""
+
+    def result(self) -> Mapping[str, Value]:
+        """What the run reports, always under the same names; by default the shared state."""
+        schema = type(self).spec.schema
+        return schema.plain({name: getattr(self, name) for name in schema.names})
+
+    def neighbour_weights(self) -> Mapping[str, float]:
+        """The consensus weight w_ij of each neighbour, by name: by the parameter `weights`. Override it for weights of
+        your own: a pure function of parameters and `self.robot`, called before `start`."""
+        graph = self.robot.graph
+        return (graph.row_weights if self.weights == "row" else graph.metropolis_weights)(self.robot.name)
+
+    def weighted(self, neighbours: Sequence[Any]) -> list[tuple[float, Any]]:
+        """Each neighbour with its consensus weight w_ij (`neighbour_weights`)."""
+        weights = self.robot.weights
+        return [(weights[neighbour.name], neighbour) for neighbour in neighbours]
+
+    @classmethod
+    def check_state(cls) -> None:
+        """Raise `AppError` where the shared state cannot be sent."""
+        cls.spec.schema.check_size()
+
+    @classmethod
+    def check_change(cls, values: Mapping[str, object]) -> dict[str, Value]:
+        """Other values for live parameters as the app gets them; `AppError` where one of them cannot be changed so."""
+        parameters = cls.spec.parameters
+        found = {}
+        for name, value in values.items():
+            declared = parameters.get(name)
+            if declared is None:
+                raise AppError(f"unknown parameter {name!r}; {cls.__name__} has {', '.join(parameters)}")
+            if not declared.live:
+                raise AppError(f"{name}: cannot be changed while the app runs: it is declared without live=True")
+            found[name] = cast(Value, checked(declared, name, value))
+        return found
+
+    def told_parameters(self) -> dict[str, tuple[Parameter, Value]]:
+        """All parameters by name, as they are declared and as they are now: what the host tells of them."""
+        return {name: (declared, getattr(self, name)) for name, declared in type(self).spec.parameters.items()}
+
+    def change(self, values: Mapping[str, Value]) -> None:
+        """Called by the host between two handlers or steps, with what `check_change` gave."""
+        for name, value in values.items():
+            self._put(name, value)
+        self._weigh()
+
+    def __setattr__(self, name: str, value: object) -> None:
+        spec = type(self).spec
+        if name in spec.schema.names or name in spec.private:
+            object.__setattr__(self, name, value)
+            return
+        kind = type(self).__name__
+        if name in spec.parameters:
+            raise AttributeError(
+                f"{kind}.{name} is a parameter, a step cannot change it; swarm.toml or --set {name}=... can"
+            )
+        fields = ", ".join((*spec.schema.names, *spec.private)) or "nothing"
+        plain = name.lstrip("_")
+        raise AttributeError(
+            f"{kind} declares no {name!r}, it declares {fields}. Declare it in the class: "
+            f"`{plain}: float` is shared with the neighbours, `_{plain}: float = 0.0` is private"
+        )
+
+    def _weigh(self) -> None:
+        robot = self.robot
+        weights = dict(self.neighbour_weights())
+        if set(weights) != set(robot.neighbours) or not all(map(math.isfinite, weights.values())):
+            raise AppError(
+                f"neighbour_weights: expected a finite number for each of {', '.join(robot.neighbours) or 'nobody'}, "
+                f"got {weights!r}"
+            )
+        robot.weights = weights
+        robot.own_weight = 1.0 - math.fsum(weights.values())
+
+    def _put(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+
+class SyncApp(App):
+    """Base of apps that step together with their neighbours. See the module's text and docs/apps.md.
+
+    Private fields are saved for a restart, so they are of types that msgpack holds.
+    """
+
+    diverges_above: float = parameter(1e30, low=0.0)
+    """A shared number beyond it is a fault: the app diverges, and does so on every robot that goes on."""
+    measured: ClassVar[bool] = False
+    """True = before `start` and before each step there is a new `robot.measurement`."""
+
+    def step(self, neighbours: Sequence[Any]) -> None:
+        """Turn the own state k into k + 1, given all neighbours' states k, sorted by name."""
+        raise NotImplementedError
+
+    def converged(self) -> bool | None:
+        """Called after each step where the run ends when all robots have converged: whether this one has. None: as
+        soon as its shared numbers hardly change any more. As pure as a step."""
+        return None
+
+    def on_epoch(self, members: Sequence[str]) -> None:
+        """The members of the run, or their links, have changed: `robot.neighbours`, `robot.weights` and `robot.swarm`
+        are the new ones, and the state is that of the iteration at which all go over. It may be changed here, where
+        an algorithm has a history that must fit the members. As pure as a step. A robot that comes new to a run has
+        been through `start` before."""
+
+    def regraph(self) -> None:
+        """Called by the host when `robot.graph` is another one: the weights follow from it."""
+        self._weigh()

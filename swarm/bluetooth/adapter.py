@@ -1,0 +1,85 @@
+"""One Bluetooth adapter of this robot, over a raw HCI socket: what the kernel has no other call for."""
+
+import fcntl
+import socket
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from swarm import clock
+from swarm.bluetooth import hci
+from swarm.errors import FrameError, LocalError
+
+TIMEOUT = 1.0
+"""s for an answer of the adapter."""
+
+Open = Callable[[], socket.socket]
+Ioctl = Callable[[Any, int, bytearray], object]
+Answer = TypeVar("Answer")
+
+
+def open_socket() -> socket.socket:
+    """A raw HCI socket; `LocalError` where this interpreter was built without."""
+    if not hasattr(socket, "AF_BLUETOOTH"):
+        raise LocalError("this Python was built without Bluetooth sockets; Debian's python3 has them")
+    return socket.socket(socket.AF_BLUETOOTH, socket.SOCK_RAW, socket.BTPROTO_HCI)
+
+
+def check(status: int) -> None:
+    """Raises `LocalError` where an answer's status says that the adapter has not done it."""
+    if status:
+        raise LocalError(f"the adapter refuses: HCI status {status:#04x}")
+
+
+class Adapter:
+    """The adapter with an address. Errors of the kernel are OSError, of which `hci` says what they mean."""
+
+    def __init__(self, address: str, *, open_socket: Open = open_socket, ioctl: Ioctl = fcntl.ioctl) -> None:
+        """Raises `LocalError` where no adapter here has that address."""
+        self._ioctl = ioctl
+        self._socket = open_socket()
+        try:
+            self._socket.settimeout(TIMEOUT)
+            self._socket.bind((self._number(hci.packed_address(address), address),))
+            self._socket.setsockopt(hci.SOL_HCI, hci.HCI_FILTER, hci.FILTER)
+        except BaseException:
+            self._socket.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._socket.close()
+
+    def handle(self, peer: str) -> int:
+        """That of the connection to the Bluetooth address `peer`; `LocalError` where there is none."""
+        info = hci.connection_info(hci.packed_address(peer))
+        try:
+            self._ioctl(self._socket, hci.CONNECTION_INFO, info)
+        except FileNotFoundError:
+            raise LocalError(f"there is no Bluetooth connection to {peer}") from None
+        return hci.connection_handle(info)
+
+    def ask(self, command: bytes, answer: Callable[[bytes], Answer | None]) -> Answer:
+        """Send a command; the first packet that `answer` makes something of. `LocalError` where none comes: others ask
+        the adapter, too, and hear our answers as we hear theirs."""
+        self._socket.send(command)
+        end = clock.now() + TIMEOUT
+        while clock.now() < end:
+            try:
+                found = answer(self._socket.recv(260))
+            except TimeoutError:
+                break
+            except FrameError:
+                continue
+            if found is not None:
+                return found
+        raise LocalError(f"the adapter does not answer ({TIMEOUT:g} s)")
+
+    def _number(self, address: bytes, text: str) -> int:
+        listed = hci.device_list()
+        self._ioctl(self._socket, hci.DEVICE_LIST, listed)
+        for number in hci.devices(listed):
+            info = hci.device_info(number)
+            self._ioctl(self._socket, hci.DEVICE_INFO, info)
+            if hci.device_address(info) == address:
+                return number
+        raise LocalError(f"no Bluetooth adapter here has the address {text}: is this the robot?")

@@ -1,0 +1,476 @@
+"""The one door to Zenoh. Every rule here was measured (docs/architecture.md, section Bus).
+
+Publishing never blocks longer than a millisecond and never fails for reasons outside this process: while the
+router is away messages are lost, so whoever needs an answer asks again. Callbacks run on Zenoh's own receive
+thread: they may only enqueue or do a short step under a lock, since a slow one holds up every other key of
+the process; publishing, asking and declaring from within them is fine. The session opens in the background,
+waits for a router that is not there yet, and survives its restart. Never fork with a session open: in the
+child everything hangs.
+"""
+
+import contextlib
+import ctypes
+import logging
+import os
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from swarm import clock
+from swarm.bus.packer import Packer
+from swarm.bus.zenoh_config import client_config, router_config
+from swarm.errors import BusError, LocalError, SwarmError
+from swarm.messages.keys import MAX_KEY_LENGTH, STOP
+from swarm.process.edges import defect
+from swarm.process.paths import ENDPOINT_PROTOCOL, bus_endpoint
+
+# One worker thread for all of Zenoh's runtimes: 3 threads a client instead of 7, and router CPU for a round
+# trip from 305 to 157 us on the measuring machine. Tried with restarts of the router, and with a client and a
+# router stopped for longer than the lease of 10 s. Must be set before the library is loaded.
+os.environ.setdefault(
+    "ZENOH_RUNTIME",
+    "(rx:(worker_threads:1),acc:(handover:rx),app:(handover:rx),tx:(handover:rx),net:(handover:rx))",
+)
+
+import zenoh
+
+MSGPACK = "application/msgpack"
+BINARY = "application/octet-stream"
+
+# One arena of the C library's allocator, not one for each thread: what Zenoh's threads give to each other and free
+# leaves holes in all of them, and a router grew by 0.5 MB an hour while it held not one byte more. Must be set before
+# there are threads.
+_M_ARENA_MAX = -8  # malloc.h
+ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+
+OnSample = Callable[[str, bytes], None]
+OnQuery = Callable[[str, dict[str, str]], bytes | None]
+
+_log = logging.getLogger("bus")
+
+counters: Counter[str] = Counter()
+"""Of this process, for its status: `dropped_samples`, the samples and queries whose callback refused them."""
+_OUTLETS = 256
+"""Keys that a session keeps declared; above, the oldest makes room."""
+_CERTAIN_S = 1.0
+"""s after which a router has told who listens."""
+_OPENING = 0.5
+"""s that opening a session takes at most where there is a router."""
+
+
+class Router:
+    """The Zenoh router of one robot, in this process, until closed. Raises `BusError` where it cannot listen.
+
+    Zenoh removes the socket a killed router left behind, and refuses one in use by a lock file beside it.
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        try:
+            self._session = zenoh.open(zenoh.Config.from_json5(router_config(_checked_endpoint(endpoint))))
+        except zenoh.ZError as error:
+            raise BusError(f"the bus cannot listen on {endpoint}: {_text(error)}") from None
+
+    def close(self) -> None:
+        """Stop routing; Zenoh removes the socket file.
+
+        A client whose connection is just being accepted is forgotten by Zenoh but not cut off: it stays connected to
+        nothing until this process ends. The bus service ends at once after this.
+        """
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> "Router":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Subscription:
+    """What a client has asked to hear; until closed."""
+
+    def __init__(self, kept: "set[Subscription]") -> None:
+        """`kept`: where it is held until then; what nobody holds, Zenoh undeclares."""
+        kept.add(self)
+        self._kept = kept
+        self._lock = threading.Lock()
+        self._closed = False
+        self._subscribers: list[zenoh.Subscriber[None]] = []
+
+    def declare(self, session: zenoh.Session, key: str, handle: Callable[[zenoh.Sample], None]) -> None:
+        """Begin to hear a key, unless it has been closed meanwhile."""
+        if self._closed:
+            return
+        subscriber = session.declare_subscriber(key, _direct(handle), allowed_origin=zenoh.Locality.REMOTE)
+        with self._lock:
+            if not self._closed:
+                self._subscribers.append(subscriber)
+                return
+        subscriber.undeclare()
+
+    def close(self) -> None:
+        """Hear no more; safe to call twice, not from within a callback."""
+        with self._lock:
+            self._closed = True
+            subscribers, self._subscribers = self._subscribers, []
+        self._kept.discard(self)
+        for subscriber in subscribers:
+            with contextlib.suppress(zenoh.ZError):  # with its session, or before it
+                subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Audience:
+    """Whether anybody listens to a key, as far as the router has told."""
+
+    __slots__ = ("certain_at", "there")
+
+    def __init__(self) -> None:
+        self.doubt()
+
+    def doubt(self) -> None:
+        """It is to be found out anew, and is taken to be there until then; `certain_at` is 0 from then on."""
+        self.there, self.certain_at = True, clock.now() + _CERTAIN_S
+
+    def matched(self, status: zenoh.MatchingStatus) -> None:
+        """It has come, or is gone."""
+        if not self.certain_at:
+            self.there = status.matching
+
+
+class Outlet:
+    """A declared publisher: it costs half the CPU time of a plain put, and hardly any where nobody listens to its key.
+
+    Zenoh would not send that either. But what decides so is not in the processor's caches when a message comes: a
+    twentieth of a mesh's CPU time was in Zenoh's library for what nobody heard.
+    """
+
+    __slots__ = ("_listener", "_publisher", "audience")
+
+    def __init__(self, session: zenoh.Session, key: str, *, urgent: bool) -> None:
+        """Raises `zenoh.ZError` where the bus does not take the key."""
+        # Zenoh holds what it calls, so that must not be this: nothing would ever let go of it.
+        self.audience = Audience()
+        self._publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=_priority(key, urgent),
+            # Subscribers hear other sessions only; else those of this one would be its audience.
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._listener = self._publisher.declare_matching_listener(_direct(self.audience.matched))
+
+    def heard(self) -> bool:
+        """Whether anybody may listen. Raises `zenoh.ZError`."""
+        audience = self.audience
+        if audience.certain_at and clock.now() >= audience.certain_at:
+            # In this order, since who comes meanwhile is told of by `matched`.
+            audience.certain_at, audience.there = 0.0, False
+            if self._publisher.matching_status.matching:  # type: ignore[attr-defined]
+                audience.there = True
+        return audience.there
+
+    def put(self, payload: bytes, encoding: str) -> None:
+        """Send. Raises `zenoh.ZError`."""
+        self._publisher.put(payload, encoding=encoding)
+
+
+def _priority(key: str, urgent: bool) -> zenoh.Priority:
+    """Stops have a queue of their own, here as in the router: they wait for nothing else, however urgent it is."""
+    if key == STOP:
+        return zenoh.Priority.REAL_TIME
+    return zenoh.Priority.INTERACTIVE_HIGH if urgent else zenoh.Priority.DATA
+
+
+class Bus:
+    """A client session of one robot's router.
+
+    Subscriptions, servers and tokens may be declared at once; they take effect when the router is found.
+    Close it before the process ends (or use it as a context): an open subscriber would hang the interpreter's
+    exit.
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        """`endpoint` as of `swarm.process.paths.bus_endpoint`; raises `BusError` where it is none."""
+        self._endpoint = _checked_endpoint(endpoint)
+        self.counters: Counter[str] = Counter()
+        """What was dropped, by name."""
+        self._packer = Packer(self.counters)
+        self._session: zenoh.Session | None = None
+        self._lock = threading.Lock()
+        self._pending: list[Callable[[zenoh.Session], object]] = []
+        self._kept: list[object] = []
+        self._subscriptions: set[Subscription] = set()
+        self._outlets: dict[tuple[str, bool], Outlet] = {}
+        self._watchers: list[Callable[[bool], None]] = []
+        self._closed = False
+        self._connected = threading.Event()
+        self._opener = threading.Thread(target=self._open, name="bus-open", daemon=True)
+        self._opener.start()
+
+    @classmethod
+    def of(cls, directory: Path) -> "Bus":
+        """The bus of the robot whose runtime directory is `directory`."""
+        return cls(bus_endpoint(directory))
+
+    @property
+    def connected(self) -> bool:
+        """Whether the router is there at this moment."""
+        return self._connected.is_set()
+
+    def wait_connected(self, timeout_s: float | None) -> bool:
+        """Wait for the router; False when it did not come in time."""
+        return self._connected.wait(timeout_s)
+
+    def on_change(self, callback: Callable[[bool], None]) -> None:
+        """Call `callback(connected)` whenever the router comes or goes; at once where it is there."""
+        callback = _guard(callback)
+        with self._lock:
+            self._watchers.append(callback)
+            connected = self._connected.is_set()
+        if connected:
+            callback(True)
+
+    def publish(self, key: str, message: object, *, urgent: bool = False) -> None:
+        """Send a message dataclass (as msgpack) or raw bytes; silently lost while the router is away.
+
+        `urgent` puts it ahead of the queue that a flood of other messages fills; a stop is ahead of both. A message
+        that nobody hears is not looked at. A message that is too large for the bus is dropped, counted and logged; a
+        stop never is. Raises `LocalError` only for a key that the bus does not take at all.
+        """
+        if len(key) > MAX_KEY_LENGTH:
+            raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
+        session = self._session
+        try:
+            outlet = None if session is None else self._outlet(session, key, urgent)
+            if outlet is not None and not outlet.heard():
+                return
+            payload = self._packer.pack(key, message)
+            if outlet is not None and payload is not None:
+                outlet.put(payload, BINARY if isinstance(message, bytes | bytearray) else MSGPACK)
+        except zenoh.ZError as error:
+            if not self._closed:
+                _log.warning("put failed key=%s error=%s", key, _text(error))
+
+    def wanted(self, key: str) -> bool:
+        """Whether anybody hears what this session publishes under a key, or a key of an expression; somebody may until
+        the router has told."""
+        session = self._session
+        try:
+            return session is not None and self._outlet(session, key, False).heard()
+        except zenoh.ZError as error:
+            if not self._closed:
+                _log.warning("key=%s error=%s", key, _text(error))
+            return False
+
+    def _outlet(self, session: zenoh.Session, key: str, urgent: bool) -> Outlet:
+        outlets = self._outlets
+        outlet = outlets.get((key, urgent))
+        if outlet is None:
+            for oldest in list(outlets)[: max(0, len(outlets) + 1 - _OUTLETS)]:
+                outlets.pop(oldest, None)
+            outlet = outlets[key, urgent] = Outlet(session, key, urgent=urgent)
+        return outlet
+
+    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
+        """Call `callback(key, payload)` for every sample of other sessions, until what is returned, or this client, is
+        closed; see above for callbacks."""
+        subscription = Subscription(self._subscriptions)
+
+        def handle(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), sample.payload.to_bytes())
+
+        for key in map(_checked_key, (keys,) if isinstance(keys, str) else keys):
+            self._declare(lambda session, key=key: subscription.declare(session, key, handle))  # type: ignore[misc]
+        return subscription
+
+    def serve(self, key: str, answer: OnQuery) -> None:
+        """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""
+        key = _checked_key(key)
+
+        def handle(query: zenoh.Query) -> None:
+            pairs = (pair.partition("=") for pair in str(query.parameters).split(";") if pair)
+            payload = answer(str(query.key_expr), {name: value for name, _, value in pairs})
+            if payload is not None:
+                query.reply(key, payload, encoding=MSGPACK)
+
+        self._declare(lambda session: session.declare_queryable(key, _direct(handle)))
+
+    def ask(self, key: str, on_reply: OnSample, *, timeout_s: float = 1.0, **parameters: object) -> None:
+        """Send a query; `on_reply(key, payload)` is called for each answer. No answer, no call."""
+        selector = _checked_key(key)
+        if parameters:
+            selector += "?" + ";".join(f"{name}={value}" for name, value in parameters.items())
+        session = self._session
+        if session is None:
+            return
+
+        def handle(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                on_reply(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
+
+        try:
+            session.get(selector, _direct(handle), timeout=timeout_s)
+        except zenoh.ZError as error:
+            if not self._closed:
+                _log.warning("query failed key=%s error=%s", key, _text(error))
+
+    def announce(self, key: str) -> None:
+        """Declare a liveliness token: others see `key` alive until this process ends."""
+        key = _checked_key(key)
+        self._declare(lambda session: session.liveliness().declare_token(key))
+
+    def watch(self, key: str, callback: Callable[[str, bool], None]) -> None:
+        """Call `callback(key, alive)` when tokens matching `key` come and go.
+
+        The end of the router makes all of them go for a moment: wait a little before believing it.
+        """
+        key = _checked_key(key)
+
+        def handle(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._declare(lambda session: session.liveliness().declare_subscriber(key, _direct(handle), history=True))
+
+    def close(self) -> None:
+        """Undeclare everything and close; safe to call twice and while still waiting for a router."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            session, self._session = self._session, None
+        self._connected.clear()
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
+        if self._opener is not threading.current_thread():
+            # A thread that comes back from Zenoh while the interpreter ends aborts the process. With a router it is
+            # back in a moment, even where the session is there and it still declares; without one it stays in Zenoh,
+            # where it harms nobody.
+            self._opener.join(_OPENING)
+        self._kept.clear()
+        self._subscriptions.clear()
+
+    def __enter__(self) -> "Bus":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _declare(self, declaration: Callable[[zenoh.Session], object]) -> None:
+        with self._lock:
+            session = self._session
+            if session is None:
+                self._pending.append(declaration)
+        # Outside the lock: what is declared may call back at once, and the callback may declare in its turn.
+        if session is not None:
+            self._keep(session, declaration)
+
+    def _keep(self, session: zenoh.Session, declaration: Callable[[zenoh.Session], object]) -> None:
+        try:
+            if (declared := declaration(session)) is not None:
+                self._kept.append(declared)
+        except zenoh.ZError as error:
+            if not self._closed:
+                _log.error("the bus refused a declaration: %s", _text(error))
+
+    def _open(self) -> None:
+        """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it."""
+        try:
+            session = zenoh.open(zenoh.Config.from_json5(client_config(self._endpoint)))
+        except zenoh.ZError as error:
+            _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, _text(error))
+            return
+        while True:
+            with self._lock:
+                pending, self._pending = self._pending, []
+                if self._closed:
+                    break
+                if not pending:
+                    self._session = session
+                    break
+            for declaration in pending:
+                self._keep(session, declaration)
+        if self._closed:
+            session.close()  # type: ignore[no-untyped-call]
+            return
+        # Last, so that whoever is told of the connection can publish over it.
+        self._keep(
+            session,
+            lambda session: session.info.declare_transport_events_listener(_direct(self._on_transport), history=True),
+        )
+
+    def _on_transport(self, event: Any) -> None:
+        up = event.kind == zenoh.SampleKind.PUT
+        with self._lock:
+            if self._closed:
+                return
+            (self._connected.set if up else self._connected.clear)()
+            for outlet in tuple(self._outlets.values()):
+                outlet.audience.doubt()
+            watchers = tuple(self._watchers)
+        for watcher in watchers:
+            watcher(up)
+
+
+def _direct(callback: Callable[[Any], None]) -> "zenoh.handlers.Callback[Any]":
+    """A callback on Zenoh's own thread; the default would be a queue and a further thread for each."""
+    return zenoh.handlers.Callback(_guard(callback), indirect=False)
+
+
+class _Attached(threading.local):
+    """Keeps a thread of Zenoh's known to Python. Else each callback makes a thread state and throws it away again, an
+    mmap and a munmap: 33 instead of 20 us of CPU time for a sample."""
+
+    attached = True
+
+    def __init__(self) -> None:
+        # Never released: the state goes with the process, as the thread does.
+        ctypes.pythonapi.PyGILState_Ensure()
+
+
+_thread = _Attached()
+
+
+def _guard(callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Keep what a callback raises out of Zenoh's thread, where it would vanish or poison the session.
+
+    An error of ours that has a name (`SwarmError`), such as that of a decoder, costs the sample or query that led to
+    it. Any other one is a defect: what the callback works on may be half changed, so a service ends (`process.defect`).
+    """
+
+    def guarded(argument: Any) -> None:
+        try:
+            _thread.attached  # noqa: B018 - the first look in a thread attaches it
+            callback(argument)
+        except SwarmError as error:
+            counters["dropped_samples"] += 1
+            _log.warning("a sample or query was dropped: %s", error)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is a defect of the callback
+            defect(error, "a bus callback")
+
+    return guarded
+
+
+def _checked_key(key: str) -> str:
+    """`key`, if Zenoh can take it: a too long one makes it panic later, a malformed one fails in a thread."""
+    if len(key) > MAX_KEY_LENGTH:
+        raise LocalError(f"key {key[:40]!r}...: longer than {MAX_KEY_LENGTH} characters")
+    try:
+        zenoh.KeyExpr(key)
+    except zenoh.ZError as error:
+        raise LocalError(f"key {key!r}: {_text(error)}") from None
+    return key
+
+
+def _checked_endpoint(endpoint: str) -> str:
+    if not endpoint.startswith(ENDPOINT_PROTOCOL + "/"):
+        raise BusError(f"bus endpoint {endpoint!r}: expected {ENDPOINT_PROTOCOL}/PATH")
+    return endpoint
+
+
+def _text(error: Exception) -> str:
+    """Zenoh's message without the place in its sources."""
+    return str(error).partition(" at /")[0]
+
+
+__all__ = ["BINARY", "MSGPACK", "Bus", "Router", "Subscription", "client_config", "router_config"]

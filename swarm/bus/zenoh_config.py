@@ -1,0 +1,80 @@
+"""How Zenoh is set up on a robot: one router on a Unix socket, every service a client of it (docs/architecture.md)."""
+
+import json
+
+from swarm.messages.codec import MAX_BINARY
+
+_MAX_MESSAGE = 2 * MAX_BINARY
+"""Bytes at which Zenoh gives a connection up: far above what we send, only a broken sender meets it."""
+
+
+_BATCHES = 16
+"""Batches of 64 KiB that a session's queue of normal messages holds, the most Zenoh allows. With its default of 2 a
+message of more than 128 KiB was always lost, since one thread both fills and empties the queue. It costs 0.2 MB a
+session (measured)."""
+
+
+def router_config(endpoint: str) -> str:
+    """Zenoh configuration (JSON) of a robot's router: one Unix socket, nothing on the network."""
+    return json.dumps(
+        {
+            "mode": "router",
+            "listen": {"endpoints": [endpoint], "exit_on_failure": True},
+            "connect": {"endpoints": []},
+            # Without the delay of 0 Zenoh waits 0.5 s at the start for neighbours that it may not look for
+            # anyway.
+            "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            "timestamping": {"enabled": {"router": True, "peer": False, "client": False}},
+            "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
+            "transport": {
+                "unicast": {"max_sessions": 64},
+                "link": {
+                    "protocols": ["unixsock-stream"],
+                    "tx": {
+                        "lease": 10000,
+                        "keep_alive": 4,
+                        "queue": {
+                            "size": {"data": _BATCHES},
+                            "congestion_control": {
+                                "drop": {"wait_before_drop": 1000},
+                                "block": {"wait_before_close": 20000},
+                            },
+                        },
+                    },
+                    "rx": {"max_message_size": _MAX_MESSAGE},
+                },
+                "shared_memory": {"enabled": False},
+            },
+        }
+    )
+
+
+def client_config(endpoint: str) -> str:
+    """Zenoh configuration (JSON) of a service: a client of one router, retrying for ever."""
+    return json.dumps(
+        {
+            "mode": "client",
+            "connect": {
+                "endpoints": [endpoint],
+                "timeout_ms": -1,
+                "exit_on_failure": False,
+                "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+            },
+            "listen": {"endpoints": []},
+            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            "queries_default_timeout": 1000,
+            "transport": {
+                "link": {
+                    "protocols": ["unixsock-stream"],
+                    "rx": {"max_message_size": _MAX_MESSAGE},
+                    "tx": {
+                        "queue": {
+                            "size": {"data": _BATCHES},
+                            "congestion_control": {"block": {"wait_before_close": 20000}},
+                        }
+                    },
+                },
+                "shared_memory": {"enabled": False},
+            },
+        }
+    )

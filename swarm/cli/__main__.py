@@ -1,5 +1,0 @@
-"""`python -m swarm.cli`: the `swarm` command."""
-
-from swarm.cli import main
-
-main()

@@ -1,0 +1,119 @@
+"""What `swarm doctor` wants to know of a robot's system, beyond the facts of provisioning: read only, as root."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import pwd
+import time
+from collections.abc import Callable
+from typing import Any
+
+from swarm.onboard.bootstrap import facts, pairing
+from swarm.onboard.bootstrap.commands import below, line, run, text
+
+I2C_SLAVE = 0x0703
+"""ioctl of linux/i2c-dev.h: whom the next reads and writes are for."""
+
+SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
+
+
+def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
+    """The facts, and: memory, temperature, throttled, services, devices, key, config, robot, pairing."""
+    root = request.get("root", "/")
+    found = facts.main(request, tell)
+    services = {name: _service(name) for name in SERVICES}
+    idle = services["swarm-balancer"].get("ActiveState") != "active"
+    with contextlib.suppress(OSError):
+        key = below(root, "/etc/swarm/key")
+        found["key"] = {
+            "mode": found["modes"].get("/etc/swarm/key"),
+            "owner": _name(key.stat().st_uid),
+            "ids": _ids(key),
+        }
+    config = text(below(root, "/etc/swarm/swarm.toml"))
+    settings = (text(below(root, "/etc/swarm/robot.env")) or "").splitlines()
+    names = [row.partition("=")[2] for row in settings if row.startswith("SWARM_ROBOT=")]
+    return {
+        **found,
+        "memory": _memory(root),
+        "temperature": int(line(below(root, "/sys/class/thermal/thermal_zone0/temp")) or 0) / 1000 or None,
+        "throttled": _throttled(root),
+        "services": services,
+        # While the balancer runs it owns the bus, and it tells by itself what does not answer.
+        "devices": _devices(root) if idle else None,
+        "config": None if config is None else hashlib.sha256(config.encode()).hexdigest(),
+        "robot": names[-1] if names else None,
+        "pairing": pairing.main({"do": "look"}, tell) if request.get("bluetooth") else None,
+    }
+
+
+def _memory(root: str) -> int | None:
+    """Bytes that programs can still have."""
+    for row in (text(below(root, "/proc/meminfo")) or "").splitlines():
+        if row.startswith("MemAvailable:"):
+            return int(row.split()[1]) * 1024
+    return None
+
+
+def _throttled(root: str) -> int | None:
+    """The flags of Raspberry Pi's firmware (vcgencmd get_throttled), None where it tells none."""
+    said = line(below(root, "/sys/devices/platform/soc/soc:firmware/get_throttled"))
+    if not said:
+        code, out, _ = run("vcgencmd", "get_throttled")
+        said = out.strip().partition("=")[2] if code == 0 else ""
+    try:
+        return int(said, 16)
+    except ValueError:
+        return None
+
+
+def _service(name: str) -> dict[str, str]:
+    wanted = "LoadState,ActiveState,SubState,NRestarts,Result,UnitFileState"
+    _, out, _ = run("systemctl", "show", name + ".service", "--property=" + wanted)
+    return dict(row.split("=", 1) for row in out.splitlines() if "=" in row)
+
+
+def _devices(root: str) -> dict[str, Any]:
+    """Who answers on the I2C bus: WHO_AM_I of the IMU, layout and revision of the ATmega's firmware, the display."""
+    try:
+        bus = os.open(below(root, "/dev/i2c-1"), os.O_RDWR)
+    except OSError as error:
+        return {"problem": os.strerror(error.errno or 0)}
+    try:
+        atmega = _read(bus, 0x14, 0, 18)
+        imu = _read(bus, 0x6B, 0x0F, 1)
+        return {
+            "problem": "",
+            "imu": imu[0] if imu else None,
+            "atmega": [atmega[0], atmega[17]] if atmega else None,
+            "display": _read(bus, 0x3C, 0, 1) is not None,
+        }
+    finally:
+        os.close(bus)
+
+
+def _read(bus: int, address: int, index: int, count: int) -> bytes | None:
+    """Bytes from an index on; None where nobody answers."""
+    try:
+        fcntl.ioctl(bus, I2C_SLAVE, address)
+        os.write(bus, bytes([index]))
+        time.sleep(0.001)  # the ATmega's STOP has to be handled before the next START
+        return os.read(bus, count)
+    except OSError:
+        return None
+
+
+def _name(uid: int) -> str:
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return str(uid)
+
+
+def _ids(path: Any) -> list[str]:
+    """The ids of the keys of a file: no secret, unlike what stands behind them."""
+    rows = [row.partition("#")[0].split() for row in (text(path) or "").splitlines()]
+    return [row[0] for row in rows if len(row) == 2]

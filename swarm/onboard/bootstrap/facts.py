@@ -1,0 +1,106 @@
+"""What provisioning wants to know of a robot: read only, as root, and nothing that is not there is an error."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import socket
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from swarm.onboard.bootstrap.commands import below, line, run, text
+
+PLACES = {
+    "model": "/proc/device-tree/model",
+    "kernel": "/proc/sys/kernel/osrelease",
+    "boot_id": "/proc/sys/kernel/random/boot_id",
+    "modules": "/lib/modules",
+}
+"""Where the kernel says what it is; a request may name others."""
+
+
+def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
+    """The facts; the request names files, links, packages and units to look at."""
+    root = request.get("root", "/")
+    places = {name: below(root, path) for name, path in {**PLACES, **request.get("places", {})}.items()}
+    release = (text(below(root, "/etc/os-release")) or "").splitlines()
+    return {
+        "model": line(places["model"]),
+        "machine": platform.machine(),
+        "architecture": run("dpkg", "--print-architecture")[1].strip(),
+        "os": {name: value.strip('"') for name, equals, value in (each.partition("=") for each in release) if equals},
+        "python": "{}.{}".format(*sys.version_info[:2]),
+        "kernel": line(places["kernel"]),
+        "kernels": sorted(path.name for path in places["modules"].glob("*")),
+        "boot_id": line(places["boot_id"]),
+        "time": time.time(),
+        "free": {path: _free(root, path) for path in request.get("disks", ())},
+        "files": {path: text(below(root, path)) for path in request.get("files", ())},
+        "modes": {path: _mode(root, path) for path in request.get("files", ())},
+        "links": {path: _link(root, path) for path in request.get("links", ())},
+        "there": [path for path in request.get("there", ()) if below(root, path).exists()],
+        "packages": _packages(request.get("packages", ())),
+        "broken": _broken(),
+        "units": {unit: _unit(unit) for unit in request.get("units", ())},
+        "hostname": socket.gethostname() if root == "/" else line(below(root, "/etc/hostname")),
+        "blocked": _blocked(root),
+        "current": (_link(root, "/opt/swarm/current") or "").rpartition("/")[2],
+    }
+
+
+def _free(root: str, path: str) -> int | None:
+    """Bytes that may still be written there."""
+    try:
+        disk = os.statvfs(below(root, path))
+    except OSError:
+        return None
+    return disk.f_bavail * disk.f_frsize
+
+
+def _mode(root: str, path: str) -> str | None:
+    with contextlib.suppress(OSError):
+        return f"{below(root, path).stat().st_mode & 0o7777:04o}"
+    return None
+
+
+def _link(root: str, path: str) -> str | None:
+    """Where a link leads, "" where it is a file of its own, None where it or its end is not there."""
+    place = below(root, path)
+    if not place.exists():
+        return None
+    return str(place.readlink()) if place.is_symlink() else ""
+
+
+def _packages(names: list[str]) -> dict[str, str]:
+    """Versions of those that are installed whole."""
+    found = {}
+    for name in names:
+        code, out, _ = run("dpkg-query", "--show", "--showformat=${db:Status-Abbrev}|${Version}", name)
+        state, _, version = out.partition("|")
+        if code == 0 and state.strip() == "ii":
+            found[name] = version
+    return found
+
+
+def _broken() -> str:
+    """Packages that were left in the middle of their installation."""
+    return " ".join(row.split()[0] for row in run("dpkg", "--audit")[1].splitlines() if row.startswith(" "))
+
+
+def _unit(name: str) -> dict[str, str]:
+    _, out, _ = run("systemctl", "show", name, "--property=LoadState,ActiveState,UnitFileState")
+    return dict(row.split("=", 1) for row in out.splitlines() if "=" in row)
+
+
+def _blocked(root: str) -> list[str]:
+    """Radios that are switched off: `bluetooth` or `wlan` (soft), the same with `!` where it is by a real switch."""
+    found = []
+    for folder in sorted(below(root, "/sys/class/rfkill").glob("*")):
+        if line(folder / "hard") == "1":
+            found.append(line(folder / "type") + "!")
+        elif line(folder / "soft") == "1":
+            found.append(line(folder / "type"))
+    return found

@@ -1,0 +1,71 @@
+"""What the services of robots say on their buses, within a moment: the newest value of each key.
+
+`python -m swarm.onboard.listen ROBOT [SECONDS]` on a robot prints it as JSON; for simulated robots it is called here.
+"""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import PayloadError
+from swarm.messages.codec import unpack
+from swarm.process.paths import runtime_dir
+
+SECONDS = 6.0
+"""At most; a robot whose services all speak is heard in a second."""
+LEAST_S = 1.2
+"""Longer than the period of what is sent once a second."""
+EXPECTED = ("mesh/status", "balancer/status", "dwm/status", "balancer/state", "mesh/links", "mesh/clock")
+"""What a robot that is well says."""
+
+SERVICES = ("bus", "mesh", "balancer", "dwm")
+
+
+def listen(robots: Mapping[str, Path], seconds: float = SECONDS) -> dict[str, dict[str, Any]]:
+    """The newest messages by robot and topic (`balancer/state`), and `bus` whether there is one at all."""
+    found: dict[str, dict[str, Any]] = {robot: {} for robot in robots}
+    heard = threading.Event()
+    began = time.monotonic()
+    with ExitStack() as stack:
+        for robot, directory in robots.items():
+            bus = stack.enter_context(Bus.of(directory))
+
+            def keep(key: str, payload: bytes, said: dict[str, Any] = found[robot], robot: str = robot) -> None:
+                try:
+                    value = unpack(payload)
+                except PayloadError:
+                    return  # an app's own bytes
+                if isinstance(value, dict):
+                    said[key.removeprefix(f"swarm/{robot}/")] = value
+                    heard.set()
+
+            found[robot]["bus"] = bus.wait_connected(2.0)
+            if found[robot]["bus"]:
+                bus.subscribe([f"swarm/{robot}/*/*"], keep)
+                for service in SERVICES:
+                    bus.ask(f"swarm/{robot}/{service}/status", keep, timeout_s=seconds)
+        while (left := began + seconds - time.monotonic()) > 0:
+            heard.clear()
+            passed = time.monotonic() - began
+            if passed >= LEAST_S and all(topic in said for said in found.values() for topic in EXPECTED if said["bus"]):
+                break
+            heard.wait(min(left, LEAST_S))
+    return found
+
+
+def main() -> None:
+    """For the robot that this is."""
+    seconds = float(sys.argv[2]) if len(sys.argv) > 2 else SECONDS
+    said = listen({sys.argv[1]: runtime_dir()}, seconds)[sys.argv[1]]
+    # Bytes and the like have no place in JSON, and in no check.
+    sys.stdout.write(json.dumps(said, default=str) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,201 @@
+"""What a robot's bus says, for a page far away: `python -m swarm.onboard.lookout ROBOT` at the other end of ssh.
+
+Out go msgpack arrays, of each key the newest value at most `RATE` times a second, so that a slow network makes steps
+and no queue:
+
+    ["bus", there]               whether there is a bus, at first and when that changes
+    ["key", key, payload]        a message
+    ["alive", key, there]        a service's token
+    ["passed", robot, count]     messages of that robot's synchronous or asynchronous apps that the mesh brought here,
+                                 as long as they are few (`swarm.onboard.traffic`)
+
+In come arrays `[key, payload]`, to be published. The program ends when its input does, so nothing stays behind on a
+robot.
+
+Commands never wait for telemetry: the main thread only reads and publishes commands; a second thread writes the
+telemetry and may wait for a slow reader as long as it takes. What is new meanwhile replaces what was not yet written.
+"""
+
+import contextlib
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable, Iterator
+
+import msgpack
+
+from swarm import clock
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import LocalError, PayloadError
+from swarm.messages.codec import MAX_PAYLOAD
+from swarm.messages.keys import STOP, key, parse
+from swarm.onboard.traffic import Traffic
+from swarm.process.paths import runtime_dir
+
+RATE = 10.0
+MAX_KEYS = 4096
+"""Keys, tokens and senders each that may wait to be written; an app that publishes under ever new keys must not fill
+the memory."""
+MAX_WAITING = 2 << 20
+"""Bytes of messages that may wait to be written, for the same reason."""
+MAX_COMMAND = 4096
+"""bytes: one write to a pipe that is whole or nothing."""
+
+TOLD_ONCE = (
+    "*/status", "app/*/status", "app/*/parameters", "app/*/epoch", "mesh/members", "mesh/stopped", "mesh/topology",
+)  # fmt: skip
+"""Keys below a robot's name that are told on change and answer questions: who comes late asks."""
+
+TOLD = (
+    "*/*", "*/set/*", "app/*/*", "app/*/set/*", "app/*/*/state", "app/*/*/progress", "app/*/*/epoch", "app/*/out/**",
+)  # fmt: skip
+"""Keys below a robot's name that are for people too: all but what apps send to each other, which would cost the bus
+more than the rest together (`swarm.onboard.traffic`)."""
+
+_ANSWER_S = 2.0
+_END_S = 1.0
+"""s for which the end waits for the thread that writes."""
+
+
+class Lookout:
+    """What is new since it was told last."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._keys: dict[str, bytes] = {}
+        self._waiting = 0
+        """Bytes of the messages in `_keys`."""
+        self._alive: dict[str, bool] = {}
+        self._passed: dict[str, int] = {}
+        self._bus: bool | None = None
+
+    def take(self, name: str, payload: bytes) -> None:
+        """A sample of the bus; one that is larger than any message is left out, and so is one that finds no room."""
+        try:
+            _, service, topic = parse(name)
+        except PayloadError:
+            return
+        if service == "app" and topic.endswith("/flood"):
+            return
+        with self._lock:
+            waiting = self._waiting + len(payload) - len(self._keys.get(name, b""))
+            has_room = waiting <= MAX_WAITING and (name in self._keys or len(self._keys) < MAX_KEYS)
+            if has_room and len(payload) <= MAX_PAYLOAD:
+                self._keys[name] = payload
+                self._waiting = waiting
+
+    def passed(self, sender: str, count: int) -> None:
+        """So many messages of that robot's apps have come so far."""
+        with self._lock:
+            if sender in self._passed or len(self._passed) < MAX_KEYS:
+                self._passed[sender] = count
+
+    def alive(self, name: str, there: bool) -> None:
+        """A service's process has come or gone."""
+        with self._lock:
+            if name in self._alive or len(self._alive) < MAX_KEYS:
+                self._alive[name] = there
+
+    def bus(self, there: bool) -> None:
+        """The bus has come or gone."""
+        with self._lock:
+            self._bus = there
+
+    def news(self) -> bytes:
+        """What is new, packed; empty where nothing is."""
+        with self._lock:
+            said: list[list[object]] = [] if self._bus is None else [["bus", self._bus]]
+            said += (["alive", name, there] for name, there in self._alive.items())
+            said += (["key", name, payload] for name, payload in self._keys.items())
+            said += (["passed", robot, count] for robot, count in self._passed.items())
+            self._bus = None
+            self._alive.clear()
+            self._keys.clear()
+            self._waiting = 0
+            self._passed.clear()
+        return b"".join(msgpack.packb(each) for each in said)
+
+
+def watch(bus: Bus, robot: str, take: Callable[[str, bytes], None], alive: Callable[[str, bool], None]) -> None:
+    """Hear what is said on a robot's bus from now on, and what was said before and still holds."""
+
+    def ask(connected: bool) -> None:
+        for topic in TOLD_ONCE if connected else ():
+            bus.ask(key(robot, *topic.split("/")), take, timeout_s=_ANSWER_S)
+
+    bus.subscribe([key("*", *topic.split("/")) for topic in TOLD], take)
+    bus.watch(key("*", "**", "alive"), alive)
+    bus.on_change(ask)
+
+
+def publish(bus: Bus, command: object) -> None:
+    """Publish what the page wants said on the bus; anything that is no command is left out."""
+    match command:
+        case [str(name), bytes(payload)] if name == STOP or _is_key(name):
+            with contextlib.suppress(LocalError):
+                bus.publish(name, payload, urgent=True)
+
+
+def _is_key(name: str) -> bool:
+    try:
+        parse(name)
+    except PayloadError:
+        return False
+    return True
+
+
+def main() -> None:
+    """For the robot that this is."""
+    robot = sys.argv[1]
+    lookout = Lookout()
+    ended, closing = os.eventfd(0), threading.Event()
+    with Bus.of(runtime_dir()) as bus:
+        lookout.bus(bus.wait_connected(1.0))
+        bus.on_change(lookout.bus)
+        watch(bus, robot, lookout.take, lookout.alive)
+        traffic = Traffic(bus, robot, lookout.passed)
+
+        def tell() -> None:
+            try:
+                with contextlib.suppress(BrokenPipeError):
+                    while not closing.wait(1.0 / RATE):
+                        traffic.look(clock.now())
+                        _write(lookout.news())
+            finally:  # nobody hears us, or this is a defect: nothing stays behind that answers nobody
+                os.eventfd_write(ended, 1)
+
+        telling = threading.Thread(target=tell, name="telemetry", daemon=True)
+        telling.start()
+        try:
+            for command in _commands(ended):
+                publish(bus, command)
+        except (ValueError, TypeError, msgpack.UnpackException) as error:
+            sys.exit(f"lookout: the input is no sequence of commands: {type(error).__name__}")
+        finally:
+            # A thread that comes back from Zenoh while the interpreter ends would abort the process. One that waits for
+            # a slow reader may stay where it is.
+            closing.set()
+            telling.join(_END_S)
+
+
+def _commands(ended: int) -> Iterator[object]:
+    """Commands as they arrive, until the input ends or `ended` (an eventfd) is set."""
+    unpacker = msgpack.Unpacker(max_buffer_size=16 * MAX_COMMAND)
+    source = sys.stdin.fileno()
+    while source in select.select([source, ended], [], [])[0]:
+        data = os.read(source, MAX_COMMAND)
+        if not data:
+            return
+        unpacker.feed(data)
+        yield from unpacker
+
+
+def _write(data: bytes) -> None:
+    """Write all of it, however long the reader makes us wait."""
+    while data:
+        data = data[os.write(sys.stdout.fileno(), data) :]
+
+
+if __name__ == "__main__":
+    main()

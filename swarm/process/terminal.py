@@ -1,0 +1,52 @@
+"""Standard output and error of a process: text that others have named reaches them in printable form only.
+
+`guard` is called once where a program begins; from then on everything that is written by `print`, `sys.stdout.write`,
+`argparse` or a traceback goes through `swarm.process.text.printable`, so that no caller can forget it. Lines stay lines: a
+table whose cells others have named is written by `write_lines`, which keeps each row on its line.
+"""
+
+import sys
+import typing
+from collections.abc import Iterable
+from typing import Any, TextIO
+
+from swarm.process.text import printable
+
+
+class Guarded:
+    """A text stream that writes each line in printable form; in all else the stream that it was made from."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+        """Takes anything: only `steer` writes to it."""
+
+    def write(self, text: str) -> int:
+        """Write text; its line ends stay, all other control characters become visible."""
+        self.stream.write("\n".join(printable(line, None) for line in text.split("\n")))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write several texts."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+def guard() -> None:
+    """Guard this process' standard output and error; once more does nothing."""
+    if not isinstance(sys.stdout, Guarded):
+        sys.stdout = typing.cast(TextIO, Guarded(sys.stdout))
+    if not isinstance(sys.stderr, Guarded):
+        sys.stderr = typing.cast(TextIO, Guarded(sys.stderr))
+
+
+def write_lines(lines: Iterable[str]) -> None:
+    """Write each of these to standard output as one line."""
+    sys.stdout.write("".join(printable(line, None) + "\n" for line in lines))
+
+
+def steer(stream: TextIO, codes: str) -> None:
+    """Write control codes of our own, e.g. a carriage return, to a stream that may be guarded."""
+    (stream.stream if isinstance(stream, Guarded) else stream).write(codes)

@@ -1,0 +1,1 @@
+"""Bytes of recordings, without IO: the MCAP container, JSON texts and schemas."""

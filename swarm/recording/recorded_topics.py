@@ -1,0 +1,175 @@
+"""What an app's recording holds beside the app's own states: what its robot's services said meanwhile on the bus.
+
+Poses, LEDs, buttons, the body, links, clock and topology of the mesh, and the messages of this app that came in: what
+the pictures of a run need, and no more, since each costs the process some 0.1 ms. Fast keys are thinned out.
+"""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, Protocol
+
+from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.throttle import GATHERED, SLOW
+from swarm.errors import PayloadError
+from swarm.messages import Flooded, FloodRequest, Gathered, Passed, SendRequest, Sent, read
+from swarm.messages.codec import decode
+from swarm.messages.keys import key
+
+TOPICS = {
+    "dwm/pose": 0.0,
+    "balancer/state": 0.2,
+    "balancer/leds": 0.0,
+    "balancer/buttons": 0.0,
+    "balancer/fault": 0.0,
+    "mesh/links": 1.0,
+    "mesh/clock": 1.0,
+    "mesh/topology": 2.0,
+    "mesh/members": 0.0,
+    "mesh/flooded": 0.0,
+    "mesh/sent": 0.0,
+    "mesh/passed": 0.0,
+    "sim/truth": 0.2,
+    "sim/target": 0.2,
+    "sim/leds": 0.0,
+}
+"""What is recorded of the robot's own keys, and the least time between two messages of a key, s."""
+
+SLOW_TOPICS, GATHERED_TOPICS = ("sim/truth",), ("balancer/state", "dwm/pose")
+"""Of which `TOPIC/slow` or `TOPIC/gathered` is heard."""
+
+EARLY = 0.75
+"""A message may come that share of the least time after the one before: clocks of publishers are not even."""
+
+MAX_WAITING = 4096
+"""Messages that wait to be looked at; the oldest are lost."""
+
+MAX_ASKED = 256
+"""Requests that are told from their repetitions."""
+
+_log = logging.getLogger("record")
+
+
+class Takes(Protocol):
+    """Where messages are put."""
+
+    def write(self, topic: str, t: float, message: object, name: str = "") -> None:
+        """Record a message at `t`."""
+
+
+class Asked(NamedTuple):
+    """A flood (`to` is empty) or message that this app asked the mesh for, on `.../app/<app>/asked`."""
+
+    t: float
+    ticket: str
+    to: str
+    size: int
+    """Bytes of its payload."""
+
+    def fields(self) -> dict[str, object]:
+        """As a message."""
+        return self._asdict()
+
+
+class Heard(NamedTuple):
+    """A flood or message of the same app on another robot that has come, on `.../app/<app>/heard`."""
+
+    t: float
+    sender: str
+    flooded: bool
+    size: int
+
+    def fields(self) -> dict[str, object]:
+        """As a message."""
+        return self._asdict()
+
+
+class Watch:
+    """Listens on one robot's bus, and puts what it hears into a recording when told to."""
+
+    def __init__(self, bus: BusLike, robot: str, app: str, sink: Takes, now: Clock, *, copies: bool = True) -> None:
+        """`copies`: fast keys have some, which are heard in their place (not so in virtual time)."""
+        self._sink = sink
+        self._now = now
+        self._app = app
+        self._prefix = key(robot, f"app/{app}")
+        self._waiting: deque[tuple[str, bytes, float]] = deque(maxlen=MAX_WAITING)
+        self._last: dict[str, float] = {}
+        self._asked: deque[str] = deque(maxlen=MAX_ASKED)
+        self._least = {key(robot, topic): least for topic, least in TOPICS.items()}
+        self.on_sample: Callable[[], None] = lambda: None
+        """Called after each message: in virtual time `drain`, as there is no thread that would."""
+        of = partial(key, robot)
+        self._copies = {f"{name}/{SLOW}": name for name in map(of, SLOW_TOPICS if copies else ())}
+        self._gathered = {f"{name}/{GATHERED}": name for name in map(of, GATHERED_TOPICS if copies else ())}
+        kinds = self._copies | self._gathered
+        heard = set(self._least) - set(kinds.values()) | set(kinds)
+        bus.subscribe(sorted(heard), self._take)
+        bus.subscribe([key("*", "app", app, "flood"), key("*", "app", app, "send", robot)], self._take)
+
+    def hear_requests(self, bus: BusLike, robot: str) -> None:
+        """Take this app's requests and parameters from the bus, where its session is another one than ours (in virtual
+        time)."""
+
+        def take(name: str, payload: bytes) -> None:
+            request = read(name, payload)
+            if not isinstance(request, FloodRequest | SendRequest) or request.app != self._app:
+                return
+            if request.ticket not in self._asked:  # else it waits for its answer, and is repeated
+                self._asked.append(request.ticket)
+                self.asked(request)
+
+        parameters = f"{self._prefix}/parameters"
+        self._least[parameters] = 0.0
+        bus.subscribe(parameters, self._take)
+        bus.subscribe([key(robot, "mesh", "set", "flood"), key(robot, "mesh", "set", "send")], take)
+
+    def asked(self, request: FloodRequest | SendRequest) -> None:
+        """This app asks the mesh to carry something."""
+        to = request.to if isinstance(request, SendRequest) else ""
+        asked = Asked(self._now(), request.ticket, to, len(request.payload))
+        self._sink.write(f"{self._prefix}/asked", asked.t, asked.fields(), "swarm.Asked")
+
+    def drain(self) -> None:
+        """Record what has come since the last call."""
+        while self._waiting:
+            name, payload, t = self._waiting.popleft()
+            if name in self._least:
+                self._record(name, payload, t)
+            elif name in self._gathered:
+                self._record_all(name, payload, t)
+            else:
+                _, sender, _, _, kind, *_ = name.split("/")
+                heard = Heard(t, sender, kind == "flood", len(payload))
+                self._sink.write(f"{self._prefix}/heard", t, heard.fields(), "swarm.Heard")
+
+    def _take(self, name: str, payload: bytes) -> None:
+        """On Zenoh's thread: nothing is decoded here."""
+        t = self._now()
+        name = self._copies.get(name, name)
+        least = self._least.get(name, 0.0)
+        if least and t - self._last.get(name, -least) < EARLY * least:
+            return
+        self._last[name] = t
+        self._waiting.append((name, payload, t))
+        self.on_sample()
+
+    def _record_all(self, name: str, payload: bytes, t: float) -> None:
+        try:
+            gathered = decode(Gathered, payload, name)
+        except PayloadError as error:
+            _log.debug("not recorded: %s", error)
+            return
+        for message in gathered.messages:
+            self._record(self._gathered[name], message, t)
+
+    def _record(self, name: str, payload: bytes, t: float) -> None:
+        try:
+            message = read(name, payload)
+        except PayloadError as error:
+            _log.debug("not recorded: %s", error)
+            return
+        if isinstance(message, Flooded | Sent | Passed) and message.app not in ("", self._app):
+            return  # of another app; of an answer on its way nobody knows
+        self._sink.write(name, getattr(message, "t", t), message)
