@@ -1,8 +1,8 @@
 """Lockstep as a discrete-event model: robots that compute in no time, over links that only take theirs.
 
 The limit of what lockstep can do on links with jitter and cuts: a robot is at k + 1 when the last of its neighbours'
-x(k) is there. The links are the simulator's own (`services.mesh.core.radio_model`): same distribution, same order. A cut
-holds what arrives during it until it ends, as the simulated radio does. Pure: seeded, no clock, no IO.
+x(k) is there. The links are the simulator's own (`services.mesh.core.radio_model`): same distribution, same order. A
+cut holds what arrives during it until it ends, as the simulated radio does. Pure: seeded, no clock, no IO.
 """
 
 import heapq

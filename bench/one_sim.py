@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench import socket_sim
-from laptop.cli.runs import sim as sim
+from laptop.cli.runs import sim
 from sim import run
 from sim.core import patience
 from sim.monitor import Monitor

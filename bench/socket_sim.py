@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from bench import radio, socket_mesh
-from laptop.cli.runs import sim as sim
+from laptop.cli.runs import sim
 from sim import run
 from swarm.config.keyfile import new_key_file
 from swarm.process import service

@@ -6,7 +6,7 @@ computer's two, and with that hold up what on a robot they do not.
 `python -m bench.talking_sim ARGUMENTS`, as of `swarm sim`, with an app that neither moves nor measures.
 """
 
-from laptop.cli.runs import sim as sim
+from laptop.cli.runs import sim
 from sim import run
 from swarm.process import service
 

@@ -1,7 +1,7 @@
 """The processes of a simulated swarm: started, restarted as systemd would, ended with nothing left behind.
 
-Each child dies with this process by PR_SET_PDEATHSIG (`swarm.process.service.die_with_parent`), which the kernel ties to the
-thread that started it: so everything here is called from the main thread only.
+Each child dies with this process by PR_SET_PDEATHSIG (`swarm.process.edges.die_with_parent`), which the kernel ties to
+the thread that started it: so everything here is called from the main thread only.
 """
 
 import contextlib

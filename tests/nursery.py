@@ -31,14 +31,14 @@ PACKAGES = (
     "services.dwm",
     "services.dwm.calibrate",
     "services.mesh",
-    "sim",
 )
 MODULES = (
     "bench.talking_sim",
+    "laptop.cli.sim",
+    "laptop.cli.z_sub",
     "services.balancer.bridge",
     "services.dwm.tool",
     "sim.body",
-    "swarm.onboard.z_sub",
 )
 SIMULATIONS = ("laptop.cli.runs.sim", "bench.talking_sim")
 """They start services themselves."""

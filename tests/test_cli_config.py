@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +9,8 @@ from pathlib import Path
 import pytest
 
 import swarm
-from laptop.cli import HANDED_ON, MODULES, VERBS, help_of, main
+from laptop.cli import main
+from laptop.cli.commands import COMMANDS, Command, Group, help_of, names
 from swarm.config.example import EXAMPLE
 
 
@@ -73,19 +73,48 @@ def test_wrong_arguments(arguments, capsys):
     assert "swarm config" in capsys.readouterr().err
 
 
-def test_unknown_verb(capsys):
+def test_an_unknown_command_is_refused_with_the_one_that_is_meant(capsys):
     assert run("confg") == 2
     assert capsys.readouterr().err == "swarm: no command 'confg'; did you mean config?\n"
+    assert run("press", "r0", "A") == 2
+    assert capsys.readouterr().err == "swarm: no command 'press'; did you mean hand press?\n"
+    assert run("hand", "prod") == 2
+    assert "no command 'hand prod'; there are hand press, hand push" in capsys.readouterr().err
     assert run("xyz") == 2
-    assert f"there are {', '.join([*VERBS, *HANDED_ON])}" in capsys.readouterr().err
+    assert f"there are {', '.join(COMMANDS)}" in capsys.readouterr().err
 
 
-def test_help_lists_every_verb(capsys):
+def test_help_lists_every_command_and_fits_a_screen(capsys):
     assert run("--help") == 0
-    text = capsys.readouterr().out
-    assert all(f"\n  {verb} " in text for verb in (*VERBS, *HANDED_ON))
-    assert max(map(len, text.splitlines())) <= 100
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines if line.startswith("  ")] == list(COMMANDS)
+    assert max(map(len, lines)) <= 100
+    assert len(lines) <= 52
     assert run() == 2
+
+
+@pytest.mark.parametrize("group", [name for name, each in COMMANDS.items() if isinstance(each, Group)])
+def test_help_of_a_group_lists_its_commands(group, capsys):
+    assert run(group, "--help") == 0
+    text = capsys.readouterr().out
+    assert all(f"\n  {name} " in text for name in COMMANDS[group].commands)
+
+
+def test_stop_is_estop():
+    assert COMMANDS["stop"].module == COMMANDS["estop"].module
+    assert [name for name in names() if name.split()[-1] == "stop"] == ["app stop", "services stop", "stop"]
+
+
+def test_the_completion_script_completes_commands_and_those_of_groups():
+    script = subprocess.run(
+        [sys.executable, "-m", "laptop.cli", "completion"], capture_output=True, text=True, check=True
+    )
+    ask = 'COMP_WORDS=(swarm hand pr); COMP_CWORD=2; _swarm; echo "${COMPREPLY[@]}"'
+    done = subprocess.run(["bash", "-c", f"{script.stdout}{ask}"], capture_output=True, text=True, check=True)
+    assert done.stdout == "press\n"
+    ask = 'COMP_WORDS=(swarm es); COMP_CWORD=1; _swarm; echo "${COMPREPLY[@]}"'
+    done = subprocess.run(["bash", "-c", f"{script.stdout}{ask}"], capture_output=True, text=True, check=True)
+    assert done.stdout == "estop\n"
 
 
 def test_version(capsys):
@@ -94,12 +123,12 @@ def test_version(capsys):
 
 
 @pytest.mark.parametrize(("verb", "first"), [("sim", []), ("demo", ["--demo"])])
-def test_verbs_of_the_simulation_are_handed_on_untouched(verb, first, monkeypatch):
+def test_the_program_of_the_simulation_gets_its_arguments_untouched(verb, first, monkeypatch):
     called = []
-    monkeypatch.setattr(os, "execv", lambda *arguments: called.append(arguments) or sys.exit(7))
+    monkeypatch.setattr(sys, "argv", ["swarm"])
+    monkeypatch.setattr("laptop.cli.runs.sim.main", lambda: called.append(sys.argv) or 7)
     assert run(verb, "--help", "--robots", "3", "--", "-x") == 7
-    rest = ["--help", "--robots", "3", "--", "-x"]
-    assert called == [(sys.executable, [sys.executable, "-m", "laptop.cli.runs.sim", *first, *rest])]
+    assert called == [["swarm", *first, "--help", "--robots", "3", "--", "-x"]]
 
 
 SWARM = "from laptop.cli import main; main()"
@@ -141,17 +170,22 @@ def test_nothing_heavy_is_imported():
     assert not loaded & {"zenoh", "numpy", "asyncio", "matplotlib", "services"}
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_the_help_of_a_verb_is_that_of_its_module(verb):
-    assert help_of(verb) == importlib.import_module(f"laptop.cli.{MODULES.get(verb, verb)}").HELP
+def every_command():
+    for each in COMMANDS.values():
+        yield from each.commands.values() if isinstance(each, Group) else [each]
 
 
-def test_help_imports_no_verb():
+@pytest.mark.parametrize("command", [each for each in every_command() if not each.help], ids=lambda each: each.module)
+def test_the_help_of_a_command_is_that_of_its_module(command: Command):
+    assert help_of(command) == importlib.import_module(command.module).HELP
+
+
+def test_help_imports_no_command():
     look = (
         "import sys; from laptop.cli import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: sys.stderr.write(' '.join(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60, check=True)
-    assert [name for name in done.stderr.split() if name.startswith("laptop.cli.")] == []
-    assert all(f"\n  {verb:<9} " in done.stdout for verb in (*VERBS, "sim", "sweep"))
+    assert [name for name in done.stderr.split() if name.startswith("laptop.cli.")] == ["laptop.cli.commands"]
+    assert all(f"\n  {name:<10} " in done.stdout for name in COMMANDS)

@@ -20,7 +20,7 @@ from swarm.onboard.samples import Sample, as_json, as_text, value_text
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import claim
 
-Z_SUB = ("-m", "swarm.onboard.z_sub")
+Z_SUB = ("-m", "laptop.cli.z_sub")
 RED = Leds(1.0, red=True, yellow=False, green=False)
 
 

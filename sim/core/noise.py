@@ -54,7 +54,7 @@ def scene(
 
 
 def as_csv(recording: Recording) -> str:
-    """The recording in the layout of `swarm.recording.thesis_ranges`; no estimates are known, so those columns are zero."""
+    """The recording in the layout of `swarm.recording.thesis_ranges`; the columns of estimates are zero."""
     lines = ["0.0" + ",0.0" * 6]
     for t, row in zip(recording.times, recording.rows, strict=True):
         lines.append(",".join([repr(t), *["0.0"] * 6, "0", "0.0", *(repr(100.0 * value) for value in row)]))

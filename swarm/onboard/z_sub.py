@@ -38,16 +38,17 @@ _PATIENCE = 1.0
 """Seconds of silence about a bus that is not there yet: a session takes a moment to open."""
 
 
-def main(argv: Sequence[str] | None = None) -> NoReturn:
-    """Entry point of `z_sub`: our own errors are one line on stderr and exit code 2, never a traceback."""
+def main(argv: Sequence[str] | None = None, over_ssh: Callable[[argparse.Namespace], int] | None = None) -> NoReturn:
+    """Run `z_sub`: our own errors are one line on stderr and exit code 2, never a traceback.
+
+    `over_ssh` watches real robots from a laptop and returns the exit code; a robot has no such function.
+    """
     code = 0
     guard()
     try:
         options = _parse(argv)
-        if _is_far(options):
-            from laptop.cli import z_sub_ssh  # a robot has no use for it
-
-            code = z_sub_ssh.watch(options)
+        if over_ssh is not None and _is_far(options):
+            code = over_ssh(options)
         else:
             _Watch(options).run()
         sys.stdout.flush()

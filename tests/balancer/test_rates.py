@@ -103,7 +103,7 @@ def answer(request: MeasureI2C) -> I2CRates:
 
 
 def test_the_table_has_the_thesis_beside_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert i2c.measured(arguments("--sizes", "8,8,1", "--count", "7"), "r0", answer) == 0
+    assert i2c._measured(arguments("--sizes", "8,8,1", "--count", "7"), "r0", answer) == 0
     assert capsys.readouterr().out.splitlines() == [
         "r0: I2C with the ATmega, kbit/s of data",
         " bytes  transfers  failed     read    write",
@@ -114,7 +114,7 @@ def test_the_table_has_the_thesis_beside_it(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_json(capsys: pytest.CaptureFixture[str]) -> None:
-    i2c.measured(arguments("--sizes", "8", "--json"), "r0", answer)
+    i2c._measured(arguments("--sizes", "8", "--json"), "r0", answer)
     found = json.loads(capsys.readouterr().out)
     assert found["robot"] == "r0"
     assert found["sizes"][0]["read"] == 21_234.0
@@ -122,7 +122,7 @@ def test_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_problem_is_an_error() -> None:
     with pytest.raises(LocalError, match="r0: I2C: dead"):
-        i2c.measured(arguments(), "r0", lambda request: I2CRates(1.0, "", 1, 0, 9, None, None, "I2C: dead"))
+        i2c._measured(arguments(), "r0", lambda request: I2CRates(1.0, "", 1, 0, 9, None, None, "I2C: dead"))
 
 
 @pytest.mark.parametrize("bad", [("--sizes", "29"), ("--sizes", "x"), ("--count", "0"), ("--count", "1001")])
@@ -152,14 +152,16 @@ def test_without_a_balancer_the_bus_is_taken_directly(
 ) -> None:
     real = Real()
     monkeypatch.setattr(i2c_direct, "KernelBus", real.open)
-    monkeypatch.setattr("sys.argv", ["rates", "r4", "--sizes", "4", "--count", "3"])
-    i2c_direct.main()
+    monkeypatch.setattr(i2c.buses, "find", lambda _: {"r4": i2c.DEFAULT_RUNTIME})
+    monkeypatch.setattr(i2c, "_answers", lambda *_: False)
+    monkeypatch.setattr(i2c, "PATIENCE", 0.0)
+    assert i2c.run(arguments("--sizes", "4", "--count", "3")) == 0
     assert capsys.readouterr().out.startswith("r4: I2C with the ATmega")
     assert real.closed
     assert real.robot.atmega.motors == (0.0, 0.0)
     del real.robot.devices[20]
     with pytest.raises(LocalError, match="the ATmega does not answer"):
-        i2c_direct.main()
+        i2c.run(arguments())
 
 
 def test_a_balancer_of_a_simulation_that_is_silent_is_no_reason_to_touch_a_bus(

@@ -225,7 +225,7 @@ def test_status_and_z_sub_see_its_services(pi: Booted, capsys: pytest.CaptureFix
     assert row["release"].startswith("0.1.0-")
     assert row["battery_v"] > 5.0
     watch = ["--robot", "r0", "swarm/*/balancer/state", "--count", "3", "--seconds", "60", "--json"]
-    lines = [json.loads(line) for line in sh(sys.executable, "-m", "swarm.onboard.z_sub", *watch, *where).splitlines()]
+    lines = [json.loads(line) for line in sh(sys.executable, "-m", "laptop.cli.z_sub", *watch, *where).splitlines()]
     assert [line["key"] for line in lines] == ["swarm/r0/balancer/state"] * 3
     assert lines[0]["value"]["ticks"] < lines[2]["value"]["ticks"]
 

@@ -48,7 +48,7 @@ def add(robots: FakeRobots) -> Iterator[Callable[[str], Path]]:
 
 def start(robots: FakeRobots, *arguments: str) -> subprocess.Popen[str]:
     robots.ready()
-    command = [sys.executable, "-m", "swarm.onboard.z_sub", *arguments]
+    command = [sys.executable, "-m", "laptop.cli.z_sub", *arguments]
     command += ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config)]
     return nursery.start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

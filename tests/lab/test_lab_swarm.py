@@ -92,7 +92,7 @@ class Laptop:
 
     def words(self, command: str) -> list[str]:
         program, *rest = command.split()
-        module = {"swarm": "laptop.cli", "z_sub": "swarm.onboard.z_sub"}[program]
+        module = {"swarm": "laptop.cli", "z_sub": "laptop.cli.z_sub"}[program]
         own = ["--config", str(self.config), "--ssh-config", str(self._ssh)]
         return [sys.executable, "-m", module, *rest, *own]
 

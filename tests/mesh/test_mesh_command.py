@@ -135,5 +135,5 @@ def test_from_one_robot_the_whole_swarm_is_seen(
     assert swarm("mesh")[0] == 1
 
 
-def argparse_of(plot: Path) -> "mesh.argparse.Namespace":
+def argparse_of(plot: Path) -> "show.argparse.Namespace":
     return show.argparse.Namespace(run_dir=None, robot=None, json=True, plot=plot)

@@ -9,11 +9,10 @@ import argparse
 import json
 import os
 import queue
-import sys
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import NoReturn
 
+from laptop.cli.measure import i2c_direct
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError
@@ -33,7 +32,6 @@ THESIS_KBIT_S = {"read": 21.0, "write": 53.0}
 PATIENCE = 5.0
 """s for an answer beyond the ticks that the transfers take."""
 _TICK = 0.01
-_DIRECT = "laptop.cli.measure.i2c_direct"
 
 Measure = Callable[[MeasureI2C], I2CRates]
 
@@ -56,20 +54,14 @@ def run(args: argparse.Namespace) -> int:
     ((robot, directory),) = directories.items()
     with Bus.of(directory) as bus:
         if bus.wait_connected(PATIENCE) and _answers(bus, robot):
-            return measured(args, robot, _through(bus, robot))
+            return _measured(args, robot, _through(bus, robot))
     if directory == DEFAULT_RUNTIME:
-        _become_direct(args, robot)
+        with i2c_direct.opened() as (bus, driver):
+            return _measured(args, robot, lambda request: i2c_direct.measure(bus, driver, request))
     raise LocalError(f"the balancer of {robot} does not answer ({directory})")
 
 
-def _become_direct(args: argparse.Namespace, robot: str) -> NoReturn:
-    """The library knows services by name only."""
-    sys.stdout.flush()
-    arguments = ["--sizes", ",".join(map(str, args.sizes)), "--count", str(args.count), *(["--json"] * args.json)]
-    os.execv(sys.executable, [sys.executable, "-m", _DIRECT, robot, *arguments])  # noqa: S606 - our own service
-
-
-def measured(args: argparse.Namespace, robot: str, measure: Measure) -> int:
+def _measured(args: argparse.Namespace, robot: str, measure: Measure) -> int:
     """Measure each size and print."""
     results = []
     for size in args.sizes:

@@ -1,18 +1,14 @@
-"""`python -m laptop.cli.measure.i2c_direct ROBOT`: I2C rates on a robot whose balancer does not run.
+"""I2C rates on a robot whose balancer does not run. The motors are stopped first; nothing else is changed."""
 
-`swarm measure i2c` starts it where that is so. The motors are stopped first; nothing else is changed.
-"""
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-import argparse
-
-from laptop.cli.measure import i2c
 from services.balancer.core.rates import RateMeter
 from services.balancer.drivers import Balboa
 from services.balancer.i2c import I2CBus, KernelBus
 from swarm import clock
 from swarm.errors import LocalError, SwarmError
 from swarm.messages import I2CRates, MeasureI2C
-from swarm.process.edges import run
 
 
 def measure(bus: I2CBus, driver: Balboa, request: MeasureI2C) -> I2CRates:
@@ -35,11 +31,9 @@ def measure(bus: I2CBus, driver: Balboa, request: MeasureI2C) -> I2CRates:
     return meter.news
 
 
-def main() -> None:
-    """Measure and print, as `swarm measure i2c` does."""
-    parser = argparse.ArgumentParser(prog="swarm measure i2c", description=i2c.HELP)
-    i2c.add_arguments(parser)
-    args = parser.parse_args()
+@contextmanager
+def opened() -> Iterator[tuple[I2CBus, Balboa]]:
+    """Open this robot's I2C bus and stop the motors. Raises `LocalError` where the ATmega does not answer."""
     bus = KernelBus()
     try:
         driver = Balboa(bus, clock.now, bus.pause)
@@ -47,10 +41,6 @@ def main() -> None:
             driver.set_up()
         except (OSError, SwarmError) as error:
             raise LocalError(f"the ATmega does not answer: {error}") from None
-        i2c.measured(args, args.name or "this robot", lambda request: measure(bus, driver, request))
+        yield bus, driver
     finally:
         bus.close()
-
-
-if __name__ == "__main__":
-    run(main)

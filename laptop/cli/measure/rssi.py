@@ -1,7 +1,7 @@
 """`swarm measure rssi`: the signal of a Bluetooth link, as its adapter sees it.
 
-Asked over a raw HCI socket, which needs neither root nor bluetoothd (`swarm.bluetooth.hci`); bluetoothd's own interface has
-no such reading, and its management socket gives it to root only.
+The adapter is asked over a raw HCI socket, which needs neither root nor bluetoothd (`swarm.bluetooth.hci`).
+bluetoothd's own interface has no such reading, and its management socket gives it to root only.
 """
 
 import argparse

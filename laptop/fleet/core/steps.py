@@ -1,8 +1,8 @@
 """The steps from a fresh Raspberry Pi OS Lite to a robot, one idea each.
 
-A step is a judgement of the robot's facts (`swarm.onboard.bootstrap.facts`): fine as it is, to be changed so, or not to be
-helped. The same judgement, of facts gathered anew, verifies the change. Nothing is changed on a robot while any step
-that comes before packages (`FIRST`) cannot be helped.
+A step judges the robot's facts (`swarm.onboard.bootstrap.facts`): they are fine as they are, they are to be changed, or
+they cannot be helped. The same judgement, of facts gathered anew, verifies the change. Nothing is changed on a robot
+while any step that comes before packages (`FIRST`) cannot be helped.
 """
 
 from laptop.fleet.core import before, packages, settings
