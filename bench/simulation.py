@@ -74,8 +74,8 @@ class Simulation:
             time.sleep(POLL_S)
 
     def kill(self, robot: str, service: str, signal: str = "KILL") -> None:
-        """`swarm kill`: end (or stop, or continue) one service of one robot."""
-        command = ["kill", robot, service, "--signal", signal, "--run-dir", str(self.run_dir)]
+        """`swarm hand kill`: end (or stop, or continue) one service of one robot."""
+        command = ["hand", "kill", robot, service, "--signal", signal, "--run-dir", str(self.run_dir)]
         subprocess.run([sys.executable, "-m", "laptop.cli", *command], check=True, capture_output=True)
 
     def finish(self, timeout_s: float = 180.0) -> dict[str, object]:

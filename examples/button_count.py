@@ -4,7 +4,7 @@ from swarm import EventApp
 
 
 class ButtonCount(EventApp):
-    """`swarm sim examples/button_count.py`, and elsewhere `swarm press r1 A`."""
+    """`swarm sim examples/button_count.py`, and elsewhere `swarm hand press r1 A`."""
 
     presses: int
 

@@ -4,7 +4,7 @@ from swarm import PeriodicApp, parameter
 
 
 class FollowLeds(PeriodicApp):
-    """`swarm sim examples/follow_leds.py --set r0.first=true`; `swarm param follow_leds hold=1.0` while it runs."""
+    """`swarm sim examples/follow_leds.py --set r0.first=true`; `swarm app param follow_leds hold=1.0` while it runs."""
 
     lit: bool
     period = 0.2

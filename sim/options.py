@@ -98,8 +98,8 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="swarm sim",
         description="Run a simulated swarm: for each robot the processes that run on a Pi, in one simulated world.",
-        epilog="Watch it from another terminal: z_sub 'swarm/**'. End one of its services: swarm kill r0 mesh. "
-        "Lay hands on a robot: swarm push r0, swarm lay r1 back, swarm press r2 A.",
+        epilog="Watch it from another terminal: z_sub 'swarm/**'. End one of its services: swarm hand kill r0 mesh. "
+        "Lay hands on a robot: swarm hand push r0, swarm hand lay r1 back, swarm hand press r2 A.",
     )
     p.add_argument(
         "apps",
@@ -203,7 +203,7 @@ def parse(arguments: list[str]) -> Options:
     if options.clock_skew and not options.virtual:
         raise ConfigError("--clock-skew is for --virtual: processes of one machine have one clock")
     if options.offs and not options.virtual:
-        raise ConfigError("--off is for --virtual; of real processes: swarm kill r2 app, swarm kill r2 mesh")
+        raise ConfigError("--off is for --virtual; of real processes: swarm hand kill r2 app, swarm hand kill r2 mesh")
     if options.view and not options.virtual:
         raise ConfigError("--view shows virtual time; for this one: swarm view, in another terminal")
     if (options.speed is not None or options.no_open) and not options.view:

@@ -1,4 +1,4 @@
-"""Switches simulated robots off and on: what `swarm reboot` asks for, done from the simulation's main thread."""
+"""Switches simulated robots off and on: what `swarm hand reboot` asks for, done from the simulation's main thread."""
 
 import logging
 import shutil

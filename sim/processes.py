@@ -56,7 +56,7 @@ class Child:
         return self.directory / f"{self.service.replace('/', '.')}.log"
 
     def start(self) -> None:
-        """Start the process and note its pid for `swarm kill`."""
+        """Start the process and note its pid for `swarm hand kill`."""
         self.restart_at = None
         with self.log_file.open("ab") as log:
             self.process = subprocess.Popen(

@@ -268,7 +268,7 @@ def _buttons(app: loader.App, options: Options) -> tuple[str, ...]:
     """Tell of the hands that an app waits for."""
     if app.name not in BEGUN_BY_BUTTON or options.presses:
         return ()
-    return (f"{app.name} waits for a button: swarm press r0 A, from another terminal, or --press r0.A@2s",)
+    return (f"{app.name} waits for a button: swarm hand press r0 A, from another terminal, or --press r0.A@2s",)
 
 
 def _both_units(gamma: float) -> str:

@@ -1,4 +1,4 @@
-"""Finding a running simulation, and `swarm kill`."""
+"""Finding a running simulation, and `swarm hand kill`."""
 
 import argparse
 import os
@@ -114,7 +114,7 @@ def test_notes_that_are_no_pid(run: Path, text: str) -> None:
 
 
 def victim(processes: Processes, run: Path, service: str) -> subprocess.Popen[str]:
-    """A process that is r0's `service` as far as `swarm kill` can tell."""
+    """A process that is r0's `service` as far as `swarm hand kill` can tell."""
     process = processes.start("-c", "input()", SWARM_RUNTIME=str(run / "r0"))
     pid_file(run, "r0", service).write_text(f"{process.pid}\n")
     wait_until(lambda: b"SWARM_RUNTIME" in Path(f"/proc/{process.pid}/environ").read_bytes())

@@ -1,4 +1,4 @@
-"""What a page may do to real robots, over ssh, as `swarm run`, `swarm start` and `swarm stop` do it.
+"""What a page may do to real robots, over ssh, as `swarm run`, `swarm services start` and `swarm services stop` do it.
 
 A robot far away takes its time: an act begins at once and returns, and what came of it on each robot is told among the
 page's events. None waits for another. Of two orders about one app the newer one holds.
@@ -79,7 +79,7 @@ class FarHands:
         self._loop.close()
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
-        """By `swarm param` on each robot, which says what became of it."""
+        """By `swarm app param` on each robot, which says what became of it."""
         words = [f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items()]
         told = f"app/{app}: {' '.join(words)}"
 

@@ -139,7 +139,7 @@ class Robots(RealTime):
             elif not tunnel.connected:
                 why = tunnel.problem
             elif not self._bus.get(name, True):
-                why = "it has no bus: swarm start bus"
+                why = "it has no bus: swarm services start bus"
             elif now < self._heard.get(name, self.began) + SILENT_S:
                 return BY_SSH, ""
             else:

@@ -78,7 +78,7 @@ class @CLASS@(PeriodicApp):
     # s between two steps; each robot may have its own: `--set r1.period=0.5`.
     period = 0.2
 
-    # Settings; of an app like this they may be changed while it runs: `swarm param @NAME@ first=true`.
+    # Settings; of an app like this they may be changed while it runs: `swarm app param @NAME@ first=true`.
     first: bool = parameter(False)
 
     def step(self, neighbours):
@@ -116,7 +116,7 @@ def test_it_stays_dark_until_a_button_is_pressed():
     assert all(robot.result()["lit"] for robot in swarm.units.values())
 '''
 
-EVENT = '''"""@NAME@: say here what it does. `swarm check @FILE@`, then `swarm sim @FILE@`, and `swarm press r1 A`."""
+EVENT = '''"""@NAME@: say here what it does. `swarm check @FILE@`, then `swarm sim @FILE@`, and `swarm hand press r1 A`."""
 
 from swarm import EventApp
 

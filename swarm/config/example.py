@@ -43,7 +43,7 @@ bluetooth = "B8:27:EB:00:00:15"
 
 # ---- Topology: who talks to whom. Exactly one of shape, edges or matrix; connected, links hold both ways, at
 # most seven Bluetooth links a robot. A link counts as Bluetooth when either end has no `link`. While the
-# swarm runs `swarm topology set` changes it; another table here, on all robots, takes that back.
+# swarm runs `swarm mesh topology set` changes it; another table here, on all robots, takes that back.
 
 [topology]
 shape = "thesis-d"         # line, loop, full, thesis-d (six robots) or random:SEED

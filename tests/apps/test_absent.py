@@ -54,7 +54,7 @@ def test_an_operator_sends_a_robot_away_and_lets_it_come_back(make_rig: MakeRig)
     full(rig)
     rig.start_all("consensus")
     rig.until_k(5)
-    drop = rig.launch("r0", "cli", ["-m", "laptop.cli", "epoch", "drop", "r1", "--app", "consensus"])
+    drop = rig.launch("r0", "cli", ["-m", "laptop.cli", "mesh", "epoch", "drop", "r1", "--app", "consensus"])
     assert drop.wait(60) == 0
     assert "r0  epoch 1 from iteration" in rig.log("r0", "cli")
     until_members(rig, ("r0", "r2"), *NAMES)

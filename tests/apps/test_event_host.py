@@ -197,7 +197,7 @@ def test_the_command_shows_and_changes_parameters(
 
     def param(*arguments: str) -> tuple[int, str]:
         with pytest.raises(SystemExit) as end:
-            main(["param", *arguments])
+            main(["app", "param", *arguments])
         output = capsys.readouterr()
         return int(str(end.value.code)), output.out + output.err
 
@@ -243,7 +243,7 @@ def test_a_change_that_waits_for_a_running_handler_is_told_as_such(
 
     def param(*arguments: str) -> str:
         with pytest.raises(SystemExit) as end:
-            main(["param", "busy", *arguments])
+            main(["app", "param", "busy", *arguments])
         assert end.value.code == 0
         return capsys.readouterr().out
 

@@ -77,7 +77,7 @@ def test_a_swarm_that_is_well_then_one_with_faults(ask: Ask, simulation: Simulat
     }  # fmt: skip
 
     # An IMU that does not acknowledge.
-    swarm("unplug", "r1", "imu", "--run-dir", str(simulation.run_dir))
+    swarm("hand", "unplug", "r1", "imu", "--run-dir", str(simulation.run_dir))
     wait_until(lambda: "devices" in wrong(ask("r1")[1], "r1"), what="the IMU's fault is seen")
     code, report = ask("r1", "r0")
     assert code == 1

@@ -59,15 +59,15 @@ def test_what_is_wrong_is_named_and_the_others_go_on(
 
 def test_services_are_started_by_their_names(robots: FakeRobots, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     home = robots.add("r0")
-    assert run("restart", "mesh", "consensus") == 0
-    assert run("start") == 0
-    assert run("stop", "dwm") == 0
+    assert run("services", "restart", "mesh", "consensus") == 0
+    assert run("services", "start") == 0
+    assert run("services", "stop", "dwm") == 0
     assert (home / "systemctl.log").read_text().splitlines() == [
         "restart swarm-mesh.service swarm-app@consensus.service",
         "start swarm.target",
         "stop swarm-dwm.service",
     ]
-    assert run("stop", "No Such") == 2
+    assert run("services", "stop", "No Such") == 2
     assert "'No Such': expected bus, mesh, balancer, dwm or the name of an app" in capsys.readouterr().err
 
 

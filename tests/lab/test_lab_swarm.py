@@ -179,7 +179,7 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
                 found = until("the target is found", lambda state: state["k"] > 50 and off(state) <= simulated)
             cold_start = float(machines[0].run("cat /proc/uptime").split()[0])
             rejoined = power_cut(laptop, machines)
-            laptop.do(f"swarm stop localization --timeout {PATIENCE_S:.0f}")
+            laptop.do(f"swarm services stop localization --timeout {PATIENCE_S:.0f}")
             laptop.do(f"swarm fetch --into {tmp_path / 'runs'}")
         finally:
             for machine in machines:
@@ -202,7 +202,7 @@ def power_cut(laptop: Laptop, machines: list[Machine]) -> float:
         began = time.monotonic()
         boot(machines[2])
         laptop.knows(machines)
-        laptop.do(f"swarm start localization --robots r2 --timeout {PATIENCE_S:.0f}")
+        laptop.do(f"swarm services start localization --robots r2 --timeout {PATIENCE_S:.0f}")
         again = until("the members are all three", lambda epoch: epoch["members"] == list(NAMES))
     assert again["epoch"] > without["epoch"]
     with laptop.watch("r2", "swarm/r2/app/localization/state") as until:

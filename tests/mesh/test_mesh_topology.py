@@ -143,7 +143,7 @@ def test_a_wrong_wish_changes_nothing_and_says_why() -> None:
     problems = [(answer.version, answer.problem) for answer in answers(world, "r1")]
     assert problems[0][0] == 0
     assert "got 'star'" in problems[0][1]
-    assert problems[1] == (0, "version 0 is in force, not 3: look at it (swarm topology show) and set again")
+    assert problems[1] == (0, "version 0 is in force, not 3: look at it (swarm mesh topology show) and set again")
     assert problems[2] == (1, "")
     assert problems[3][1].startswith("version 1 is in force, not 0")
 

@@ -1,4 +1,4 @@
-"""Topology at run time between real mesh processes, and the command `swarm topology`."""
+"""Topology at run time between real mesh processes, and the command `swarm mesh topology`."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -22,11 +22,11 @@ Command = Callable[..., tuple[int, str]]
 
 @pytest.fixture
 def command(capsys: pytest.CaptureFixture[str]) -> Iterator[Command]:
-    """`swarm topology ...`; its exit code and what it printed."""
+    """`swarm mesh topology ...`; its exit code and what it printed."""
 
     def run(*arguments: str) -> tuple[int, str]:
         with pytest.raises(SystemExit) as ended:
-            main(("topology", *arguments))
+            main(("mesh", "topology", *arguments))
         shown = capsys.readouterr()
         return int(ended.value.code or 0), shown.out + shown.err
 

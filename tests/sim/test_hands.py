@@ -217,7 +217,7 @@ class Robot:
         wait_until(balances, what="it balances")
 
     def hand(self, *words: str) -> str:
-        command = self.processes.start("-m", "laptop.cli", *words, "--run-dir", str(self.run))
+        command = self.processes.start("-m", "laptop.cli", "hand", *words, "--run-dir", str(self.run))
         out, error = command.communicate(timeout=60)
         assert command.returncode == 0, error
         return out
@@ -289,7 +289,7 @@ def test_a_world_answers_only_its_own_robots(processes: Processes, runtime: Path
 
 @pytest.mark.parametrize("verb", ["press r9 A", "push r9", "lay r9 back"])
 def test_a_robot_that_is_not_there_is_named(processes: Processes, runtime: Path, verb: str) -> None:
-    command = processes.start("-m", "laptop.cli", *verb.split(), "--run-dir", str(runtime / "none"))
+    command = processes.start("-m", "laptop.cli", "hand", *verb.split(), "--run-dir", str(runtime / "none"))
     assert "no simulation is running" in command.communicate(timeout=60)[1]
     assert command.returncode == 2
     holder = processes.start("-c", CLAIM, str(runtime / "run"))
@@ -298,5 +298,5 @@ def test_a_robot_that_is_not_there_is_named(processes: Processes, runtime: Path,
     (runtime / "run" / "swarm.toml").write_text('[[robots]]\nname = "r0"\n')
     for robot, message in (("r9", "no robot 'r9'"), ("r0", "the body of r0 is not running at this moment")):
         words = verb.replace("r9", robot).split()
-        command = processes.start("-m", "laptop.cli", *words, "--run-dir", str(runtime / "run"))
+        command = processes.start("-m", "laptop.cli", "hand", *words, "--run-dir", str(runtime / "run"))
         assert message in command.communicate(timeout=60)[1]

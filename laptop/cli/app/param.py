@@ -1,4 +1,4 @@
-"""`swarm param APP [NAME=VALUE]...`: look at an app's parameters, and change them while it runs.
+"""`swarm app param APP [NAME=VALUE]...`: look at an app's parameters, and change them while it runs.
 
 Asked are the app's hosts on the buses that can be reached: those of a simulation that runs here, else this robot's own.
 With `--fleet` it is done on every robot of the configuration, over ssh.
@@ -31,7 +31,7 @@ HELP = "show or change parameters of an app that runs"
 
 ROUND = 0.3
 """s between two questions, and until a request without an answer is repeated."""
-COMMAND = "sudo -n /opt/swarm/current/bin/swarm param"
+COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
 """On a robot."""
 ANSWER = 3.0
 """s within which a host that is there answers."""

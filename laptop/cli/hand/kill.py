@@ -1,4 +1,4 @@
-"""`swarm kill ROBOT SERVICE`: end one service of a running simulation, which starts it again as systemd would."""
+"""`swarm hand kill ROBOT SERVICE`: end one service of a running simulation, which starts it again as systemd would."""
 
 import argparse
 import os

@@ -1,4 +1,4 @@
-"""`swarm lay ROBOT back|front`: take a robot of a running simulation and lay it down."""
+"""`swarm hand lay ROBOT back|front`: take a robot of a running simulation and lay it down."""
 
 import argparse
 from pathlib import Path

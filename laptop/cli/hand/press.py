@@ -1,4 +1,4 @@
-"""`swarm press ROBOT BUTTON`: press a button of a robot in a running simulation."""
+"""`swarm hand press ROBOT BUTTON`: press a button of a robot in a running simulation."""
 
 import argparse
 from pathlib import Path

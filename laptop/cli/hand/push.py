@@ -1,4 +1,4 @@
-"""`swarm push ROBOT`: push a robot in a running simulation."""
+"""`swarm hand push ROBOT`: push a robot in a running simulation."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`swarm reboot ROBOT`: switch a simulated robot off and on again."""
+"""`swarm hand reboot ROBOT`: switch a simulated robot off and on again."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`swarm unplug ROBOT DEVICE`: take a device off a simulated robot's I2C bus, or put it back."""
+"""`swarm hand unplug ROBOT DEVICE`: take a device off a simulated robot's I2C bus, or put it back."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`swarm epoch show|drop|add|renew`: who is in an app's lockstep, and changing that by an operator's word.
+"""`swarm mesh epoch show|drop|add|renew`: who is in an app's lockstep, and changing that by an operator's word.
 
 Any one member takes the order; the robots agree on it among themselves (docs/lockstep.md).
 """

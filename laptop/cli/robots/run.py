@@ -1,4 +1,4 @@
-"""`swarm run APP`: start an app on all robots; it goes on when the laptop is closed. `swarm stop APP` ends it."""
+"""`swarm run APP`: start an app on all robots; it goes on when the laptop is closed. `swarm services stop APP` ends it."""
 
 import argparse
 import asyncio
@@ -12,7 +12,7 @@ from swarm.app import run_options
 from swarm.config import Config
 from swarm.errors import LocalError
 
-HELP = "start an app on all robots, over ssh (swarm stop APP ends it)"
+HELP = "start an app on all robots, over ssh (swarm services stop APP ends it)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -70,7 +70,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> A
         if not stop:
             raise HostError(problem)
         await ssh.check(host, "sudo -n systemctl stop swarm-balancer.service")
-        return f"its balancer was stopped ({problem}): swarm start balancer, when all is well"
+        return f"its balancer was stopped ({problem}): swarm services start balancer, when all is well"
 
     try:
         found = asyncio.run(everyone.each(robots, job, THERE_S + _SLACK_S, lambda *_: None))

@@ -59,7 +59,9 @@ def memory(robot: Robot) -> Finding:
         return warning("it does not tell", "look at /proc/meminfo there")
     text = f"{free / 1e6:.0f} MB to be had"
     if free < LOW_MEMORY:
-        return warning(text, "stop apps that are not needed: swarm stop APP; what takes it: swarm command 'ps aux'")
+        return warning(
+            text, "stop apps that are not needed: swarm services stop APP; what takes it: swarm command 'ps aux'"
+        )
     return ok(text)
 
 
@@ -98,9 +100,9 @@ def services(robot: Robot) -> Finding:
     if any(each.get("LoadState") == "not-found" for each in found.values()):
         return bad("there are none", "install a release: swarm provision, or swarm deploy")
     if down:
-        return bad(f"not running: {' '.join(down)}", "why: swarm logs; then: swarm restart")
+        return bad(f"not running: {' '.join(down)}", "why: swarm logs; then: swarm services restart")
     if robot.bus is not None and not robot.bus.get("bus"):
-        return bad("they run, and the bus does not answer", "swarm logs bus; then: swarm restart bus")
+        return bad("they run, and the bus does not answer", "swarm logs bus; then: swarm services restart bus")
     often = [name.removeprefix("swarm-") for name, each in found.items() if int(each.get("NRestarts") or 0) >= RESTARTS]
     if often:
         return warning(f"started again and again: {' '.join(often)}", f"why: swarm logs {often[0]}")

@@ -132,7 +132,7 @@ export class Hands {
     this.apps.querySelector("span").replaceChildren(...apps.map(([app, runs]) => this.app(app, runs)));
   }
 
-  // Of all robots: an algorithm's parameters differ between robots by intention only, and then by `swarm param`.
+  // Of all robots: an algorithm's parameters differ between robots by intention only, and then by `swarm app param`.
   parameter(app, name, value) {
     const label = document.createElement("label"), input = document.createElement("input");
     input.value = String(value);

@@ -121,7 +121,7 @@ class Linking:
         """Somebody on this robot wants another topology; what is wrong with that, empty where it is in force."""
         version = self.value.version
         if after is not None and after != version:
-            return f"version {version} is in force, not {after}: look at it (swarm topology show) and set again"
+            return f"version {version} is in force, not {after}: look at it (swarm mesh topology show) and set again"
         if version == MAX_VERSION:
             return f"version {version} is the last one: take the file `topology` out of all robots' state directories"
         try:
