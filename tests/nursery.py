@@ -34,7 +34,7 @@ PACKAGES = (
 )
 MODULES = (
     "bench.talking_sim",
-    "laptop.cli.sim",
+    "laptop.cli.runs.sim",
     "laptop.cli.z_sub",
     "services.balancer.bridge",
     "services.dwm.tool",

@@ -116,7 +116,10 @@ def test_it_stays_dark_until_a_button_is_pressed():
     assert all(robot.result()["lit"] for robot in swarm.units.values())
 '''
 
-EVENT = '''"""@NAME@: say here what it does. `swarm check @FILE@`, then `swarm sim @FILE@`, and `swarm hand press r1 A`."""
+EVENT = '''"""@NAME@: say here what it does.
+
+Try it: `swarm check @FILE@`, then `swarm sim @FILE@`, and `swarm hand press r1 A`.
+"""
 
 from swarm import EventApp
 

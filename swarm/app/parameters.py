@@ -97,8 +97,8 @@ def parameter(
 ) -> Any:
     """Declare a parameter: `gain: float = parameter(0.5, unit="1", low=0, high=1)`.
 
-    Its value comes from `[apps.NAME]` of swarm.toml, from `[apps.NAME.robots.ROBOT]`, or from `--set`; while the app
-    runs `swarm app param` changes it, where it is `live`. In event-driven and periodic apps all are, unless `live=False`.
+    Its value comes from `[apps.NAME]` of swarm.toml, from `[apps.NAME.robots.ROBOT]`, or from `--set`. While the app
+    runs, `swarm app param` changes a `live` one. In event-driven and periodic apps all are, unless `live=False`.
     In synchronous ones none is, unless `live=True`: the robots then change it at different iterations, and a run can
     no longer be repeated bit for bit.
     """

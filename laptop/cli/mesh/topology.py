@@ -1,4 +1,4 @@
-"""`swarm mesh topology show` and `swarm mesh topology set`: who is to be linked with whom, and changing that while it runs.
+"""`swarm mesh topology show|set`: which robots shall be linked, and changing that while the swarm runs.
 
 Any one robot takes the wish; its mesh tells the others. Asked are the meshes whose buses can be reached: all of a
 simulation, else this robot's own, which cannot say whether the others have followed already.

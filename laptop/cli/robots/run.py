@@ -1,4 +1,4 @@
-"""`swarm run APP`: start an app on all robots; it goes on when the laptop is closed. `swarm services stop APP` ends it."""
+"""`swarm run APP`: start an app on all robots. It goes on without the laptop; `swarm services stop APP` ends it."""
 
 import argparse
 import asyncio
