@@ -73,7 +73,7 @@ _LOADERS = frozenset(("json.load", "json.loads", "tomllib.load", "tomllib.loads"
 def taking_apart() -> set[str]:
     """The modules of the product that use a means to take bytes apart: struct, int.from_bytes, msgpack, JSON, TOML."""
     found = set()
-    for path in (*(ROOT / "swarm").rglob("*.py"), *(ROOT / "services").rglob("*.py")):
+    for path in (path for folder in ("swarm", "services", "sim", "laptop") for path in (ROOT / folder).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Attribute) and (node.attr in _MEANS or ast.unparse(node) in _LOADERS):
                 found.add(path.relative_to(ROOT).as_posix())

@@ -23,7 +23,6 @@ from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position
 from services.mesh import monikers
 from swarm import messages
 from swarm.bluetooth import hci
-from swarm.bus import batch
 from swarm.config import keyfile
 from swarm.config.load import parse as parse_config
 from swarm.core import state
@@ -361,9 +360,6 @@ def _as_config(data: bytes) -> object:
 
 TARGETS = (
     Target("messages of the bus", ("swarm/messages/codec.py",), _messages, (PayloadError,)),
-    Target("gathered batches, datagrams of the lane", ("swarm/core/batch.py",),
-           simple([batch.pack([("swarm/r0/a/b", b"x" * 20), ("k", b"")])], lambda data: list(batch.unpack(data))),
-           (PayloadError,)),
     Target("lockstep: frames and channels", ("swarm/core/lockstep_frames.py",),
            simple([encode_step(1, bytes(8), bytes(8)), b"00000000000000a1-0-3-9f3c21aa"],
                   lambda data: decode_frame(data, 8), text(Channel.parse)), (FrameError,)),
@@ -385,7 +381,8 @@ TARGETS = (
     Target("ATmega and IMU: registers", ("services/balancer/core/balboa.py", "services/balancer/core/imu.py"),
            simple(_REGISTERS, balboa.decode_motion, balboa.decode_housekeeping, balboa.decode_progress, imu.decode),
            (RemoteError,)),
-    Target("balancer: datagrams of the loop", ("swarm/messages/codec.py",), simple(_DATAGRAMS, link.unpack), (PayloadError,)),
+    Target("balancer: datagrams of the loop", ("swarm/messages/codec.py",), simple(_DATAGRAMS, link.unpack),
+           (PayloadError,)),
     Target("Bluetooth: HCI events", ("swarm/bluetooth/hci.py",), simple(_HCI, hci.reading, hci.written_supervision),
            (FrameError,)),
     Target("D-Bus messages", ("swarm/onboard/bootstrap/dbus_wire.py",),
@@ -394,10 +391,12 @@ TARGETS = (
     Target("Intel HEX", ("services/balancer/core/intel_hex.py",),
            simple([_HEX], text(lambda each: intel_hex.parse(each, 28 * 1024))), (LocalError,)),
     Target("recordings (MCAP)",
-           ("swarm/recording/core/mcap.py", "swarm/recording/reader.py", "swarm/recording/survey.py", "swarm/core/json_text.py"),
+           ("swarm/recording/core/mcap.py", "swarm/recording/reader.py", "swarm/recording/survey.py",
+            "swarm/recording/core/json_text.py"),
            _recordings, (RecordingError,), room=8),
-    Target("recorded messages (JSON)", ("swarm/core/json_text.py",),
-           simple([json_text.encode({"t": 1.5, "a": [1, {"b": None}]})], json_text.decode), (ValueError, RecursionError)),
+    Target("recorded messages (JSON)", ("swarm/recording/core/json_text.py",),
+           simple([json_text.encode({"t": 1.5, "a": [1, {"b": None}]})], json_text.decode),
+           (ValueError, RecursionError)),
     Target("recordings of the thesis (CSV)", (), _csv, (RecordingError,)),
     Target("swarm.toml", ("swarm/config/load.py",), simple([_CONFIG], _as_config), (ConfigError,), room=8),
     Target("calibration file", ("services/dwm/core/calibration_file.py",),

@@ -8,7 +8,6 @@ from bench.decoders_run import Target
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.pieces import Id, Packet
 from services.mesh.core.events import Received
-from services.mesh.core.gather import Gather
 from services.mesh.core.link import probe
 from services.mesh.core.link.clock import Claim, encode_claim
 from services.mesh.core.link.flow import encode_ack
@@ -274,22 +273,6 @@ def _fragments(rng: random.Random) -> Made:
     return [each[3:] for each in FRAMES[5:7]], feed
 
 
-def _gathered(rng: random.Random) -> Made:
-    """Frames of lockstep from two neighbours, which wait for one another."""
-    gather = Gather()
-    now = 0.0
-
-    def feed(data: bytes) -> None:
-        nonlocal now
-        now += rng.random() * 0.01
-        peer = "r0" if rng.random() < 0.5 else "r2"
-        epoch = int(rng.random() * 400)
-        gather.add(peer, Received(f"swarm/{peer}/app/x/sync/00000000000000a1-{epoch}-3-9f3c21aa", data, SYNC), now)
-        gather.handle_timer(now)
-
-    return (encode_step(5, bytes(8), bytes(8)), encode_step(0, bytes(8), None)), feed
-
-
 def _view(rng: random.Random) -> Made:
     """What a robot tells of itself, by whatever its bus carries, to whoever asks."""
     viewing = Viewing("r1", 4)
@@ -337,6 +320,5 @@ TARGETS = (
     ),
     Target("mesh: fragments put together", (f"{_CORE}fragments.py",), _fragments, (FrameError,)),
     Target("mesh: topologies, and their file", (f"{_CORE}topology.py",), _topologies, (FrameError,)),
-    Target("mesh: frames of lockstep that wait", ("swarm/core/lockstep_frames.py",), _gathered),
     Target("mesh: views of a robot", ("swarm/messages/codec.py",), _view, (PayloadError,)),
 )

@@ -16,7 +16,6 @@ from services.apps.host import schema_of
 from services.apps.runner import Runner as App
 from services.mesh.__main__ import local_of
 from services.mesh.core.events import Received
-from services.mesh.core.gather import by_app
 from services.mesh.core.node import Node
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
@@ -27,7 +26,6 @@ from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock
 from swarm.app.sync_app import SyncApp
-from swarm.bus.lane import Lane
 from swarm.config import Config, load
 from swarm.core.lockstep import Channel, Compute, Lockstep, Send
 from swarm.core.lockstep_actions import address_of
@@ -68,8 +66,6 @@ class Peer:
             deliver=self._take,
             changed=lambda: None,
             keep=lambda: None,
-            lane=Lane(runtime_dir(), f"{robot}.lane"),
-            show=lambda *_: None,
         )
         app = loader.load(APP)
         instance = app.make(config, robot)
@@ -98,12 +94,12 @@ class Peer:
     def _take(self, messages: Sequence[Received]) -> None:
         """On the mesh's thread."""
         with self._lock:
-            for name, frame in by_app(messages).get(APP, ()) if self._began else ():
-                if (address := address_of(name)) is None:
+            for message in messages if self._began else ():
+                if (address := address_of(message.key)) is None:
                     continue
                 sender, _, text, _, around = address
                 try:
-                    self._lockstep.receive(sender, Channel.parse(text), frame, clock.now(), around=around)
+                    self._lockstep.receive(sender, Channel.parse(text), message.payload, clock.now(), around=around)
                 except FrameError:  # what robots say about the members
                     continue
             self._carry_out()

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from swarm.bus.throttle import SLOW, Slow
+from swarm.bus.throttle import THROTTLED, Throttle
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import PayloadError
 from swarm.messages import (
@@ -47,6 +47,10 @@ class Seen:
         return [name for name in services if name not in self.status or self.status[name].state == "starting"]
 
 
+_APP_TOPICS = ("progress", f"state/{THROTTLED}", "epoch")
+"""Topics of the app that is followed."""
+
+
 class Monitor:
     """Watches the buses of all robots and publishes the simulated truth on them.
 
@@ -61,14 +65,14 @@ class Monitor:
         self._seen = {name: Seen() for name in names}
         self._decoded: dict[str, bytes] = {}  # by key: the sample that is in `_seen`
         self._buses = {name: Bus.of(run_dir / name) for name in names}
-        self._slow = {name: Slow(bus, key(name, "sim", "truth"), SLOW_TRUTH_S) for name, bus in self._buses.items()}
+        self._slow = {name: Throttle(bus, key(name, "sim", "truth"), SLOW_TRUTH_S) for name, bus in self._buses.items()}
         for name, bus in self._buses.items():
             bus.subscribe(
                 [
                     key(name, "*", "status"),
                     key(name, "app", "*", "status"),
-                    *([key(name, "app", app, topic) for topic in ("progress", "state/slow", "epoch")] if app else []),
-                    key(name, "balancer", "state", SLOW),
+                    *([key(name, "app", app, topic) for topic in _APP_TOPICS] if app else []),
+                    key(name, "balancer", "state", THROTTLED),
                     key(name, "mesh", "links"),
                     key(name, "dwm", "pose"),
                 ],

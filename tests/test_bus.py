@@ -13,7 +13,7 @@ from conftest import Processes, wait_until
 
 from swarm.bus.zenoh_bus import Bus, Outlet, Router
 from swarm.errors import BusError, LocalError
-from swarm.messages import Gathered, Leds, Stop, read
+from swarm.messages import Leds, Stop, read
 from swarm.messages.codec import MAX_BINARY, MAX_PAYLOAD
 from swarm.messages.service import MAX_STOP_TEXT
 from swarm.process.paths import bus_endpoint
@@ -390,7 +390,7 @@ def test_the_bus_drops_and_counts_an_oversized_message_and_logs_it_once(
     samples = Samples()
     bob.subscribe("swarm/**", samples)
     talk(alice, "swarm/r0/test/x", samples)
-    large = Gathered((bytes(MAX_PAYLOAD),))
+    large = AppOutput(1.0, {"value": "x" * MAX_PAYLOAD})
     for message in (bytes(MAX_BINARY + 1), large, large):
         alice.publish("swarm/r0/test/x", message)
     assert alice.counters["too_large"] == 3

@@ -154,7 +154,7 @@ PROGRAMS_OF_JSON = {"swarm/onboard/lookout.py", "swarm/onboard/listen.py", "sim/
 
 def test_every_program_of_ours_guards_its_output() -> None:
     unguarded = set()
-    for folder in ("swarm", "services"):
+    for folder in ("swarm", "services", "sim", "laptop"):
         for path in (ROOT / folder).rglob("*.py"):
             text = path.read_text()
             if '__name__ == "__main__"' not in text:
@@ -166,7 +166,7 @@ def test_every_program_of_ours_guards_its_output() -> None:
 
 def test_no_program_of_ours_writes_past_the_guard() -> None:
     """`steer` is the one way, for codes of our own."""
-    for folder in ("swarm", "services"):
+    for folder in ("swarm", "services", "sim", "laptop"):
         for path in (ROOT / folder).rglob("*.py"):
             text = path.read_text()
             assert "sys.__stdout__" not in text

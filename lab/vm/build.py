@@ -26,7 +26,17 @@ from lab.waiting import until
 from swarm.errors import LocalError
 
 ROOT = Path(__file__).parents[2]
-RELEASED = ("swarm", "services", "deploy", "pyproject.toml", "README.md", "LICENSE", "requirements-robot.lock")
+RELEASED = (
+    "swarm",
+    "services",
+    "sim",
+    "laptop",
+    "deploy",
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+    "requirements-robot.lock",
+)
 """What a release is made of (deploy/release)."""
 
 TOOLS = {

@@ -12,12 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import swarm
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
 
 PACKAGE = "swarm.onboard.bootstrap"
-_FOLDER = Path(__file__).parent / "robot"
+_LIBRARY = Path(swarm.__file__).parent
+_FOLDER = _LIBRARY / "onboard" / "bootstrap"
 
 BOOT = """
 import importlib.abc, importlib.machinery, json, sys
@@ -55,11 +57,11 @@ _REASONS = (
 
 
 def program(main: str, request: object) -> bytes:
-    """The first line of the bootstrap's input: module `main` of this package's folder `robot`, and its request."""
+    """The first line of the bootstrap's input: module `main` of `swarm.onboard.bootstrap`, and its request."""
     parts = PACKAGE.split(".")
     modules: dict[str, str | None] = {".".join(parts[: n + 1]): None for n in range(len(parts))}
     modules |= {f"{PACKAGE}.{path.stem}": path.read_text() for path in _FOLDER.glob("*.py") if path.stem != "__init__"}
-    modules["swarm.files"] = (_FOLDER.parents[1] / "files.py").read_text()
+    modules["swarm.files"] = (_LIBRARY / "files.py").read_text()
     line = json.dumps({"modules": modules, "main": f"{PACKAGE}.{main}", "request": request})
     return line.encode() + b"\n"
 

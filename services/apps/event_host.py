@@ -25,7 +25,7 @@ from swarm.app.devices import Devices
 from swarm.app.event_app import channels_of
 from swarm.app.overlays import Message, Overlays
 from swarm.app.run_options import Conduct
-from swarm.bus.throttle import APP_STATE_S, Slow
+from swarm.bus.throttle import APP_STATE_S, Throttle
 from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
 from swarm.core.lockstep_frames import Channel
 from swarm.errors import AppError, FrameError, PayloadError, SwarmError
@@ -142,7 +142,7 @@ class EventHost:
         # Of whomever the mesh brings: neighbours may change.
         bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
         bus.subscribe(key(robot, "mesh", "topology"), self._on_topology)
-        self._slow = Slow(bus, key(robot, f"app/{name}", "state"), APP_STATE_S)
+        self._slow = Throttle(bus, key(robot, f"app/{name}", "state"), APP_STATE_S)
         bus.serve(key(robot, f"app/{name}", "state"), self._answer)
         bus.serve(key(robot, f"app/{name}", "progress"), lambda *_: encode(self._progress()))
         if "on_button" in self._runner.handled:

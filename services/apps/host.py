@@ -1,14 +1,11 @@
 """The process around one app: one bus, one ticker and one lock file for all its lockstep channels.
 
-Threads. Each strand has a worker for its steps, so that a slow channel holds up no other. An app's only worker takes
-neighbours' frames itself while it has nothing to do: handing each step over to another thread would cost as much as
-the step. Zenoh's thread feeds the strands and may send what that gives, but never runs a step: an author's step may
-take its time, and a blocked callback would hold up every key of the process. A ticker runs the timers and publishes
-states and progress.
+Threads. Each strand has a worker thread for its steps, so that a slow channel holds up no other. Zenoh's thread feeds
+the strands and may send what that gives, but it never runs a step: an author's step may take its time, and a blocked
+callback would hold up every key of the process. A ticker thread runs the timers and publishes states and progress.
 """
 
 import hashlib
-import queue
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -21,16 +18,13 @@ from services.apps.hold import Hold
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
-from services.apps.steps import Steps
-from services.apps.worker import CLOSE_WITHIN, Arrival, Latest, Queue, Worker
+from services.apps.worker import CLOSE_WITHIN, Latest, Worker
 from swarm import clock
 from swarm.app.run_options import Conduct
 from swarm.app.sync_app import SyncApp
-from swarm.bus import batch
-from swarm.bus.lane import Lane, of_app
 from swarm.core.lockstep import WANT_AFTER, Channel
 from swarm.core.lockstep_actions import address_of
-from swarm.errors import FrameError, PayloadError, SwarmError
+from swarm.errors import FrameError, PayloadError
 from swarm.frozen import frozen
 from swarm.messages import Links, SetAppEpoch, Topology
 from swarm.messages.codec import Value, decode
@@ -84,8 +78,6 @@ class Host:
         assert held is not None
         if not links.kept:
             topology.save(service.runtime, name, run, links)
-        self._lane = Lane(service.runtime, of_app(name))
-        self._listens = None if len(parts) == 1 else threading.Thread(target=self._listen, name="frames", daemon=True)
         self._closing = False
         self._hurry = threading.Event()
         self._connections: dict[str, int] = {}
@@ -98,16 +90,13 @@ class Host:
             schema = schema_of(runner, part.channel, digest)
             terms = Terms(run, schema, conduct.last, conduct.rule, conduct.drop, conduct.after)
             birth, measurements = held.incarnation, part.measurements
-            todo: Queue = Steps(self._lane, self._take) if self._listens is None else queue.SimpleQueue()
-            worker = Worker(
-                service, self._lane, todo, name, part.channel, runner, terms, birth, links, measurements, recorder
-            )
+            worker = Worker(service, name, part.channel, runner, terms, birth, links, measurements, recorder)
             self._notes[terms.notes] = worker
             if not part.channel:
                 self._let_change(name, runner, run, recorder)
             self._workers[part.channel] = self._by_schema[schema] = worker
         # Of neighbours, and of another process of this app on this robot: there must not be one.
-        service.bus.subscribe(key(service.robot, "mesh", "frames", name), self._on_frames)
+        service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
         service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
         service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
@@ -116,8 +105,6 @@ class Host:
         for worker in self._workers.values():
             worker.start()
         self._ticks.start()
-        if self._listens is not None:
-            self._listens.start()
 
     @property
     def failed(self) -> bool:
@@ -148,45 +135,17 @@ class Host:
         for worker in self._workers.values():
             worker.stop()
         self._closing = True
-        if self._listens is not None:
-            self._lane.wake()
-            self._listens.join(CLOSE_WITHIN)
         self._hurry.set()
         self._ticks.join(CLOSE_WITHIN)
         closed = [worker.close() for worker in self._workers.values()]
         self._hold.close()
-        if all(closed):
-            self._lane.close()
-            if self._own_claim is not None:
-                self._own_claim.close()
-
-    # On the thread that takes frames from the lane: the only worker's, or one for all
-
-    def _listen(self) -> None:
-        while not self._closing:
-            if (data := self._lane.wait()) is not None:
-                self._take(data)
-
-    def _take(self, data: bytes) -> None:
-        try:
-            self._on_frames("", data)
-        except SwarmError as error:
-            self._service.log.warning("frames were dropped: %s", error)
+        if all(closed) and self._own_claim is not None:
+            self._own_claim.close()
 
     # On Zenoh's thread
 
-    def _on_frames(self, name: str, payload: bytes) -> None:
-        """Neighbours' frames that came together: each worker gets its own at once."""
-        arrived: dict[Worker, list[Arrival]] = {}
-        try:
-            for part, frame in batch.unpack(payload):
-                self._on_sync(part, frame, arrived)
-        except PayloadError as error:
-            self._refuse(error)
-        _hand_over(arrived)
-
-    def _on_sync(self, name: str, payload: bytes, arrived: dict[Worker, list[Arrival]]) -> None:
-        """A frame. A neighbour's state is put to those that have `arrived`, all else is done now, after those."""
+    def _on_sync(self, name: str, payload: bytes) -> None:
+        """Give a frame to the worker that it is for."""
         if (address := address_of(name)) is None:
             self._refuse_key(name, "not the key of a frame")
             return
@@ -195,7 +154,6 @@ class Host:
             return
         if (told := self._notes.get(text)) is not None:
             if sender != self._service.robot:
-                _hand_over(arrived)
                 told.receive_note(sender, payload)
             return
         try:
@@ -205,7 +163,7 @@ class Host:
             return
         worker = self._by_schema.get(channel.schema)
         if worker is not None and channel.run == self._run:
-            arrived.setdefault(worker, []).append((sender, channel, payload, around))
+            worker.receive(sender, channel, payload, around=around)
             return
         self._service.counters["sync_other_run" if channel.run != self._run else "sync_other_version"] += 1
         for worker in self._workers.values():
@@ -277,11 +235,6 @@ class Host:
             self._hurry.clear()
             if self._closing or self._service.stopping.is_set():
                 return
-            if self._listens is None and any(worker.busy for worker in workers):
-                # Who would take frames runs a step that takes its time; neighbours get answers all the same.
-                while (data := self._lane.take()) is not None:
-                    self._take(data)
-                self._lane.wake()  # it may have been waiting again, and what was to wake it was taken here
             news = [worker.tick() for worker in workers]
             self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
             if not told_ready and all(worker.begun for worker in workers) and not self.failed:
@@ -297,12 +250,6 @@ class Host:
         deadlines = [worker.next_deadline() for worker in workers]
         first = min((deadline for deadline in deadlines if deadline is not None), default=None)
         return longest if first is None else min(longest, max(0.0, first - clock.now()))
-
-
-def _hand_over(arrived: dict[Worker, list[Arrival]]) -> None:
-    for worker, frames in arrived.items():
-        worker.receive(frames)
-    arrived.clear()
 
 
 def schema_of(runner: Runner, channel: str, digest: bytes) -> int:

@@ -1,9 +1,9 @@
 """Files, thread and keys of one strand of an app: a lockstep with its snapshot, recording, state and progress."""
 
+import queue
 import secrets
 import threading
-from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol
+from collections.abc import Callable, Mapping
 
 from services.apps import topology
 from services.apps.ballots import BallotFile, told
@@ -14,9 +14,7 @@ from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.snapshot import SnapshotFile
 from swarm import clock
-from swarm.bus import batch
-from swarm.bus.lane import MESH, Lane
-from swarm.bus.throttle import APP_STATE_S, Slow
+from swarm.bus.throttle import APP_STATE_S, Throttle
 from swarm.core.epoch_actions import Keep, Order, Switch, Tell
 from swarm.core.epoch_notes import LOST, first
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Save, Send
@@ -48,28 +46,12 @@ class Latest:
     state: dict[str, Value]
 
 
-Arrival = tuple[str, Channel, bytes, bool]
-"""A frame behind its sender and the channel it came by, and whether it came around a silent link."""
-
-
-class Queue(Protocol):
-    """Where steps wait."""
-
-    def put(self, step: Compute | Renew | None, /) -> None:
-        """Behind all others; None: the worker is to look whether it shall end."""
-
-    def get(self) -> Compute | Renew | None:
-        """The oldest one; waits for it."""
-
-
 class Worker:
     """Runs one strand: takes its frames, runs its steps in a thread of its own, keeps its files."""
 
     def __init__(
         self,
         service: Service,
-        lane: Lane,
-        todo: Queue,
         app: str,
         part: str,
         runner: Runner,
@@ -79,11 +61,10 @@ class Worker:
         measurements: Measurements | None,
         recorder: Recorder | None,
     ) -> None:
-        """`todo`: its steps, of which it takes one after the other. `part`: name of the channel within the app, empty
-        for an app that is one lockstep. Raises `LocalError` where its files cannot be had."""
+        """`part` names the channel within the app; it is empty for an app that is one lockstep. Raises `LocalError`
+        where the files of the strand cannot be had."""
         self.latest: Latest | None = None
         self._service = service
-        self._lane = lane
         self._runner = runner
         self._part = part
         self._recorder = recorder
@@ -105,19 +86,18 @@ class Worker:
         self._notes = f"{self._prefix}/{terms.notes}"
         self._channel = self._strand.channel
         self._sync = f"{self._prefix}/{self._channel.text}"
-        self._hosts = key(service.robot, "mesh", "frames", app)
-        self._said = ""
         self._measurements = measurements
         self._lock = threading.Lock()  # around the strand
         self._app_lock = threading.Lock()  # around the app, taken first: results are looked at between steps only
-        self._todo = todo
+        self._todo: queue.SimpleQueue[Compute | Renew | None] = queue.SimpleQueue()
+        """Steps to be run, the oldest first; None asks the worker to look whether it shall end."""
         self._closing = False
         self._step_began: float | None = None
         self._measuring: float | None = None
         self._muted = False
         self._state: AppState | None = None
         self._state_key = key(service.robot, self._keys, "state")
-        self._slow = Slow(service.bus, self._state_key, APP_STATE_S)
+        self._slow = Throttle(service.bus, self._state_key, APP_STATE_S)
         self._told: tuple[object, ...] = ()
         self._told_at = 0.0
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
@@ -179,15 +159,13 @@ class Worker:
 
     # On Zenoh's thread
 
-    def receive(self, frames: Iterable[Arrival]) -> None:
-        """Frames of this run and this strand that came together."""
-        robot, strand = self._service.robot, self._strand
+    def receive(self, sender: str, channel: Channel, payload: bytes, *, around: bool) -> None:
+        """Take a frame of this run and this strand; `around`: it came over other robots, not over the link with its
+        sender."""
         with self._lock:
-            now = clock.now()
-            for sender, channel, payload, around in frames:
-                if sender != robot:
-                    self._watch.heard(sender, channel, strand.channel)
-                strand.receive(sender, channel, payload, now, around=around)
+            if sender != self._service.robot:
+                self._watch.heard(sender, channel, self._strand.channel)
+            self._strand.receive(sender, channel, payload, clock.now(), around=around)
             self._perform()
 
     def stranger(self, sender: str, channel: Channel) -> None:
@@ -385,7 +363,7 @@ class Worker:
                 if self._channel is not self._strand.channel:
                     self._channel = self._strand.channel
                     self._sync = f"{self._prefix}/{self._channel.text}"
-                self._send(action.key(self._sync), data)
+                self._service.bus.publish(action.key(self._sync), data, urgent=True)
             case Advanced(k, _):
                 self.latest = Latest(k, self._strand.computed_at, self._runner.state())
                 if self._recorder is not None:
@@ -406,15 +384,6 @@ class Worker:
                     self._recorder.epoch(message, self._part)
             case Fault(reason):
                 self._tell(reason)
-
-    def _send(self, name: str, data: bytes) -> None:
-        """A frame to the mesh. The first one of a channel goes to the app's hosts on this robot, too: another process
-        that runs this app finds out that it is not the only one (R6)."""
-        if self._said != self._sync:
-            self._said = self._sync
-            self._service.bus.publish(self._hosts, batch.pack([(name, data)]), urgent=True)
-        if not self._lane.send(MESH, [(name, data)]):
-            self._service.bus.publish(name, data, urgent=True)
 
     def _keep(self, write: Callable[[], None]) -> None:
         try:

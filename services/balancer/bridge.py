@@ -22,8 +22,7 @@ from services.balancer.core.requests import check
 from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
 from swarm import clock
-from swarm.bus.lane import DWM, Sender
-from swarm.bus.throttle import SLOW, Gathering, Slow
+from swarm.bus.throttle import THROTTLED, Throttle
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
     AppState,
@@ -46,7 +45,6 @@ from swarm.messages import (
     Uwb,
     read,
 )
-from swarm.messages.codec import encode
 from swarm.messages.keys import STOP, key, parse
 from swarm.process.service import Service, run
 
@@ -105,15 +103,13 @@ class Relay:
         self._notices = 0
         self._notices_since = self._heard
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
-        self._slow = Slow(service.bus, self._keys[BalancerState], SLOW_STATE_S)
-        self._gathered = Gathering(service.bus, self._keys[BalancerState])
+        self._slow = Throttle(service.bus, self._keys[BalancerState], SLOW_STATE_S)
         self._mode = ""
-        self._lane = Sender(service.runtime)
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe(STOP, self._stop)
         service.bus.subscribe(commands, self._put)
         self._composer = Composer(service.robot)
-        service.bus.subscribe([key(service.robot, "app", "*", "state", SLOW)], self._app_state)
+        service.bus.subscribe([key(service.robot, "app", "*", "state", THROTTLED)], self._app_state)
 
     def run(self) -> None:
         """Until the loop is gone or the service shall stop."""
@@ -157,15 +153,10 @@ class Relay:
                 self._service.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
-            if self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True):
-                self._gathered.add(message, message.t)
+            self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True)
             self._mode = message.mode
-        name = self._keys[type(message)]
-        if isinstance(message, Odometry):
-            # Half of all that a robot's bus would carry, and nobody is woken for it: the filter looks when it needs it.
-            self._lane.send(DWM, [(name, encode(message))])
         # The body's state goes ahead of whatever floods the bus.
-        self._service.bus.publish(name, message, urgent=True)
+        self._service.bus.publish(self._keys[type(message)], message, urgent=True)
 
     def _stop(self, name: str, payload: bytes) -> None:
         """A sample of `swarm/stop`, on Zenoh's thread: to the loop at once, whatever the payload is."""

@@ -35,7 +35,7 @@ def serve(service: Service) -> None:
 
     bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
     requests = Requests(service, lambda: arrived.put(None), repeats=True)
-    block, localizer = Block(clock.now()), Localizer(service, clock.now(), service.runtime)
+    block, localizer = Block(clock.now()), Localizer(service, clock.now())
     watchdog_at = clock.now()
     service.ready()
     while not service.stopping.is_set():
@@ -44,7 +44,6 @@ def serve(service: Service) -> None:
         except queue.Empty:
             message = None
         now = clock.now()
-        localizer.listen()
         _pass_on(service, requests)
         if isinstance(message, ModuleAnswer):
             requests.answer(message.ticket, message.answer, message.problem)
@@ -59,7 +58,6 @@ def serve(service: Service) -> None:
         if now >= watchdog_at:
             service.watchdog()
             watchdog_at = now + _WATCHDOG_PERIOD
-    localizer.close()
 
 
 def _pass_on(service: Service, requests: Requests) -> None:

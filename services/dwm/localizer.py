@@ -11,10 +11,7 @@ from services.dwm.core.diagnosis import Watch
 from services.dwm.core.motion import Increments
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.tlv import Location
-from swarm.bus import batch
-from swarm.bus.lane import DWM, Lane
 from swarm.bus.protocol import BusLike
-from swarm.bus.throttle import Gathering
 from swarm.config import Config
 from swarm.errors import ConfigError, PayloadError
 from swarm.messages import Odometry
@@ -76,9 +73,8 @@ class Host(Protocol):
 class Localizer:
     """Turns a module's answers into `dwm/ranges` and `dwm/pose`."""
 
-    def __init__(self, service: Host, now: float, runtime: Path | None = None) -> None:
-        """`runtime`: where the balancer's odometry comes by a lane; else it is heard on the bus (in virtual time).
-        Raises `ConfigError` where the robot's calibration does not fit."""
+    def __init__(self, service: Host, now: float) -> None:
+        """Raises `ConfigError` where the robot's calibration does not fit."""
         config, robot = service.config, service.robot
         self._service = service
         kind = config.dwm.filter_of(robot)
@@ -92,15 +88,10 @@ class Localizer:
         # An anchor ranges to nobody, so its answers say nothing.
         is_tag = config.robot(robot).uwb_role == "tag"
         self._watch = Watch(config.anchors, known_modules(config), now) if is_tag else None
-        self._poses = Gathering(service.bus, key(robot, "dwm", "pose"))
         self._odometry: deque[Odometry] = deque(maxlen=_MAX_WAITING)
         self._increments = Increments()
-        self._lane: Lane | None = None
         if kind in ("auto", "ekf"):
-            if runtime is None:
-                service.bus.subscribe(key(robot, "balancer", "odometry"), self._take)
-            else:
-                self._lane = Lane(runtime, DWM)
+            service.bus.subscribe(key(robot, "balancer", "odometry"), self._take)
 
     def report(self, location: Location, when: float) -> None:
         """Publish what follows from an answer that the module gave at `when`, and from the odometry heard so far."""
@@ -115,22 +106,6 @@ class Localizer:
         service.counters["filter_restarts"] = self._pipeline.tracker.restarts
         service.bus.publish(key(service.robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(service.robot, "dwm", "pose"), pose)
-        self._poses.add(pose, when)
-
-    def listen(self) -> None:
-        """Take the odometry that has come. A lane holds ten messages, 0.4 s of them: call it as often where no reports
-        come."""
-        while self._lane is not None and (data := self._lane.take()) is not None:
-            try:
-                for name, payload in batch.unpack(data):
-                    self._take(name, payload)
-            except PayloadError as error:
-                self._refuse(error)
-
-    def close(self) -> None:
-        """Hear no more odometry."""
-        if self._lane is not None:
-            self._lane.close()
 
     def _take(self, name: str, payload: bytes) -> None:
         try:

@@ -7,7 +7,6 @@ on the recording alone: the same however often and by whomever it is asked. Past
 import queue
 
 from swarm import clock
-from swarm.bus.throttle import Gathering
 from swarm.frozen import frozen
 from swarm.messages import Measurement, Pose, Range, Ranges
 from swarm.messages.codec import encode
@@ -61,7 +60,6 @@ def serve(service: Service, recording: Recording) -> None:
 
     robot, target = service.robot, service.config.dwm.target or NOBODY
     service.bus.serve(key(robot, "dwm", "measurement"), answer)
-    poses = Gathering(service.bus, key(robot, "dwm", "pose"))
     service.log.info("replays %s rows=%d", recording.path, recording.steps)
     service.ready()
     while not service.stopping.is_set():
@@ -69,9 +67,7 @@ def serve(service: Service, recording: Recording) -> None:
         try:
             k = first_asked.get(timeout=0.25)  # a signal does not wake a queue: this bounds the time to stop
         except queue.Empty:
-            poses.flush()
             continue
         ranges, pose = Row(recording, k).published(target, clock.now())
         service.bus.publish(key(robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(robot, "dwm", "pose"), pose)
-        poses.add(pose, pose.t)

@@ -36,7 +36,7 @@ def serve(service: Service, path: Path) -> None:
         raise LocalError(
             "[dwm] source is a serial port, which needs pyserial: pip install balboa-swarm[robot]"
         ) from None
-    localizer = Localizer(service, clock.now(), service.runtime)
+    localizer = Localizer(service, clock.now())
     wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
     requests = Requests(service, lambda: os.eventfd_write(wake, 1))
     pause = _FIRST_PAUSE
@@ -57,9 +57,7 @@ def serve(service: Service, path: Path) -> None:
             pause = _FIRST_PAUSE
         service.watchdog()
         service.stopping.wait(pause)
-        localizer.listen()
         pause = min(pause * 2, _MAX_PAUSE)
-    localizer.close()
 
 
 def _poll(service: Service, port: "serial.Serial", localizer: Localizer, requests: Requests, wake: int) -> None:
@@ -82,7 +80,6 @@ def _poll(service: Service, port: "serial.Serial", localizer: Localizer, request
             poller.handle_timer(now)
         if data := poller.to_send():
             port.write(data)
-        localizer.listen()
         if now >= watchdog_at:
             service.watchdog()
             watchdog_at = now + _WATCHDOG_PERIOD

@@ -10,7 +10,6 @@ from functools import partial
 
 from services.mesh import keep
 from services.mesh.core.events import Received
-from services.mesh.core.gather import by_app
 from services.mesh.core.link.dialler import can_link, dials
 from services.mesh.core.link.handshake import Local
 from services.mesh.core.node import Node
@@ -25,11 +24,8 @@ from services.mesh.network import Network
 from services.mesh.runner import Runner
 from services.mesh.tell import Tell
 from swarm import clock
-from swarm.bus import batch
-from swarm.bus.lane import MESH, Lane, of_app
 from swarm.config import Config
 from swarm.config.keyfile import read_keys
-from swarm.core.lockstep_actions import address_of
 from swarm.messages import Clock, Links
 from swarm.messages.keys import key
 from swarm.process import service
@@ -66,9 +62,7 @@ _log = logging.getLogger("mesh")
 class _Mesh(Runner):
     """A runner that publishes its links and keeps the topology; the newest state is always the last one."""
 
-    def __init__(
-        self, node: Node, network: Network, service: Service, lane: Lane, heard: Callable[[str, bytes], None]
-    ) -> None:
+    def __init__(self, node: Node, network: Network, service: Service, heard: Callable[[str, bytes], None]) -> None:
         """`heard(key, payload)` gets what came in, besides the bus."""
         super().__init__(
             node,
@@ -77,22 +71,15 @@ class _Mesh(Runner):
             deliver=self._to_bus,
             changed=self.report,
             keep=self._keep_topology,
-            lane=lane,
-            show=self._show,
         )
         self._service = service
         self._bus = service.bus
         self._heard = heard
-        self._frames_key = key(service.robot, "mesh", "frames")
         self._links_key = key(service.robot, "mesh", "links")
         self._clock_key = key(service.robot, "mesh", "clock")
         self._topology_key = key(service.robot, "mesh", "topology")
         self._reporting = threading.Lock()
         self._keeping = threading.Lock()
-
-    def _show(self, key: str, payload: bytes) -> None:
-        if self._bus.wanted(_FRAMES):
-            self._bus.publish(key, payload, urgent=True)
 
     def report(self) -> None:
         """Publish `mesh/links`, `mesh/clock` and `mesh/topology`."""
@@ -109,14 +96,7 @@ class _Mesh(Runner):
             self._service.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
     def _to_bus(self, messages: Sequence[Received]) -> None:
-        # Hosts of apps hear this one message, and whoever listens to the frames themselves hears those.
-        for app, frames in by_app(messages).items():
-            if not self._lane.send(of_app(app), frames):
-                self._bus.publish(f"{self._frames_key}/{app}", batch.pack(frames), urgent=True)
-        frames_wanted = self._bus.wanted(_FRAMES)
         for each in messages:
-            if not frames_wanted and address_of(each.key) is not None:
-                continue
             self._heard(each.key, each.payload)
             self._bus.publish(each.key, each.payload, urgent=each.priority < BULK)
 
@@ -145,8 +125,7 @@ def main() -> None:
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
         tell = Tell(this.robot, len(this.config.names), this.runtime)
-        lane = Lane(this.runtime, MESH)
-        mesh = _Mesh(node, network, this, lane, tell.heard)
+        mesh = _Mesh(node, network, this, tell.heard)
         Door(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
         tell.begin(this.bus, mesh)
         mesh.start()
@@ -158,7 +137,6 @@ def main() -> None:
                 this.watchdog()
         tell.close()
         mesh.stop()
-        lane.close()
         network.close()
 
 

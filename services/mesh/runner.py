@@ -23,9 +23,6 @@ from services.mesh.core.node_actions import Action, Close, Dial, LinksChanged, N
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
-from swarm.bus import batch
-from swarm.bus.lane import MESH, Lane
-from swarm.errors import PayloadError
 from swarm.messages import EchoRequest, HoldLink, LinkState
 
 _CHUNK = 4096
@@ -107,20 +104,15 @@ class Runner:
         deliver: Callable[[Sequence[Received]], None],
         changed: Callable[[], None],
         keep: Callable[[], None],
-        lane: Lane,
-        show: Callable[[str, bytes], None],
     ) -> None:
         """`dial(peer)` connects or raises OSError. Called without the lock: `deliver(messages)` for what came
-        in, `changed()` when a link did, `keep()` when there is another topology to be kept. What hosts of apps send
-        comes by the `lane`, and `show(key, payload)` tells others of it."""
+        in, `changed()` when a link did, `keep()` when there is another topology to be kept."""
         self._node = node
         self._listeners = {each.fileno(): each for each in listeners}
         self._dial = dial
         self._deliver = deliver
         self._changed = changed
         self._keep = keep
-        self._lane = lane
-        self._show = show
         self._lock = threading.Lock()
         self._pipes: dict[Session, Pipe] = {}
         self._blocked: dict[Session, Pipe] = {}
@@ -130,7 +122,7 @@ class Runner:
         self._dials: set[threading.Thread] = set()
         self._stopping = False
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._always = [self._wake, lane.fileno(), *self._listeners]
+        self._always = [self._wake, *self._listeners]
         self._watched = Watched(self._always, {}, {})
         self._deadline = 0.0
         self._turned = False
@@ -331,7 +323,7 @@ class Runner:
                 self._report(actions)
 
     def _wait(self, watched: Watched, deadline: float) -> None:
-        """Wait for the first of: bytes, callers, frames of apps, room in a full socket, the deadline; and handle it."""
+        """Wait for the first of: bytes, callers, room in a full socket, the deadline; and handle it."""
         readable, writable = watched.wait(clock.now(), deadline)
         looked: list[tuple[Session, Pipe]] = []
         for fd in readable:
@@ -339,11 +331,9 @@ class Runner:
                 looked.append(found)
             elif (listener := self._listeners.get(fd)) is not None:
                 self._accept(listener)
-            elif fd == self._wake:
+            else:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(fd)
-            else:
-                self._take_lane()
         now = clock.now()
         for _, pipe in looked:
             pipe.read(now)
@@ -373,23 +363,6 @@ class Runner:
                         self._flush(session, pipe)
                 actions = self._carry_out()
             self._report(actions)
-
-    def _take_lane(self) -> None:
-        """What the host of an app sends to neighbours: one datagram, links have their turn before the next."""
-        if (data := self._lane.take()) is None:
-            return
-        try:
-            parts = list(batch.unpack(data))
-        except PayloadError as error:
-            _log.warning("%s: %s", MESH, error)
-            return
-        with self._lock:
-            for key, payload in parts:
-                self._node.publish(None, key, payload, clock.now())
-            actions = self._carry_out()
-        self._report(actions)
-        for key, payload in parts:
-            self._show(key, payload)
 
     def _accept(self, listener: Listener) -> None:
         try:

@@ -1,38 +1,24 @@
-"""A fast key's copies, for who would throw most of its messages away (`KEY/slow`), or looks at them later only
-(`KEY/gathered`).
+"""`KEY/throttled`: a copy of a fast key with few of its messages, for subscribers that need a lower rate.
 
-Waking up is most of what a message costs its sender, the bus and its receiver. A copy that nobody hears costs nothing.
+Most of what a message costs is waking its sender, the bus and its receiver. A copy without subscribers costs nothing.
 """
 
 from swarm.bus.protocol import BusLike
-from swarm.errors import LocalError
-from swarm.messages import Gathered
-from swarm.messages.codec import encode
 
-SLOW, GATHERED = "slow", "gathered"
-"""The last chunk of a copy's key."""
+THROTTLED = "throttled"
+"""The last chunk of a throttled copy's key."""
 
 APP_STATE_S = 0.5
-"""s between two messages of an app's state: a display shows no more."""
-
-GATHERED_S = 0.4
-"""s whose messages come together. The last ones of a key that falls silent come late, with the next one."""
-
-GATHERED_BYTES = 32 * 1024
-"""Packed messages that come together at most, in bytes: a replay on a fast computer has more than the bus takes in
-`GATHERED_S`."""
-
-_BIN_HEAD = 5
-"""Bytes that msgpack puts before each of them at most."""
+"""Seconds between two messages of the throttled copy of an app's state; a display needs no more."""
 
 
-class Slow:
-    """The slow copy of one key: the same messages, but few."""
+class Throttle:
+    """Publishes the throttled copy of one key."""
 
     def __init__(self, bus: BusLike, key: str, period: float) -> None:
         """`period`: s between two messages."""
         self._bus = bus
-        self._key = f"{key}/{SLOW}"
+        self._key = f"{key}/{THROTTLED}"
         self._period = period
         self._due = float("-inf")
 
@@ -45,42 +31,3 @@ class Slow:
             return False
         self._bus.publish(self._key, message, urgent=urgent)
         return True
-
-
-class Gathering:
-    """The gathered copy of one key: the messages of `GATHERED_S` in one, or of less time where they are large."""
-
-    def __init__(self, bus: BusLike, key: str) -> None:
-        self._bus = bus
-        self._key = f"{key}/{GATHERED}"
-        self._waiting: list[bytes] = []
-        self._size = 0
-        self._due = float("-inf")
-
-    def add(self, message: object, t: float) -> None:
-        """Take a message of time `t`, and publish all that wait where that is due."""
-        if not self._bus.wanted(self._key):
-            self._clear()
-            return
-        try:
-            packed = encode(message)
-        except LocalError:
-            return  # the bus drops, counts and logs the message itself
-        size = len(packed) + _BIN_HEAD
-        if self._size + size > GATHERED_BYTES:
-            self.flush()
-        self._waiting.append(packed)
-        self._size += size
-        if t >= self._due:
-            self._due = t + GATHERED_S
-            self.flush()
-
-    def flush(self) -> None:
-        """Publish what waits."""
-        if self._waiting:
-            self._bus.publish(self._key, Gathered(tuple(self._waiting)))
-            self._clear()
-
-    def _clear(self) -> None:
-        self._waiting.clear()
-        self._size = 0

@@ -87,7 +87,7 @@ if TYPE_CHECKING:
         View,
         Watch,
     )
-    from swarm.messages.service import Gathered, Status, Stop
+    from swarm.messages.service import Status, Stop
     from swarm.messages.sim import LedChange, Target, Truth
 
 __all__ = [
@@ -110,7 +110,6 @@ __all__ = [
     "Firmware",
     "FloodRequest",
     "Flooded",
-    "Gathered",
     "GraphRobot",
     "HoldLink",
     "I2CRates",
@@ -183,7 +182,7 @@ _NAMES = {
         "MemberChange Members MeshGraph Passed Progress Reminder SendRequest Sent Stopped Topology "
         "TopologyRequest TopologySet View Watch"
     ),
-    "service": "Gathered Status Stop",
+    "service": "Status Stop",
     "sim": "LedChange Target Truth",
 }
 """What each module has for others."""

@@ -119,10 +119,10 @@ TOPICS = with_telemetry(
     {
         ("app", "*/status"): Status,
         ("app", "*/state"): AppState,
-        ("app", "*/state/slow"): AppState,
+        ("app", "*/state/throttled"): AppState,
         ("app", "*/progress"): AppProgress,
         ("app", "*/*/state"): AppState,
-        ("app", "*/*/state/slow"): AppState,
+        ("app", "*/*/state/throttled"): AppState,
         ("app", "*/*/progress"): AppProgress,
         ("app", "*/epoch"): AppEpoch,
         ("app", "*/*/epoch"): AppEpoch,

@@ -2,7 +2,6 @@
 
 from swarm.frozen import frozen
 from swarm.messages.codec import with_telemetry
-from swarm.messages.service import Gathered
 
 
 @frozen
@@ -162,8 +161,7 @@ class SetParameters:
 TOPICS = with_telemetry(
     {
         ("balancer", "state"): BalancerState,
-        ("balancer", "state/slow"): BalancerState,
-        ("balancer", "state/gathered"): Gathered,
+        ("balancer", "state/throttled"): BalancerState,
         ("balancer", "odometry"): Odometry,
         ("balancer", "leds"): Leds,
         ("balancer", "fault"): BalancerFault,

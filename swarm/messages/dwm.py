@@ -3,7 +3,6 @@
 from swarm.frozen import frozen
 from swarm.messages.codec import with_telemetry
 from swarm.messages.devices import ModuleAnswer, ModuleRequest
-from swarm.messages.service import Gathered
 
 
 @frozen
@@ -84,7 +83,6 @@ TOPICS = with_telemetry(
     {
         ("dwm", "ranges"): Ranges,
         ("dwm", "pose"): Pose,
-        ("dwm", "pose/gathered"): Gathered,
         ("dwm", "measurement"): Measurement,
         ("dwm", "module"): ModuleAnswer,
         ("dwm", "set/module"): ModuleRequest,

@@ -21,7 +21,7 @@ _SHOWN = 40
 
 
 def check_fields(kind: type, value: object) -> None:
-    """Check a decoded message as `swarm.messages.json_values` makes it; `PayloadError` names the first field that is wrong."""
+    """Check a decoded message as `swarm.messages.json_values` makes it; `PayloadError` names the first wrong field."""
     _checker(kind)(value, "")
 
 

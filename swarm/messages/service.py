@@ -71,14 +71,6 @@ def stop_payload(message: object) -> bytes:
     return payload if len(payload) <= MAX_STOP else b""
 
 
-@frozen
-class Gathered:
-    """Messages of one key, on `KEY/gathered`, for who wants all of them but none at once."""
-
-    messages: tuple[bytes, ...]
-    """As they were packed, the oldest first."""
-
-
 TOPICS = with_telemetry(
     {
         ("*", "status"): Status,

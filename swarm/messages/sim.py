@@ -40,7 +40,7 @@ TOPICS = with_telemetry(
         ("sim", "leds"): LedChange,
         ("sim", "target"): Target,
         ("sim", "truth"): Truth,
-        ("sim", "truth/slow"): Truth,
+        ("sim", "truth/throttled"): Truth,
     }
 )
 """Message type of each key, by (service, topic); `*` is any one chunk."""

@@ -1,8 +1,8 @@
 """Standard output and error of a process: text that others have named reaches them in printable form only.
 
-`guard` is called once where a program begins; from then on everything that is written by `print`, `sys.stdout.write`,
-`argparse` or a traceback goes through `swarm.process.text.printable`, so that no caller can forget it. Lines stay lines: a
-table whose cells others have named is written by `write_lines`, which keeps each row on its line.
+`guard` is called once where a program begins. From then on everything that is written by `print`, `sys.stdout.write`,
+`argparse` or a traceback goes through `swarm.process.text.printable`, so that no caller can forget it. Lines stay
+lines: a table whose cells others have named is written by `write_lines`, which keeps each row on its line.
 """
 
 import sys

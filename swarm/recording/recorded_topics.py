@@ -11,10 +11,9 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 from swarm.bus.protocol import BusLike, Clock
-from swarm.bus.throttle import GATHERED, SLOW
+from swarm.bus.throttle import THROTTLED
 from swarm.errors import PayloadError
-from swarm.messages import Flooded, FloodRequest, Gathered, Passed, SendRequest, Sent, read
-from swarm.messages.codec import decode
+from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent, read
 from swarm.messages.keys import key
 
 TOPICS = {
@@ -36,8 +35,8 @@ TOPICS = {
 }
 """What is recorded of the robot's own keys, and the least time between two messages of a key, s."""
 
-SLOW_TOPICS, GATHERED_TOPICS = ("sim/truth",), ("balancer/state", "dwm/pose")
-"""Of which `TOPIC/slow` or `TOPIC/gathered` is heard."""
+THROTTLED_TOPICS = ("balancer/state", "sim/truth")
+"""Topics of which the throttled copy is recorded."""
 
 EARLY = 0.75
 """A message may come that share of the least time after the one before: clocks of publishers are not even."""
@@ -101,10 +100,8 @@ class Watch:
         self.on_sample: Callable[[], None] = lambda: None
         """Called after each message: in virtual time `drain`, as there is no thread that would."""
         of = partial(key, robot)
-        self._copies = {f"{name}/{SLOW}": name for name in map(of, SLOW_TOPICS if copies else ())}
-        self._gathered = {f"{name}/{GATHERED}": name for name in map(of, GATHERED_TOPICS if copies else ())}
-        kinds = self._copies | self._gathered
-        heard = set(self._least) - set(kinds.values()) | set(kinds)
+        self._copies = {f"{name}/{THROTTLED}": name for name in map(of, THROTTLED_TOPICS if copies else ())}
+        heard = set(self._least) - set(self._copies.values()) | set(self._copies)
         bus.subscribe(sorted(heard), self._take)
         bus.subscribe([key("*", "app", app, "flood"), key("*", "app", app, "send", robot)], self._take)
 
@@ -137,8 +134,6 @@ class Watch:
             name, payload, t = self._waiting.popleft()
             if name in self._least:
                 self._record(name, payload, t)
-            elif name in self._gathered:
-                self._record_all(name, payload, t)
             else:
                 _, sender, _, _, kind, *_ = name.split("/")
                 heard = Heard(t, sender, kind == "flood", len(payload))
@@ -154,15 +149,6 @@ class Watch:
         self._last[name] = t
         self._waiting.append((name, payload, t))
         self.on_sample()
-
-    def _record_all(self, name: str, payload: bytes, t: float) -> None:
-        try:
-            gathered = decode(Gathered, payload, name)
-        except PayloadError as error:
-            _log.debug("not recorded: %s", error)
-            return
-        for message in gathered.messages:
-            self._record(self._gathered[name], message, t)
 
     def _record(self, name: str, payload: bytes, t: float) -> None:
         try:

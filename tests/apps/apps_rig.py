@@ -13,7 +13,6 @@ from typing import Any
 import nursery
 import pytest
 
-from swarm.bus import batch
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.core.lockstep_actions import address_of
 from swarm.messages import AppEpoch, AppProgress, AppState, Topology
@@ -195,8 +194,7 @@ class Rig:
             assert address is not None
             crosses = address.to in (None, there) and address.around == self.silent
             if crosses and int.from_bytes(payload[1:5], "little") <= self.gate:
-                frames = f"swarm/{there}/mesh/frames/{address.app}"
-                self.buses[there].publish(frames, batch.pack([(key, payload)]), urgent=True)
+                self.buses[there].publish(key, payload, urgent=True)
 
         self.buses[here].subscribe(f"swarm/{here}/app/*/sync/**", carry)
         latest = self.buses[there].publish

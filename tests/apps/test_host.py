@@ -20,7 +20,6 @@ from memory_swarm import PLACES, TARGET, MeasurementOf, MemorySwarm, config_of
 from services.apps import loader
 from services.apps.host import schema_of
 from services.apps.runner import Runner
-from swarm.bus import batch
 from swarm.config import load
 from swarm.core.lockstep_frames import Channel
 from swarm.messages import AppProgress, AppState, Links, LinkState, Measurement, Pose, Range, Ranges, Status
@@ -176,8 +175,9 @@ def test_frames_that_cannot_be_used_are_counted(make_rig: MakeRig) -> None:
         ("swarm/r1/app/consensus/sync/no-channel", b"x"),
         (f"{channel}/r0/x", b"no frame's key"),
     ]
-    for data in (batch.pack(frames), b"no frames at all"):
-        rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", data)
+    for name, data in frames:
+        rig.buses["r0"].publish(name, data)
+    rig.buses["r0"].publish("swarm/r0/mesh/links", b"no links at all")
     counters: dict[str, int] = {}
 
     def counted() -> bool:
@@ -262,15 +262,15 @@ def test_a_second_process_of_an_app_is_refused(make_rig: MakeRig) -> None:
 def test_an_app_stops_that_hears_of_a_newer_process_of_its_own(make_rig: MakeRig) -> None:
     """A lock keeps a second one from starting; where that fails, each says that it is there."""
     rig = make_rig("", ("r0", "r1"))
-    said: list[bytes] = []
-    rig.buses["r0"].subscribe("swarm/r0/mesh/frames/consensus", lambda key, payload: said.append(payload))
+    said: list[tuple[str, bytes]] = []
+    rig.buses["r0"].subscribe("swarm/r0/app/consensus/sync/**", lambda key, payload: said.append((key, payload)))
     rig.start("r0", "apps", "consensus", SWARM_RUN="a1")
     wait_until(lambda: bool(said))
-    ((name, frame),) = batch.unpack(said[0])
+    name, frame = said[0]
     sync, channel = name.rsplit("/", 1)
     newer = replace(Channel.parse(channel), incarnation=2)
     assert (sync, Channel.parse(channel).incarnation) == ("swarm/r0/app/consensus/sync", 1)
-    rig.buses["r0"].publish("swarm/r0/mesh/frames/consensus", batch.pack([(f"{sync}/{newer.text}", frame)]))
+    rig.buses["r0"].publish(f"{sync}/{newer.text}", frame)
     rig.until_phase("fault", "r0")
     assert "another process runs this app on r0" in rig.progress["r0"].reason
 

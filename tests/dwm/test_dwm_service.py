@@ -15,10 +15,9 @@ from services.dwm.core.calibration import RangeModel
 from services.dwm.core.calibration_file import CalibrationFile, Evidence, layout_of, text_of
 from swarm import clock
 from swarm import config as configuration
-from swarm.bus.lane import DWM, Sender
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Measurement, Odometry, read
-from swarm.messages.codec import decode, encode
+from swarm.messages.codec import decode
 
 LIVE = (
     ANCHORS
@@ -92,8 +91,8 @@ def test_ranges_and_pose_come_calibrated_at_10_hz(processes, board, ear):
 class Wheels:
     """Odometry as the balancer tells it, of a robot that drives and sends its true place to the module."""
 
-    def __init__(self, runtime, board):
-        self.lane, self.board = Sender(runtime), board
+    def __init__(self, bus, board):
+        self.bus, self.board = bus, board
         self.x, self.y, self.t0 = 0.5, 1.5, clock.now()
         self.sequence, self.rolled, self.t = 0, 0.0, self.t0
 
@@ -104,12 +103,12 @@ class Wheels:
         self.sequence += 1
         self.board.update_pose("r0", self.x, self.y, 0.0)
         told = Odometry(now, self.sequence, self.rolled, self.rolled, self.rolled, 0.0, 0.0, 0.0, 0.0, 0.0)
-        self.lane.send(DWM, [("swarm/r0/balancer/odometry", encode(told))])
+        self.bus.publish("swarm/r0/balancer/odometry", told)
 
 
-def test_with_odometry_the_pose_is_the_kalman_filters(processes, board, ear, runtime):
+def test_with_odometry_the_pose_is_the_kalman_filters(processes, board, ear, bus):
     processes.start_ready("-m", "services.dwm")
-    wheels = Wheels(runtime, board)
+    wheels = Wheels(bus, board)
 
     def driven(speed, condition):
         wheels.step(speed)
@@ -131,7 +130,6 @@ def test_with_odometry_the_pose_is_the_kalman_filters(processes, board, ear, run
     last = tracked()[-1]
     assert last.heading == pytest.approx(0.0, abs=0.5)
     assert 0 < last.deviation_x < 0.15
-    wheels.lane.close()
 
 
 def test_a_calibration_is_loaded_and_one_of_other_anchors_refused(processes, board, ear, runtime):

@@ -15,8 +15,6 @@ from conftest import Processes, ask, stop, wait_until
 
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
-from swarm.bus import batch
-from swarm.bus.lane import MESH, Lane, of_app
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.config.keyfile import new_key_file, read_keys, rotate
 from swarm.messages import HoldLink, LinkState, Status, read
@@ -205,35 +203,6 @@ def test_messages_reach_neighbours_and_nobody_else(build: Build, kind: str) -> N
     for robot in swarm.robots.values():
         assert robot.mesh is not None
         assert stop(robot.mesh) == 0
-
-
-def test_hosts_of_apps_are_reached_the_short_way_and_others_see_it(build: Build) -> None:
-    swarm = build()
-    swarm.start()
-    swarm.talk("r0", "r1")
-    packed: list[bytes] = []
-    swarm["r1"].bus.subscribe("swarm/r1/mesh/frames/consensus", lambda key, payload: packed.append(payload))
-    key = SYNC.format("r0")
-    parts = [(key, b"by the lane")]
-    here, there = (Lane(swarm[name].directory, of_app("consensus")) for name in ("r0", "r1"))
-    swarm["r0"].samples.clear()
-    for wrong in ([("swarm/r1/app/consensus/sync/a", b"not r0's to say")], [("swarm/r0/balancer/set/mode", b"")]):
-        assert here.send(MESH, wrong)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-        sock.sendto(b"no parts", str(swarm["r0"].directory / MESH))
-    assert here.send(MESH, parts)
-    # `talk` repeats itself, so another "hello" may come before, or in the same datagram.
-    while parts[0] not in batch.unpack(there.wait() or b""):
-        pass
-    for name in ("r0", "r1"):
-        wait_until(lambda name=name: (key, b"by the lane") in swarm[name].samples, what="others see it")
-    there.close()
-    assert here.send(MESH, parts)
-    wait_until(
-        lambda: any(parts[0] in batch.unpack(each) for each in list(packed)),
-        what="it goes over the bus where the host has no lane",
-    )
-    here.close()
 
 
 @pytest.mark.parametrize("victim", ["r0", "r1"])

@@ -32,7 +32,6 @@ from services.mesh.links.rfcomm import Radio
 from services.mesh.network import Network
 from services.mesh.runner import Runner
 from swarm import clock
-from swarm.bus.lane import Lane
 from swarm.config import parse
 from swarm.errors import LocalError
 
@@ -280,7 +279,6 @@ class Mesh:
             counters=self.counters,
         )
         self.inbox: list[tuple[str, bytes]] = []
-        self.lane = Lane(directory, f"{name}.lane")
         self.runner = Runner(
             node,
             listeners=self.network.listeners,
@@ -288,8 +286,6 @@ class Mesh:
             deliver=lambda messages: self.inbox.extend((each.key, each.payload) for each in messages),
             changed=lambda: None,
             keep=lambda: None,
-            lane=self.lane,
-            show=lambda key, payload: None,
         )
         self.runner.start()
 
@@ -300,7 +296,6 @@ class Mesh:
 
     def stop(self) -> None:
         self.runner.stop()
-        self.lane.close()
         self.network.close()
 
 

@@ -12,7 +12,6 @@ from functools import partial
 from services.mesh.core.actions import Connect, Disconnect, Keep, Report, Transmit
 from services.mesh.core.counters import COUNTERS
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
-from services.mesh.core.gather import Gather
 from services.mesh.core.limits import longest
 from services.mesh.core.link import probe
 from services.mesh.core.link.callers import UNKNOWN, Caller, Callers
@@ -40,7 +39,6 @@ class Node:
         "_clock",
         "_counters",
         "_deadline",
-        "_gather",
         "_half_open",
         "_holds",
         "_links",
@@ -79,7 +77,6 @@ class Node:
         self._links: dict[str, Link] = {}
         self._holds = Holds()
         self._prober = probe.Prober(local.robot, local.dials)
-        self._gather = Gather()
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._session = partial(
             Session, local,
@@ -93,7 +90,7 @@ class Node:
         self._actions: list[Action] = []
         self._problems = Problems()
         self._deadline = 0.0
-        """When anything but `_gather` is due, as of the last time that it may have become earlier."""
+        """When something is due, as of the last time that it may have become earlier."""
         self._serve_overlays()
 
     # -- inputs ------------------------------------------------------------------------------------
@@ -177,7 +174,6 @@ class Node:
                 self._actions += (Dial(link.peer), LinksChanged())
         for send in self._relay.handle_timer(now):
             self._send(send, now)
-        self._actions += self._gather.handle_timer(now)
         self._look_for_clashes(now)
         for peer, link in self._links.items():
             if link.session is not None and (rtt := link.session.pulse.rtt) is not None:
@@ -210,8 +206,7 @@ class Node:
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called. It may turn out to be early, never late."""
-        # Asked for after each message. Those of lockstep change nothing but what is gathered.
-        return min(self._deadline, self._gather.next_deadline())
+        return self._deadline
 
     def links(self) -> tuple[LinkState, ...]:
         """All links as they are, sorted by peer."""
@@ -236,7 +231,7 @@ class Node:
         return session
 
     def _earliest(self) -> float:
-        """When something is due, but for what is gathered."""
+        """When something is due."""
         # After each packet of an overlay, so without lists, generators and calls for each link.
         earliest = self.overlays.next_deadline()
         if (deadline := self._relay.next_deadline()) is not None and deadline < earliest:
@@ -349,8 +344,6 @@ class Node:
                     self._serve_overlays()
                 elif self._prober.sender(event.key) is not None:
                     self._on_probe(session, event, now)
-                elif event.priority == frames.SYNC:
-                    self._actions += self._gather.add(session.peer, event, now)
                 else:
                     self._actions.append(event)
             else:
@@ -489,7 +482,6 @@ class Node:
     def _detach(self, link: Link, session: Session, reason: str, now: float) -> None:
         self._clock.lost(link.peer)
         self.overlays.clashes.link_down(link.peer)
-        self._actions += self._gather.lost(link.peer)
         link.detach(session, reason, now)
         self.overlays.link_down(link.peer, now)
         self._serve_overlays()
