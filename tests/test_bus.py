@@ -13,7 +13,7 @@ from conftest import Processes, wait_until
 
 from swarm.bus.zenoh_bus import Bus, Outlet, Router
 from swarm.errors import BusError, LocalError
-from swarm.messages import Leds, Stop, read
+from swarm.messages import AppOutput, Leds, Stop, read
 from swarm.messages.codec import MAX_BINARY, MAX_PAYLOAD
 from swarm.messages.service import MAX_STOP_TEXT
 from swarm.process.paths import bus_endpoint
