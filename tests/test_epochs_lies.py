@@ -10,6 +10,7 @@ from strand_world import World as StrandWorld
 
 from swarm.core.epoch_actions import Keep, Tell
 from swarm.core.epoch_notes import (
+    LOST,
     MAX_EPOCH,
     NONE,
     Ballot,
@@ -33,7 +34,7 @@ OF = (0xA1, 0x9F3C21AA)
 
 
 def note(robot: str = "r2", **fields: object) -> Note:
-    known = Note(robot, 1, 1, BEGIN, 3, True, (), NONE, None, None)
+    known = Note(robot, 1, 1, BEGIN, 3, True, (), NONE, None, None, 0)
     return dataclasses.replace(known, **fields)  # type: ignore[arg-type]
 
 
@@ -110,7 +111,9 @@ def test_a_round_at_the_greatest_number_is_not_gone_beyond() -> None:
 
 
 def test_an_epoch_at_the_greatest_count_has_no_successor_and_breaks_nothing() -> None:
-    last = following(dataclasses.replace(BEGIN, counter=MAX_COUNT - 1), "r2", 7, NAMES, NAMES, LINE, (), forced=False)
+    last = following(
+        dataclasses.replace(BEGIN, counter=MAX_COUNT - 1), "r2", 7, NAMES, NAMES, LINE, (), (), forced=False
+    )
     epochs = epochs_of("r0")
     epochs.receive(note("r2", epoch=last).encode(), 0.0)
     assert epochs.epoch == last
@@ -127,7 +130,7 @@ def test_an_epoch_at_the_greatest_count_has_no_successor_and_breaks_nothing() ->
 
 def test_an_epoch_of_robots_that_are_in_no_configuration_is_refused() -> None:
     names = ("r0", "r1", "stranger")
-    forged = following(BEGIN, "r2", 7, names, (), (("r0", "r1"), ("r1", "stranger")), (), forced=True)
+    forged = following(BEGIN, "r2", 7, names, (), (("r0", "r1"), ("r1", "stranger")), (), (), forced=True)
     epochs = epochs_of("r0")
     epochs.receive(note("r2", epoch=forged).encode(), 0.0)
     epochs.receive(note("r2", offer=Offer(Ballot(1, "r2"), forged, forced=True)).encode(), 0.0)
@@ -138,7 +141,7 @@ def test_an_epoch_of_robots_that_are_in_no_configuration_is_refused() -> None:
 def test_an_epoch_too_long_for_a_note_with_three_of_them_is_refused() -> None:
     names = tuple(sorted(f"robot-number{n:03}" for n in range(250)))
     edges = tuple((a, b) for at, a in enumerate(names) for b in names[at + 1 : at + 8])
-    forged = following(BEGIN, "r2", 7, names, names, edges, (), forced=True)
+    forged = following(BEGIN, "r2", 7, names, names, edges, (), (), forced=True)
     assert len(encode(forged)) > MAX_EPOCH
     with pytest.raises(PayloadError, match="contradicts itself"):
         Note.decode(note("r2", epoch=forged).encode())
@@ -148,7 +151,7 @@ def test_an_epoch_that_begins_behind_the_last_iteration_ends_the_run() -> None:
     world = World(LINE, last=50)
     world.start_all()
     world.run(1.0)
-    late = following(BEGIN, "r2", MAX_ITERATION, NAMES, (), LINE, (), forced=True)
+    late = following(BEGIN, "r2", MAX_ITERATION, NAMES, (), LINE, (), (), forced=True)
     forged = note("r2", epoch=late, birth=9)
     for robot in NAMES:
         world.processes[robot].take(lambda other: other.strand.receive_note("r2", forged.encode(), world.now))
@@ -160,6 +163,10 @@ counts = st.sampled_from((0, 1, 2, 1 << 31, (1 << 32) - 1, MAX_FOUND - 1, MAX_CO
 ballots = st.builds(Ballot, counts, st.sampled_from(NAMES)) | st.just(NONE)
 
 
+lost = st.sampled_from((1, LOST - 1)) | st.integers(1, 5)
+restored = st.sets(lost, max_size=3).map(lambda numbers: tuple(sorted(numbers)))
+
+
 @st.composite
 def forged_epochs(draw: st.DrawFn) -> Epoch:
     members = tuple(sorted(draw(st.sets(st.sampled_from(NAMES), min_size=1))))
@@ -169,7 +176,17 @@ def forged_epochs(draw: st.DrawFn) -> Epoch:
     before = dataclasses.replace(BEGIN, counter=draw(counts.filter(lambda each: each < MAX_COUNT)))
     k = draw(st.sampled_from((0, 1, 20, MAX_ITERATION - 1, MAX_ITERATION)))
     away = draw(st.lists(st.sampled_from((*NAMES, "stranger"))).map(tuple))
-    return following(before, draw(st.sampled_from(NAMES)), k, members, carried, edges, away, forced=draw(st.booleans()))
+    return following(
+        before,
+        draw(st.sampled_from(NAMES)),
+        k,
+        members,
+        carried,
+        edges,
+        away,
+        draw(restored),
+        forced=draw(st.booleans()),
+    )
 
 
 either = st.just(BEGIN) | forged_epochs()
@@ -179,6 +196,7 @@ notes = st.builds(
     st.lists(st.text(max_size=5), max_size=3).map(tuple), ballots,
     st.none() | st.builds(Vote, ballots, either),
     st.none() | st.builds(Offer, ballots, st.none() | either, st.booleans()),
+    st.just(0) | lost,
 )  # fmt: skip
 
 

@@ -152,6 +152,13 @@ class Note:
         return self.birth, self.version
 
     @property
+    def in_order(self) -> bool:
+        """Whether the epochs that it votes for and offers come right after its own."""
+        later = (each.epoch for each in (self.accepted, self.offer) if each is not None and each.epoch is not None)
+        mine = self.epoch
+        return all((each.counter, each.before) == (mine.counter + 1, mine.number) for each in later)
+
+    @property
     def members(self) -> set[str]:
         """All robots that are members of an epoch in it."""
         return {name for epoch in self._epochs for name in epoch.members}

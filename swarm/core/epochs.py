@@ -248,6 +248,9 @@ class Epochs:
         if note.robot not in self._names or not note.members <= self._names:
             self.counters["unknown robot"] += 1
             return
+        if not note.in_order:
+            self.counters["vote out of order"] += 1
+            return
         if note.robot == self.me:
             if note.birth >= MAX_FOUND:
                 self.counters["impossible birth"] += 1
@@ -343,7 +346,7 @@ class Epochs:
         if not self.member or not self.well or not self._settled or (self.lost and not forced):
             return
         if self._round == MAX_COUNT:
-            return  # above the greatest round there is nothing; only a liar has named it (docs/security.md)
+            return
         self._round += 1
         ballot = Ballot(self._round, self.me)
         self._become(offer=Offer(ballot, None, forced))
@@ -434,6 +437,8 @@ class Epochs:
         mine = self._mine
         if not self.member or not self.well or not self._settled:
             return False
+        if self._round == MAX_COUNT:
+            return False  # above the greatest round there is nothing; only a liar has named it (docs/security.md)
         if mine.lost and not (self._order is not None and self._order.force):
             return False
         if mine.promised != NONE:

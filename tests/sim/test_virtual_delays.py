@@ -19,7 +19,8 @@ def test_states_are_bit_equal_and_times_alike(links):
     for name, path in first.trajectories.items():
         assert second.trajectories[name].rows == path.rows
     assert delays["iteration_s_median"] == pytest.approx(with_mesh["iteration_s_median"], rel=0.06)
-    assert delays["seconds"] == pytest.approx(with_mesh["seconds"], rel=0.1)
+    # The meshes also tell each other their links at the start, which takes time where links carry 5 kB a second.
+    assert delays["seconds"] == pytest.approx(with_mesh["seconds"], rel=0.15)
     assert delays["messages"] == pytest.approx(with_mesh["messages"], rel=0.1)
 
 
