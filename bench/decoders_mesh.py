@@ -299,26 +299,51 @@ _PACKET_DECODERS = (
 )  # fmt: skip
 
 TARGETS = (
-    Target("mesh: bytes of a stranger", (f"{_CORE}frames.py",), _stranger, room=8),
+    Target("mesh: bytes of a stranger", (f"{_CORE}wire/frames.py",), _stranger, room=8),
     Target(
         "mesh: frames of a member",
-        tuple(_CORE + each for each in ("frames.py", "clock.py", "flow.py", "fragments.py", "packets.py", "probe.py")),
+        tuple(
+            _CORE + each
+            for each in (
+                "wire/frames.py",
+                "link/clock.py",
+                "link/flow.py",
+                "wire/fragments.py",
+                "wire/packets.py",
+                "link/probe.py",
+            )
+        ),
         _member,
         room=32,
     ),
     Target(
         "mesh: packets of the overlays",
-        tuple(_CORE + each for each in ("packets.py", "pieces.py", "around.py", "topology.py", "wire.py")),
+        tuple(
+            _CORE + each
+            for each in (
+                "wire/packets.py",
+                "bulk/pieces.py",
+                "overlays/around.py",
+                "routing/topology.py",
+                "wire/texts.py",
+            )
+        ),
         _packets,
         room=32,
     ),
     Target(
         "mesh: each packet by itself",
-        (f"{_CORE}packets.py", f"{_CORE}pieces.py", f"{_CORE}around.py", f"{_CORE}wire.py", f"{_CORE}probe.py"),
+        (
+            f"{_CORE}wire/packets.py",
+            f"{_CORE}bulk/pieces.py",
+            f"{_CORE}overlays/around.py",
+            f"{_CORE}wire/texts.py",
+            f"{_CORE}link/probe.py",
+        ),
         _decoders(_PACKET_DECODERS),
         (FrameError,),
     ),
-    Target("mesh: fragments put together", (f"{_CORE}fragments.py",), _fragments, (FrameError,)),
-    Target("mesh: topologies, and their file", (f"{_CORE}topology.py",), _topologies, (FrameError,)),
+    Target("mesh: fragments put together", (f"{_CORE}wire/fragments.py",), _fragments, (FrameError,)),
+    Target("mesh: topologies, and their file", (f"{_CORE}routing/topology.py",), _topologies, (FrameError,)),
     Target("mesh: views of a robot", ("swarm/messages/codec.py",), _view, (PayloadError,)),
 )

@@ -24,7 +24,7 @@ LIMIT_BYTES = 200.0
 LIMIT_KIB = 2048.0
 LOST_S = 1.0
 
-IMPORTS = "import swarm.service, swarm.app.overlays, services.apps.runner"
+IMPORTS = "import swarm.process.service, swarm.app.overlays, services.apps.runner"
 RESIDENT = "open('/proc/self/statm').read().split()[1]"
 
 

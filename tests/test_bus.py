@@ -111,7 +111,7 @@ def test_what_is_heard_no_more(open_bus: Open) -> None:
 
 @pytest.mark.usefixtures("bus_service")
 def test_who_comes_later_hears_what_nobody_heard_before(open_bus: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("swarm.bus._CERTAIN_S", 0.0)
+    monkeypatch.setattr("swarm.bus.zenoh_bus._CERTAIN_S", 0.0)
     alice, bob = open_bus(), open_bus()
     alice.wait_connected(None)
     outlet = ("swarm/r0/test/x", False)
@@ -477,6 +477,6 @@ def test_few_threads(processes: Processes, bus_service: subprocess.Popen[str], r
 
 
 def test_importing_the_bus_pulls_in_nothing_heavy() -> None:
-    code = "import sys, swarm.bus, swarm.service; print(*sys.modules)"
+    code = "import sys, swarm.bus.zenoh_bus, swarm.process.service; print(*sys.modules)"
     loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
     assert not {"numpy", "asyncio", "serial", "multiprocessing", "email", "http"} & set(loaded)

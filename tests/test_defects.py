@@ -26,7 +26,7 @@ service.run(mesh.main)
 APP = """
 from services.apps.__main__ import main
 from services.apps.core.strand import Strand
-from swarm.service import run
+from swarm.process.service import run
 
 def broken(*arguments):
     raise KeyError("injected")
@@ -40,7 +40,7 @@ HUGE = "resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30)); return bytes
 SERVICE = """
 import sys, threading
 from swarm.errors import PayloadError
-from swarm.service import Service, run
+from swarm.process.service import Service, run
 
 def main():
     with Service("test") as service:

@@ -186,7 +186,12 @@ def test_every_name_is_to_be_had_though_nothing_is_imported_before() -> None:
 def test_a_process_makes_only_the_messages_that_it_speaks() -> None:
     code = "import sys, services.bus.__main__; print(*sorted(m for m in sys.modules if m.startswith('swarm.messages')))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["swarm.messages", "swarm.messages.service"]
+    assert done.stdout.split() == [
+        "swarm.messages",
+        "swarm.messages.codec",
+        "swarm.messages.keys",
+        "swarm.messages.service",
+    ]
 
 
 def test_an_unknown_key_is_refused_by_name() -> None:

@@ -22,7 +22,7 @@ from swarm.process.service import notify
 
 SERVICE = """
 import sys, threading
-from swarm.service import Service, run
+from swarm.process.service import Service, run
 
 def main():
     with Service("test") as service:
@@ -214,7 +214,7 @@ def test_counting_while_being_asked(monkeypatch: pytest.MonkeyPatch, processes: 
         monkeypatch.setenv(name, value)
     code = """
 import threading
-from swarm.service import Service
+from swarm.process.service import Service
 with Service("test") as service:
     def count():
         for number in range(200_000):

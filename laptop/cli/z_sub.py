@@ -4,10 +4,12 @@ import argparse
 from typing import NoReturn
 
 from swarm.onboard import z_sub
+from swarm.process.terminal import guard
 
 
 def main() -> NoReturn:
     """Entry point of the command `z_sub`."""
+    guard()
     z_sub.main(over_ssh=_over_ssh)
 
 

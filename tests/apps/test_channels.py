@@ -14,7 +14,7 @@ import sys
 from services.apps import loader, topology
 from services.apps.host import Host, Part
 from swarm.app.run_options import Conduct
-from swarm.service import Service, run
+from swarm.process.service import Service, run
 
 def main():
     fast, slow = (loader.load(path) for path in sys.argv[1:])
