@@ -282,7 +282,11 @@ def test_a_run_outlives_restarts_of_bluetoothd(robots: Robots) -> None:
         robot.run("systemctl restart bluetooth", 90)
         assert before < ITERATIONS - 20
         wait_reached(before + 5)
-    assert [tuple(each) for each in robots.radio.order("look")["encrypted"]] == [tuple(robots.addresses)]
+    until(
+        "the link is encrypted",
+        lambda: robots.radio.order("look")["encrypted"] == [robots.addresses],
+        state=robots.state,
+    )
     wait_reached(ITERATIONS)
     simulated = Run(robots.folder / "simulated").trajectories("consensus")
     for robot in robots.machines:
