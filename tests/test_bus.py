@@ -251,7 +251,7 @@ def test_on_change_tells_the_present_state_once(open_bus: Open, bus_service: sub
 
 SUBSCRIBER = """
 import sys
-from swarm.bus import Bus
+from swarm.bus.zenoh_bus import Bus
 count = 0
 def callback(key, payload):
     global count
@@ -316,7 +316,7 @@ def test_close_without_a_router(runtime: Path) -> None:
 
 
 def test_the_process_ends_while_no_router_is_there(processes: Processes, runtime: Path) -> None:
-    code = "import sys; from swarm.bus import Bus; b = Bus(sys.argv[1]); b.announce('swarm/a/b/c'); b.close()"
+    code = "import sys; from swarm.bus.zenoh_bus import Bus; b = Bus(sys.argv[1]); b.announce('swarm/a/b/c'); b.close()"
     process = processes.start("-c", code, bus_endpoint(runtime))
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")

@@ -14,7 +14,7 @@ MESH = """
 import resource
 from services.mesh import __main__ as mesh
 from services.mesh.core.node import Node
-from swarm import service
+from swarm.process import service
 
 def broken(*arguments):
     {fault}

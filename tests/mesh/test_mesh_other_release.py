@@ -13,7 +13,7 @@ __all__ = ["build"]
 
 LATER = """
 import dataclasses, runpy
-from swarm import codec
+from swarm.messages import codec
 
 plain = codec._plain
 

@@ -1,5 +1,6 @@
 """A day of virtual time: what a run keeps does not grow with its length."""
 
+import os
 import sys
 import tracemalloc
 from collections.abc import Callable
@@ -17,7 +18,11 @@ LIMIT_B_H = 0.2e6
 BLOCK_B = 64
 """Bytes of one of Python's blocks, on average; the largest has 512."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(3000)]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(3000),
+    pytest.mark.skipif("SWARM_DAYS" not in os.environ, reason="takes a quarter of an hour of CPU: set SWARM_DAYS=1"),
+]
 
 
 def blocks_and_bytes(run: Run, warm_up: float, traced: float, hours: float) -> tuple[float, float]:

@@ -21,7 +21,7 @@ case $1 in
 */bin/z_sub) echo '{{"key": "k", "value": {{"layout": 1, "revision": 1}}}}' ;;
 */bin/python) shift; echo $$ >>$HOME/started; SWARM_RUNTIME={runtime} exec {python} "$@" ;;
 */bin/swarm) shift; echo "$@" >>$HOME/swarm.log
-    case $* in *=9) echo "parameter  r"; echo "app $2: expected a number up to 1, got 9"; exit 1 ;; esac ;;
+    case $* in *=9) echo "parameter  r"; echo "app $3: expected a number up to 1, got 9"; exit 1 ;; esac ;;
 sh) exec sh -c "$(printf '%s\\n' "$3" | sed "s#/etc/swarm#$HOME/etc#g; s#/var/lib/swarm#$HOME/lib#g")" ;;
 *) exec "$@" ;;
 esac

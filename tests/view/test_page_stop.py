@@ -52,7 +52,7 @@ def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
     feed: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on = threading.Event()
-    monkeypatch.setattr("laptop.view.simulated.orders.give", lambda *_: go_on.wait(60.0) and "done")
+    monkeypatch.setattr("laptop.view.simulated.app_requests.give", lambda *_: go_on.wait(60.0) and "done")
 
     async def act(client: TestClient) -> None:
         sockets = [await client.ws_connect(LIVE) for _ in range(40)]  # more than there are threads for acts
