@@ -180,6 +180,7 @@ def test_what_kill_refuses(run: Path, runtime: Path) -> None:
 
 def test_the_module_is_a_verb() -> None:
     code = (
-        "import argparse; from laptop.cli.hand import kill; kill.add_arguments(argparse.ArgumentParser()); print(kill.HELP)"
+        "import argparse; from laptop.cli.hand import kill\n"
+        "kill.add_arguments(argparse.ArgumentParser()); print(kill.HELP)"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == kill.HELP

@@ -234,7 +234,8 @@ def test_parameters_go_over_ssh_where_no_bus_is_near(far: Far) -> None:
     far.told("r1 app/consensus: gain=9 was not set: app consensus: expected a number up to 1, got 9")
     log = [(far.robots.folder / name / "swarm.log") for name in ("r0", "r1")]
     assert not log[0].exists()
-    assert log[1].read_text().splitlines() == [f"app param consensus {word}" for word in ("gain=0.5", "on=true", "gain=9")]
+    words = ("gain=0.5", "on=true", "gain=9")
+    assert log[1].read_text().splitlines() == [f"app param consensus {word}" for word in words]
     for bad in ({"robot": "r9"}, {"name": "r1.gain"}, {"name": "--fleet"}):
         with pytest.raises(LocalError):
             control.do(asked | bad)
