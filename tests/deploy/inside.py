@@ -109,7 +109,7 @@ def ticks() -> tuple[int, int]:
 
 STAND = """
 from pathlib import Path
-from swarm.bus import Bus
+from swarm.bus.zenoh_bus import Bus
 from swarm.messages import SetMode
 
 with Bus.of(Path("/run/swarm")) as bus:
@@ -321,7 +321,7 @@ def a_full_disk_costs_recordings_only() -> dict[str, float]:
 
 STATUS = """
 import dataclasses, json, subprocess
-from laptop.cli import status
+from laptop.cli.robots import status
 from laptop.fleet import journal, versions
 
 def ask(command):

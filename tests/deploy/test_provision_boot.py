@@ -187,7 +187,7 @@ def test_a_fresh_system_becomes_a_robot_and_again_changes_nothing(
     assert pi.ssh("dpkg-query -W -f '${db:Status-Abbrev}' python3-bluez python3-venv").split() == ["ii", "ii"]
     assert pi.ssh("/opt/swarm/current/bin/python -c 'import bluetooth; print(bluetooth.RFCOMM)'").strip() == "3"
     assert pi.ssh("systemctl is-active swarm-bus swarm-mesh swarm-balancer swarm-dwm").split() == ["active"] * 4
-    assert pi.ssh("sudo stat -c '%a %U' /etc/swarm/key").split() == ["600", "swarm-mesh"]
+    assert pi.ssh("sudo stat -L -c '%a %U' /etc/swarm/key").split() == ["600", "swarm-mesh"]
     assert "isolcpus=3" in pi.ssh("cat /boot/firmware/cmdline.txt")
     # A file's time is the kernel's, which is a tick behind the clock that we read.
     moment = time.time() + 0.02
