@@ -341,15 +341,27 @@ class Epochs:
         self._become(promised=promised, accepted=accepted, offer=offer, k=k)
         self._tell(now)
 
+    @property
+    def _forced(self) -> bool:
+        """Whether the operator has ordered a change without a majority."""
+        return self._order is not None and self._order.force
+
+    @property
+    def _may_propose(self) -> bool:
+        """Whether this robot can make a ballot: a member with a state and its votes, or one that an order forces.
+
+        Above the greatest round there is nothing; only a liar has named it (docs/security.md).
+        """
+        if not self.member or not self.well or not self._settled or self._round == MAX_COUNT:
+            return False
+        return not self.lost or self._forced
+
     def _propose(self, now: float) -> None:
-        forced = self._order is not None and self._order.force
-        if not self.member or not self.well or not self._settled or (self.lost and not forced):
-            return
-        if self._round == MAX_COUNT:
+        if not self._may_propose:
             return
         self._round += 1
         ballot = Ballot(self._round, self.me)
-        self._become(offer=Offer(ballot, None, forced))
+        self._become(offer=Offer(ballot, None, self._forced))
         self._offered_at = self._answered_at = now
         self._answers = frozenset()
         self._stop(ballot, self._mine.accepted, now)
@@ -435,11 +447,7 @@ class Epochs:
     def _cause(self, now: float) -> bool:
         """Whether this robot should make a ballot."""
         mine = self._mine
-        if not self.member or not self.well or not self._settled:
-            return False
-        if self._round == MAX_COUNT:
-            return False  # above the greatest round there is nothing; only a liar has named it (docs/security.md)
-        if mine.lost and not (self._order is not None and self._order.force):
+        if not self._may_propose:
             return False
         if mine.promised != NONE:
             return self._roster.orphaned(now)
