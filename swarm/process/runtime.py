@@ -1,0 +1,83 @@
+"""What a shell runs on: a clock, calls at a later time, and threads for work that takes long.
+
+A shell is the code around a core that does the core's input and output. It is written once, for one thread: at any
+moment at most one of its calls runs. A robot gives it a `ThreadedRuntime` (`swarm.process.threads`), virtual time gives
+it a runtime whose clock moves from one planned call to the next (`sim.virtual.runtime`).
+"""
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
+
+from swarm.bus.protocol import BusLike
+from swarm.errors import SwarmError
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Worker(Protocol):
+    """Runs jobs that may take long, such as an author's step: one after the other, beside the shell's own calls."""
+
+    @property
+    def running_since(self) -> float | None:
+        """When the job that runs now began, s; None where none runs."""
+
+    @property
+    def thread(self) -> int | None:
+        """The identity of the thread that runs the jobs, where it is one of its own."""
+
+    def run(self, job: Callable[[], T], done: Callable[[T], None], failed: Callable[[SwarmError], None]) -> None:
+        """Run `job()` when those before it have ended. Then the shell's `done(result)` is called, or `failed(error)`
+        where the job raised a `SwarmError`."""
+
+    def close(self, within: float) -> bool:
+        """Run no further job. Wait at most `within` s for the one that runs; False where it has not ended."""
+
+
+class Runtime(Protocol):
+    """The surroundings of the shells of one process, or of one robot's services under virtual time."""
+
+    @property
+    def robot(self) -> str:
+        """The name of the robot."""
+
+    @property
+    def bus(self) -> BusLike:
+        """The robot's bus. What it is to call is wrapped by `entry` first."""
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What was dropped or refused, by name; part of the service's status."""
+
+    @property
+    def log(self) -> logging.Logger:
+        """Where the service's messages for people go."""
+
+    @property
+    def now(self) -> float:
+        """The robot's clock, s."""
+
+    def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
+        """Call at `time`, or at once where that is past."""
+
+    def soon(self, call: Callable[..., object], *arguments: Any) -> None:
+        """Call after what runs now."""
+
+    def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
+        """Call every `period` s while somebody hears one of `keys`. While nobody does, call once a second, or not at
+        all."""
+
+    def entry(self, call: F) -> F:
+        """`call` in a form that any thread may use: the bus, a timer, the app's own code. It waits until no other call
+        of the shells runs."""
+
+    def worker(self, name: str) -> Worker:
+        """A worker with a thread of that name."""
+
+    def ready(self) -> None:
+        """Tell that the service does its work."""
+
+    def degraded(self, reason: str) -> None:
+        """Tell that the service cannot do all of its work, and why."""
