@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from services.apps import loader
+from services.apps.event_host import EventHost
+from services.apps.observer import Line, Observer, Source
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions
@@ -18,16 +20,13 @@ from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from sim.options import parse as arguments_of
 from sim.report import Json, Outcome, summary
 from sim.scenario import Scenario, build
-from sim.virtual.event_host import VirtualEventHost
 from sim.virtual.hang import broken_off
-from sim.virtual.host import VirtualHost
 from sim.virtual.ledger import Ledger
-from sim.virtual.strand import Line, Teller, Told
 from sim.virtual.world import Launch, World
 from swarm.app.run_options import Conduct
 from swarm.config.dump import dump
 from swarm.errors import ConfigError, LocalError
-from swarm.messages import AppEpoch
+from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
 
 STALLED = 60.0
@@ -109,13 +108,12 @@ class Run:
         scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.program is not None:
-            told = Told(self._advanced, self._ended, self._switched, self._ledger.progress)
-            launches = [self._launch(loader.load(scenario.program), "", scenario.conduct, self._ledger, told)]
+            launches = [self._launch(loader.load(scenario.program), "", scenario.conduct, self._ledger, self)]
             for each in scenario.beside:
                 ledger = self._beside[each.app]
-                told = Told(ledger.advanced, self._ended_beside, ledger.switched, ledger.progress)
+                beside = _Beside(ledger, self._problems)
                 launches.append(
-                    self._launch(loader.load(each.program), f" {each.app}", scenario.conduct_beside, ledger, told)
+                    self._launch(loader.load(each.program), f" {each.app}", scenario.conduct_beside, ledger, beside)
                 )
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds)
@@ -135,7 +133,7 @@ class Run:
     def _ledger_of(self, app: str) -> Ledger:
         return Ledger(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
-    def _launch(self, app: loader.App, which: str, conduct: Conduct, ledger: Ledger, told: Told) -> Launch:
+    def _launch(self, app: loader.App, which: str, conduct: Conduct, ledger: Ledger, observer: Observer) -> Launch:
         """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
         tickets of requests begin with."""
         place, scenario = self._options.record, self._scenario
@@ -146,7 +144,7 @@ class Run:
                 files[f"{app.name}.py"] = Path(app.source).read_bytes()
             folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
             ledger.record(place, app, number)
-        return Launch(app, number, conduct, None, told)
+        return Launch(app, number, conduct, None, observer)
 
     def _watch(self) -> None:
         """Let time pass until the run is over, looking now and then whether anything still moves."""
@@ -165,26 +163,36 @@ class Run:
     def _stalled(self) -> None:
         """Nothing has happened for long. For an app that waits for events that is the end; for others, a problem."""
         app = self._scenario.app
-        hosts = [host for robot in self.world.robots.values() for name, host in robot.apps.items() if name == app]
-        strands = [strand for host in hosts if isinstance(host, VirtualHost) for strand in host.strands.values()]
-        tellers: list[Teller] = [*strands, *(host for host in hosts if isinstance(host, VirtualEventHost))]
-        if tellers and all(_has_no_steps(each) for each in tellers):
+        hosts = [robot.apps[app] for robot in self.world.robots.values() if app in robot.apps]
+        sources = [
+            each for host in hosts for each in ([host] if isinstance(host, EventHost) else host.drivers.values())
+        ]
+        if sources and all(_has_no_steps(each) for each in sources):
             return
+        found = [(each.robot, each.progress) for each in sources]
         stuck = [
-            each.obstacle or f"{each.robot} waits for {', '.join(each.waiting)}"
-            for each in tellers
-            if each.obstacle or each.waiting
+            progress.reason or f"{robot} waits for {', '.join(progress.waiting_for)}"
+            for robot, progress in found
+            if progress.phase == "waiting"
         ]
         self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
-    def _advanced(self, teller: Teller, line: Line) -> None:
-        """A robot has done an iteration."""
+    def advanced(self, source: Source, line: Line) -> None:
+        """See `Observer`: a robot has done an iteration."""
         self._last_progress = self.world.time.now
-        self._ledger.advanced(teller, line)
-        if not teller.part and self._started is None and (line.k >= 1 or _has_no_steps(teller)):
-            self._missing_first.discard(teller.robot)
+        self._ledger.advanced(source, line)
+        if not source.part and self._started is None and (line.k >= 1 or _has_no_steps(source)):
+            self._missing_first.discard(source.robot)
             if not self._missing_first:
                 self._first_done()
+
+    def progressed(self, source: Source) -> None:
+        """See `Observer`."""
+        self._ledger.progressed(source)
+
+    def parameters(self, robot: str, parameters: AppParameters) -> None:
+        """See `Observer`."""
+        self._ledger.parameters(robot, parameters)
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
@@ -197,31 +205,26 @@ class Run:
             if off.at is not None:
                 self.world.time.at(now + off.at, self.world.switch_off, off.robot, off.seconds)
 
-    def _ended(self, teller: Teller) -> None:
-        """A robot is at its last iteration, or its app has failed: that ends the run."""
-        self._ledger.ended(teller)
-        if teller.reason:
-            self._problems.append(f"{teller.robot} app {teller.reason}")
+    def ended(self, source: Source) -> None:
+        """See `Observer`: a robot is at its last iteration, or its app has failed. That ends the run."""
+        self._ledger.progressed(source)
+        progress = source.progress
+        if progress.phase == "fault":
+            self._problems.append(f"{source.robot} app {progress.reason}")
             if not self._scenario.conduct.drop:
                 self.world.time.stop()
                 return
-        if teller.part:
+        if source.part:
             return
-        self._running.discard(teller.robot)
+        self._running.discard(source.robot)
         self._look_whether_over()
 
-    def _ended_beside(self, teller: Teller) -> None:
-        """An app beside is done, or has failed: the others go on."""
-        self._beside[teller.app].ended(teller)
-        if teller.reason:
-            self._problems.append(f"{teller.robot} {teller.app} {teller.reason}")
-
-    def _switched(self, teller: Teller, epoch: AppEpoch) -> None:
-        """The members have changed."""
-        name = teller.robot
+    def switched(self, source: Source, epoch: AppEpoch) -> None:
+        """See `Observer`: the members have changed."""
+        name = source.robot
         self._last_progress = self.world.time.now
-        self._ledger.switched(teller, epoch)
-        if teller.part:
+        self._ledger.switched(source, epoch)
+        if source.part:
             return
         if name in epoch.members:
             self._running.add(name)
@@ -262,9 +265,26 @@ class Run:
         )
 
 
-def _has_no_steps(teller: Teller) -> bool:
+class _Beside:
+    """Observes an app beside the one that the run is about: where it ends, the others go on."""
+
+    def __init__(self, ledger: Ledger, problems: list[str]) -> None:
+        self._problems = problems
+        self.advanced = ledger.advanced
+        self.progressed = self._progressed = ledger.progressed
+        self.switched = ledger.switched
+        self.parameters = ledger.parameters
+
+    def ended(self, source: Source) -> None:
+        self._progressed(source)
+        progress = source.progress
+        if progress.phase == "fault":
+            self._problems.append(f"{source.robot} {source.app} {progress.reason}")
+
+
+def _has_no_steps(source: Source) -> bool:
     """Whether it waits for events alone."""
-    return isinstance(teller, VirtualEventHost) and teller.runner.period is None
+    return isinstance(source, EventHost) and source.runner.period is None
 
 
 def simulate(*arguments: str, rows: bool = False) -> tuple[Json, Outcome]:
