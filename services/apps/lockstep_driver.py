@@ -188,7 +188,7 @@ class LockstepDriver:
         saved = self.run.saved(pages)
         if pages and not saved:
             self._runtime.log.info("the snapshot is of another run, this one begins anew")
-        if saved or not self.run.new:
+        if saved:
             self._begin(saved, None)
         else:
             self._measure(0, self._start)
@@ -273,7 +273,10 @@ class LockstepDriver:
             ready(measurement)
 
     def _start(self, measurement: Measurement | None) -> None:
-        self._worker.run(lambda: self.run.start(measurement), partial(self._begin, []), self._app_failed)
+        if self.run.new:
+            self._worker.run(partial(self.run.start, measurement), partial(self._begin, []), self._app_failed)
+        else:
+            self._begin([], None)
 
     def _begin(self, saved: list[Snapshot], first: tuple[bytes, bytes] | None) -> None:
         run, log = self.run, self._runtime.log

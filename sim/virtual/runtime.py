@@ -14,6 +14,9 @@ from swarm.errors import SwarmError
 T = TypeVar("T")
 
 _LOG = logging.getLogger("virtual")
+"""What services tell people in their logs is told in a run's report here."""
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False
 
 
 class VirtualRuntime:
