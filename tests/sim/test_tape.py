@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from services.apps.observer import Line
 from sim.virtual import tape as module
-from sim.virtual.strand import Line
 from sim.virtual.tape import Tape
 from swarm.recording.trajectory import iteration_times, median, percentile
 
 FIELD = SimpleNamespace(columns=("value",))
-TELLER = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,))))
+SOURCE = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,))))
 
 
 def written(count, *, keep):
@@ -20,7 +20,7 @@ def written(count, *, keep):
     tape, t = Tape(keep=keep), 0.0
     for k in range(count):
         t += numbers.uniform(0.05, 0.15)
-        tape.write(TELLER, Line(k, t, {"value": float(k)}, {}))
+        tape.write(SOURCE, Line(k, t, {"value": float(k)}, {}))
     return tape
 
 
@@ -49,6 +49,6 @@ def test_a_run_that_goes_back_forgets_the_iterations_that_are_done_again(monkeyp
     tape = written(1000, keep=False)
     tape.go_back(600)
     assert max(tape._ks) < 600
-    tape.write(TELLER, Line(600, 500.0, {"value": 0.0}, {}))
+    tape.write(SOURCE, Line(600, 500.0, {"value": 0.0}, {}))
     found = tape.trajectory()
     assert (found.last, found.newest) == (600, 500.0)
