@@ -130,7 +130,7 @@ class Run:
                     started = now
                     self._moves_from = now
                     self._world.move_target(now)
-                elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
+                elif (faults := _faults(seen)) and not self._scenario.run_options.drop:
                     self._problems += faults
                     break
                 elif patience.lost(_ready(seen, missing), now):
@@ -152,10 +152,10 @@ class Run:
         for service, module in SERVICE_MODULES.items():
             self._processes.add(name, service, [module], directory)
         if self._scenario.app is not None and self._scenario.program is not None:
-            words = [APP_SERVICE, self._scenario.program, *self._scenario.conduct.words]
+            words = [APP_SERVICE, self._scenario.program, *self._scenario.run_options.arguments]
             self._processes.add(name, f"app/{self._scenario.app}", words, directory)
         for service, beside in self._beside.items():
-            words = [APP_SERVICE, beside.program, *self._scenario.conduct_beside.words]
+            words = [APP_SERVICE, beside.program, *self._scenario.run_options_beside.arguments]
             self._processes.add(name, service, words, directory)
 
     def _start_app(self, robot: str, app: str) -> None:
@@ -191,7 +191,7 @@ class Run:
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
         faults = _faults(seen)
-        if faults and not self._scenario.conduct.drop:
+        if faults and not self._scenario.run_options.drop:
             self._problems += faults
             return True
         if self._options.seconds is not None:

@@ -24,7 +24,7 @@ from swarm import clock
 from swarm.app.devices import Devices
 from swarm.app.event_app import channels_of
 from swarm.app.overlays import Message, Overlays
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.bus.throttle import APP_STATE_S, Throttle
 from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
 from swarm.core.lockstep_frames import Channel
@@ -55,7 +55,7 @@ class EventHost:
         code: tuple[str, bytes],
         run: int,
         links: topology.Links,
-        conduct: Conduct,
+        run_options: RunOptions,
         overlays: Overlays,
         devices: Devices,
         recorder: Recorder | None = None,
@@ -80,7 +80,7 @@ class EventHost:
             period=runner.period,
             barrier=app.barrier and runner.period is not None,
             handled=runner.handled,
-            last=conduct.last,
+            last=run_options.last,
         )
         self._latest = key(service.robot, f"app/{name}", "latest", channel.text)
         self._changed = threading.Condition()  # its lock is the core's
@@ -100,7 +100,7 @@ class EventHost:
         app.robot.timers = self._after
         self._views = {name: getattr(app, name) for name in channels_of(type(app))}
         self._channels: Host | None = None
-        self._open_channels = partial(self._host_channels, code, run, links, conduct)
+        self._open_channels = partial(self._host_channels, code, run, links, run_options)
         self._subscribe()
         # Daemons: a handler that never returns must not keep the process from ending.
         self._threads = [
@@ -225,7 +225,7 @@ class EventHost:
             self._feed(partial(self._returned, own))
             self._keep()
 
-    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links, conduct: Conduct) -> None:
+    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links, run_options: RunOptions) -> None:
         """Start the app's locksteps, with the first values that its `start` gave them."""
         mine = self._runner.app.robot
         for view in self._views.values():
@@ -234,7 +234,7 @@ class EventHost:
             robot.mesh_clock, robot.ranging, robot.recording = mine.mesh_clock, mine.ranging, mine.recording
         parts = [Part(name, view.app) for name, view in self._views.items()]
         links = links._replace(kept=True)  # saved already
-        endless = replace(conduct, last=None, rule=None)
+        endless = replace(run_options, last=None, rule=None)
         host = Host(self._service, self._name, parts, code, run, links, endless, self._recorder, self._claim)
         for name, view in self._views.items():
             view.begin(partial(host.change, name, self._changes.tell))

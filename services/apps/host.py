@@ -20,7 +20,7 @@ from services.apps.recorder import Recorder
 from services.apps.runner import Runner
 from services.apps.worker import CLOSE_WITHIN, Latest, Worker
 from swarm import clock
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
 from swarm.core.lockstep import WANT_AFTER, Channel
 from swarm.core.lockstep_actions import address_of
@@ -63,12 +63,12 @@ class Host:
         code: tuple[str, bytes],
         run: int,
         links: topology.Links,
-        conduct: Conduct,
+        run_options: RunOptions,
         recorder: Recorder | None,
         claim: Claim | None = None,
     ) -> None:
-        """`code`: path and digest of the app's source. `conduct`: how long it runs, and what becomes of robots that are
-        away. `claim`: the app's lock where somebody else holds it, for the
+        """`code`: path and digest of the app's source. `run_options`: when the run ends, and what it does about absent
+        robots. `claim`: the app's lock where somebody else holds it, for the
         channels of an event-driven app. Raises `LocalError` where lock or snapshots cannot be had."""
         self._service = service
         self._run = run
@@ -86,9 +86,9 @@ class Host:
         self._notes: dict[str, Worker] = {}
         self._orders: deque[str] = deque(maxlen=100)
         for part in parts:
-            runner = Runner(part.app, source, conduct.tolerance)
+            runner = Runner(part.app, source, run_options.tolerance)
             schema = schema_of(runner, part.channel, digest)
-            terms = Terms(run, schema, conduct.last, conduct.rule, conduct.drop, conduct.after)
+            terms = Terms(run, schema, run_options.last, run_options.rule, run_options.drop, run_options.after)
             birth, measurements = held.incarnation, part.measurements
             worker = Worker(service, name, part.channel, runner, terms, birth, links, measurements, recorder)
             self._notes[terms.notes] = worker

@@ -65,7 +65,7 @@ class VirtualEventHost:
             period=runner.period,
             barrier=app.barrier and runner.period is not None,
             handled=runner.handled,
-            last=place.conduct.last,
+            last=place.run_options.last,
         )
         self._latest = key(place.robot, f"app/{name}", "latest", channel.text)
         self._state_key = key(place.robot, f"app/{name}", "state")

@@ -11,7 +11,7 @@ from sim.virtual.beat import Beat
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.strand import Measurements, Told, VirtualStrand
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.core.epoch_actions import Order
 from swarm.core.epoch_notes import Epoch, Kept
 from swarm.core.graph import Graph
@@ -33,7 +33,7 @@ class Place(NamedTuple):
     """Its members and links, the same object for all robots."""
     graph: Graph
     run: int
-    conduct: Conduct
+    run_options: RunOptions
     time: Time
     bus: VirtualBus
     incarnation: int = 1
@@ -90,7 +90,7 @@ class VirtualHost:
         self._connections: dict[str, int] = {}
         for part, runner in runners.items():
             schema = schema_of(runner, part, digest)
-            how = place.conduct
+            how = place.run_options
             terms = Terms(place.run, schema, how.last, how.rule, how.drop, how.after)
             begin, graph = place.begin, place.graph
             strand = Strand(place.robot, place.names, terms, begin, graph, place.incarnation, runner, place.kept)
@@ -109,7 +109,7 @@ class VirtualHost:
         place.bus.subscribe(key("*", f"app/{app}", "sync", "**"), self._on_sync)
         place.bus.subscribe(key(place.robot, "mesh", "links"), self._on_links)
         place.bus.subscribe(key(place.robot, f"app/{app}", "set", "epoch"), self._on_order)
-        if place.conduct.drop:  # else nobody asks which links are in force
+        if place.run_options.drop:  # else nobody asks which links are in force
             place.bus.subscribe(key(place.robot, "mesh", "topology"), self._on_topology)
 
     def start(self) -> None:

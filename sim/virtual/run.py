@@ -24,7 +24,7 @@ from sim.virtual.host import VirtualHost
 from sim.virtual.ledger import Ledger
 from sim.virtual.strand import Line, Teller, Told
 from sim.virtual.world import Launch, World
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.errors import ConfigError, LocalError
 from swarm.messages import AppEpoch
@@ -110,12 +110,12 @@ class Run:
         began = real_time.perf_counter()
         if scenario.program is not None:
             told = Told(self._advanced, self._ended, self._switched, self._ledger.progress)
-            launches = [self._launch(loader.load(scenario.program), "", scenario.conduct, self._ledger, told)]
+            launches = [self._launch(loader.load(scenario.program), "", scenario.run_options, self._ledger, told)]
             for each in scenario.beside:
                 ledger = self._beside[each.app]
                 told = Told(ledger.advanced, self._ended_beside, ledger.switched, ledger.progress)
                 launches.append(
-                    self._launch(loader.load(each.program), f" {each.app}", scenario.conduct_beside, ledger, told)
+                    self._launch(loader.load(each.program), f" {each.app}", scenario.run_options_beside, ledger, told)
                 )
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds)
@@ -135,7 +135,7 @@ class Run:
     def _ledger_of(self, app: str) -> Ledger:
         return Ledger(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
-    def _launch(self, app: loader.App, which: str, conduct: Conduct, ledger: Ledger, told: Told) -> Launch:
+    def _launch(self, app: loader.App, which: str, run_options: RunOptions, ledger: Ledger, told: Told) -> Launch:
         """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
         tickets of requests begin with."""
         place, scenario = self._options.record, self._scenario
@@ -146,7 +146,7 @@ class Run:
                 files[f"{app.name}.py"] = Path(app.source).read_bytes()
             folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
             ledger.record(place, app, number)
-        return Launch(app, number, conduct, None, told)
+        return Launch(app, number, run_options, None, told)
 
     def _watch(self) -> None:
         """Let time pass until the run is over, looking now and then whether anything still moves."""
@@ -202,7 +202,7 @@ class Run:
         self._ledger.ended(teller)
         if teller.reason:
             self._problems.append(f"{teller.robot} app {teller.reason}")
-            if not self._scenario.conduct.drop:
+            if not self._scenario.run_options.drop:
                 self.world.time.stop()
                 return
         if teller.part:

@@ -33,7 +33,7 @@ from swarm.app.mesh_clock import MeshClock
 from swarm.app.overlays import Overlays
 from swarm.app.ranging import Ranging
 from swarm.app.robot import Robot
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.core.epoch_notes import Epoch, Kept, first
@@ -84,7 +84,7 @@ class Launch(NamedTuple):
 
     app: loader.App
     run: int
-    conduct: Conduct
+    run_options: RunOptions
     recording: Recording | None
     """That the app replays."""
     told: Told
@@ -181,7 +181,7 @@ class World:
             self.time.soon(self._begin, robot, launch)
 
     def _begin(self, robot: str, launch: Launch, kept: Kept | None = None) -> None:
-        app, run, conduct, recording, told = launch
+        app, run, run_options, recording, told = launch
         config, epoch = self.config, topology.CONFIGURED
         if config.auto:
             mesh = self.robots[robot].mesh
@@ -198,7 +198,7 @@ class World:
             self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
         there = self.robots[robot]
         begin = self._begin_with[epoch]
-        place = Place(robot, self._names, *begin, run, conduct, there.time, bus, there.starts, kept)
+        place = Place(robot, self._names, *begin, run, run_options, there.time, bus, there.starts, kept)
         self._equip(instance.robot, bus, place.prefix)
         host: VirtualHost | VirtualEventHost
         if isinstance(instance, EventApp):
@@ -211,7 +211,12 @@ class World:
             assert instance.robot.overlays is not None
             instance.robot.overlays.collect()
             host = VirtualHost(
-                app.name, {"": Runner(instance, app.source, conduct.tolerance)}, app.digest, place, measurements, told
+                app.name,
+                {"": Runner(instance, app.source, run_options.tolerance)},
+                app.digest,
+                place,
+                measurements,
+                told,
             )
         there.apps[app.name] = host
         host.start()
@@ -223,9 +228,11 @@ class World:
         if channels:
             for each in channels.values():
                 self._equip(each.app.robot, place.bus, place.prefix)
-            runners = {name: Runner(each.app, app.source, place.conduct.tolerance) for name, each in channels.items()}
+            runners = {
+                name: Runner(each.app, app.source, place.run_options.tolerance) for name, each in channels.items()
+            }
             latest = {name: _taking(each) for name, each in channels.items()}
-            endless = place._replace(conduct=replace(place.conduct, last=None, rule=None))
+            endless = place._replace(run_options=replace(place.run_options, last=None, rule=None))
             inner = VirtualHost(
                 app.name,
                 runners,

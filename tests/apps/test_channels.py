@@ -13,7 +13,7 @@ PAIR = """
 import sys
 from services.apps import loader, topology
 from services.apps.host import Host, Part
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.process.service import Service, run
 
 def main():
@@ -21,7 +21,7 @@ def main():
     with Service("app/pair") as service:
         links = topology.of_run(service, "pair", 7)
         parts = [Part(name, app.make(service.config, service.robot)) for name, app in (("a", fast), ("b", slow))]
-        host = Host(service, "pair", parts, ("pair.py", b"1"), 7, links, Conduct(50), None)
+        host = Host(service, "pair", parts, ("pair.py", b"1"), 7, links, RunOptions(50), None)
         service.stopping.wait()
         host.close()
         return 3 if host.failed else 0
