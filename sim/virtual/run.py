@@ -13,7 +13,7 @@ from services.apps import loader
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions
-from sim.core.witness import Witness
+from sim.core.observer import Observer
 from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from sim.options import parse as arguments_of
 from sim.report import Json, Outcome, summary
@@ -73,7 +73,7 @@ class Run:
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
-        self._witness = Witness(names) if scenario.app in scene.WATCHED else None
+        self._observer = Observer(names) if scenario.app in scene.WATCHED else None
         self.world = World(
             scenario.config,
             model,
@@ -82,7 +82,7 @@ class Run:
             mesh=mesh,
             lying=scenario.lying,
             skew=options.clock_skew,
-            witness=self._witness,
+            observer=self._observer,
         )
         self._ledger = self._ledger_of(scenario.app or "")
         self._beside = {each.app: self._ledger_of(each.app) for each in scenario.beside}
@@ -256,9 +256,9 @@ class Run:
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
-            witness=self._witness,
+            observer=self._observer,
             moves_from=math.inf if started is None else started,
-            scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
+            scene={} if self._observer is None else scene.seen(self._scenario, self._observer, 0.0),
         )
 
 

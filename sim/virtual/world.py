@@ -13,7 +13,7 @@ from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import Known
 from services.mesh.core.wire.packets import Advertisement
 from sim.core.actions import Act
-from sim.core.witness import Witness
+from sim.core.observer import Observer
 from sim.options import DELAY, FROM_START, SETTLED
 from sim.virtual.air import Air
 from sim.virtual.balancer import VirtualBalancer
@@ -103,11 +103,11 @@ class World:
         mesh: str = FROM_START,
         lying: str | None = None,
         skew: float = 0.0,
-        witness: Witness | None = None,
+        observer: Observer | None = None,
     ) -> None:
         """`body`: which model of `sim.virtual.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
         which robots begin, if they do not stand; `skew`: how far the rates of their clocks err at most, 1e-6 = 1 ppm
-        (then their zeros differ, too); `witness`: who is told what is to be seen."""
+        (then their zeros differ, too); `observer`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
@@ -120,7 +120,7 @@ class World:
         self._body = body
         self._lying = lying
         self._skew = skew
-        self._witness = witness
+        self._observer = observer
         self._names = frozenset(config.names)
         self._launched: dict[tuple[str, str], Launch] = {}
         self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
@@ -296,7 +296,7 @@ class World:
             mesh = DelayMesh(self.config, name, self._common.near[name], self._model, self.time, meshes_bus)
         else:
             mesh = VirtualMesh(self._common, name, time, self.air, meshes_bus, self.seed)
-        balancer = VirtualBalancer(self.config, name, self._body, time, bus, self.seed, self._witness)
+        balancer = VirtualBalancer(self.config, name, self._body, time, bus, self.seed, self._observer)
         if self._lying is not None:
             balancer.body.lay(self._lying, time.now)
         dwm = VirtualDwm(
