@@ -14,7 +14,7 @@ from sim.app_requests_server import Orders
 from sim.control import link_cuts
 from sim.control.send_action import do
 from sim.core import actions
-from sim.core.patience import START_LIMIT_S, Patience
+from sim.core.start_timeout import START_LIMIT_S, StartTimeout
 from sim.monitor import Monitor, Seen
 from sim.options import PRESS_S, Options
 from sim.power_server import Power
@@ -102,7 +102,7 @@ class Run:
         started: float | None = None
         cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
         presses = sorted(self._options.presses, key=lambda press: press.at)
-        asked, patience = 0.0, Patience(self._commanded)
+        asked, start_timeout = 0.0, StartTimeout(self._commanded)
         while not self._stop:
             now = clock.now()
             self._power.look(now)
@@ -133,7 +133,7 @@ class Run:
                 elif (faults := _faults(seen)) and not self._scenario.run_options.drop:
                     self._problems += faults
                     break
-                elif patience.lost(_ready(seen, missing), now):
+                elif start_timeout.lost(_ready(seen, missing), now):
                     found = _obstacles(seen, missing)
                     self._problems.append(f"no first iteration, and nothing new for {START_LIMIT_S:g} s: {found}")
                     break

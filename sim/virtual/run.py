@@ -31,7 +31,7 @@ from swarm.messages import AppEpoch
 from swarm.recording import folder
 
 STALLED = 60.0
-"""s of virtual time without any iteration after which a run is given up: it costs no patience to wait so long."""
+"""s of virtual time without any iteration after which a run is given up: it costs no start_timeout to wait so long."""
 ENDLESS = 120.0
 """s of virtual time after the start, and the last button, at which an app without iterations ends that never rests."""
 LOOK_EVERY = 1.0
