@@ -11,10 +11,10 @@ from services.balancer.core.faults import STOPPED
 from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim, Order, Shown, shown
 from sim.core.actions import BUTTONS, Act, Lay, Place, Press, Push
 from sim.core.observer import Observer
-from sim.virtual.beat import Beat
 from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
+from sim.virtual.periodic_publisher import PeriodicPublisher
 from swarm.config import Config
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
@@ -80,8 +80,8 @@ class VirtualBalancer:
         phase = numbers.random()
         time.soon(self._show_leds)
         odometry_and_state = self._keys["odometry"], self._keys["state"]
-        Beat(time, bus, odometry_and_state, TELEMETRY, time.now + TELEMETRY * phase, self._tell)
-        Beat(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
+        PeriodicPublisher(time, bus, odometry_and_state, TELEMETRY, time.now + TELEMETRY * phase, self._tell)
+        PeriodicPublisher(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
         if observer is not None:
             time.soon(self._be_seen, observer)

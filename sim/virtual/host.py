@@ -7,9 +7,9 @@ from services.apps.core.strand import Strand
 from services.apps.core.terms import Terms
 from services.apps.host import TICK, schema_of
 from services.apps.runner import Runner
-from sim.virtual.beat import Beat
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
+from sim.virtual.periodic_publisher import PeriodicPublisher
 from sim.virtual.strand import Measurements, Told, VirtualStrand
 from swarm.app.run_options import RunOptions
 from swarm.core.epoch_actions import Order
@@ -117,7 +117,7 @@ class VirtualHost:
         for strand in self.strands.values():
             strand.start()
         time, keys = self._place.time, tuple(key for strand in self.strands.values() for key in strand.shown_keys)
-        Beat(time, self._place.bus, keys, TICK, time.now + TICK, self._show)
+        PeriodicPublisher(time, self._place.bus, keys, TICK, time.now + TICK, self._show)
 
     @property
     def kept(self) -> Kept | None:
