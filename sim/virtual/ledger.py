@@ -8,7 +8,7 @@ from services.apps.changes import in_force
 from services.apps.recorder import Recorder
 from sim.virtual.bus import VirtualBus
 from sim.virtual.strand import Line, Teller, VirtualStrand
-from sim.virtual.tape import Tape
+from sim.virtual.trajectory_builder import TrajectoryBuilder
 from sim.virtual.world import World
 from swarm.messages import AppEpoch, AppProgress
 from swarm.recording import folder
@@ -26,7 +26,7 @@ class Ledger:
         self.app = app
         self._world = world
         self._skewed = skewed
-        self._tapes = {name: Tape(keep=keep) for name in world.robots}
+        self._builders = {name: TrajectoryBuilder(keep=keep) for name in world.robots}
         self._files: list[PlainRecording] = []
         self._recorders: dict[str, Recorder] = {}
 
@@ -59,7 +59,7 @@ class Ledger:
                 self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
             self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
         if not teller.part:
-            self._tapes[name].write(teller, line._replace(t=self._world.time.now) if self._skewed else line)
+            self._builders[name].write(teller, line._replace(t=self._world.time.now) if self._skewed else line)
 
     def progress(self, teller: Teller, phase: str = "") -> None:
         """Record what has become of an app: it runs, waits, is done, or has failed."""
@@ -81,7 +81,7 @@ class Ledger:
             self._recorders[teller.robot].epoch(epoch, teller.part)
             self.progress(teller)
         if not teller.part:
-            self._tapes[teller.robot].go_back(epoch.k)
+            self._builders[teller.robot].go_back(epoch.k)
 
     def close(self) -> None:
         """End the recording."""
@@ -90,4 +90,4 @@ class Ledger:
 
     def trajectories(self) -> dict[str, Trajectory]:
         """By robot."""
-        return {name: tape.trajectory() for name, tape in self._tapes.items()}
+        return {name: builder.trajectory() for name, builder in self._builders.items()}
