@@ -18,10 +18,10 @@ from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from sim.options import parse as arguments_of
 from sim.report import Json, Outcome, summary
 from sim.scenario import Scenario, build
+from sim.virtual.app_records import AppRecords
 from sim.virtual.event_host import VirtualEventHost
 from sim.virtual.hang import broken_off
 from sim.virtual.host import VirtualHost
-from sim.virtual.ledger import Ledger
 from sim.virtual.strand import Line, Teller, Told
 from sim.virtual.world import Launch, World
 from swarm.app.run_options import RunOptions
@@ -31,7 +31,7 @@ from swarm.messages import AppEpoch
 from swarm.recording import folder
 
 STALLED = 60.0
-"""s of virtual time without any iteration after which a run is given up: it costs no start_timeout to wait so long."""
+"""s of virtual time without any iteration after which a run is given up: it costs no real time to wait so long."""
 ENDLESS = 120.0
 """s of virtual time after the start, and the last button, at which an app without iterations ends that never rests."""
 LOOK_EVERY = 1.0
@@ -84,8 +84,8 @@ class Run:
             skew=options.clock_skew,
             observer=self._observer,
         )
-        self._ledger = self._ledger_of(scenario.app or "")
-        self._beside = {each.app: self._ledger_of(each.app) for each in scenario.beside}
+        self._records = self._records_of(scenario.app or "")
+        self._beside = {each.app: self._records_of(each.app) for each in scenario.beside}
         self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
         self._running = set(names)
         self._missing_first = set(names) - self._late.keys()
@@ -109,13 +109,13 @@ class Run:
         scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.program is not None:
-            told = Told(self._advanced, self._ended, self._switched, self._ledger.progress)
-            launches = [self._launch(loader.load(scenario.program), "", scenario.run_options, self._ledger, told)]
+            told = Told(self._advanced, self._ended, self._switched, self._records.progress)
+            launches = [self._launch(loader.load(scenario.program), "", scenario.run_options, self._records, told)]
             for each in scenario.beside:
-                ledger = self._beside[each.app]
-                told = Told(ledger.advanced, self._ended_beside, ledger.switched, ledger.progress)
+                records = self._beside[each.app]
+                told = Told(records.advanced, self._ended_beside, records.switched, records.progress)
                 launches.append(
-                    self._launch(loader.load(each.program), f" {each.app}", scenario.run_options_beside, ledger, told)
+                    self._launch(loader.load(each.program), f" {each.app}", scenario.run_options_beside, records, told)
                 )
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds)
@@ -127,15 +127,15 @@ class Run:
             self._first_done()
         self._watch()
         ended_at = world.time.now
-        for ledger in (self._ledger, *self._beside.values()):
-            ledger.close()
+        for records in (self._records, *self._beside.values()):
+            records.close()
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
 
-    def _ledger_of(self, app: str) -> Ledger:
-        return Ledger(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
+    def _records_of(self, app: str) -> AppRecords:
+        return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
-    def _launch(self, app: loader.App, which: str, run_options: RunOptions, ledger: Ledger, told: Told) -> Launch:
+    def _launch(self, app: loader.App, which: str, run_options: RunOptions, records: AppRecords, told: Told) -> Launch:
         """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
         tickets of requests begin with."""
         place, scenario = self._options.record, self._scenario
@@ -145,7 +145,7 @@ class Run:
             if app.name not in loader.BUILT_IN:
                 files[f"{app.name}.py"] = Path(app.source).read_bytes()
             folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
-            ledger.record(place, app, number)
+            records.record(place, app, number)
         return Launch(app, number, run_options, None, told)
 
     def _watch(self) -> None:
@@ -180,7 +180,7 @@ class Run:
     def _advanced(self, teller: Teller, line: Line) -> None:
         """A robot has done an iteration."""
         self._last_progress = self.world.time.now
-        self._ledger.advanced(teller, line)
+        self._records.advanced(teller, line)
         if not teller.part and self._started is None and (line.k >= 1 or _has_no_steps(teller)):
             self._missing_first.discard(teller.robot)
             if not self._missing_first:
@@ -199,7 +199,7 @@ class Run:
 
     def _ended(self, teller: Teller) -> None:
         """A robot is at its last iteration, or its app has failed: that ends the run."""
-        self._ledger.ended(teller)
+        self._records.ended(teller)
         if teller.reason:
             self._problems.append(f"{teller.robot} app {teller.reason}")
             if not self._scenario.run_options.drop:
@@ -220,7 +220,7 @@ class Run:
         """The members have changed."""
         name = teller.robot
         self._last_progress = self.world.time.now
-        self._ledger.switched(teller, epoch)
+        self._records.switched(teller, epoch)
         if teller.part:
             return
         if name in epoch.members:
@@ -247,8 +247,8 @@ class Run:
             seed=self._options.seed,
             started_s=started,
             seconds=0.0 if started is None else ended_at - started,
-            trajectories=self._ledger.trajectories() if self._scenario.app else {},
-            beside={name: ledger.trajectories() for name, ledger in self._beside.items()},
+            trajectories=self._records.trajectories() if self._scenario.app else {},
+            beside={name: records.trajectories() for name, records in self._beside.items()},
             bodies=dict.fromkeys(names),
             messages=frames,
             rss_mib={},

@@ -18,7 +18,7 @@ from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import PlainRecording
 
 
-class Ledger:
+class AppRecords:
     """Of one app, on all robots."""
 
     def __init__(self, world: World, app: str, *, keep: bool, skewed: bool) -> None:
