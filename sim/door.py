@@ -11,7 +11,7 @@ from pathlib import Path
 import msgpack
 
 from sim.control import datagrams
-from sim.core.action_effects import Hands
+from sim.core.action_effects import ActionEffects
 from sim.core.actions import DOOR, unpack
 from sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
@@ -33,7 +33,7 @@ class Door:
     def __init__(self, name: str, robot: SimulatedRobot, runtime: Path, now: float) -> None:
         """`runtime` is the robot's runtime directory."""
         self._name, self._robot, self._body = name, robot, robot.body
-        self._hands = Hands(robot)
+        self._effects = ActionEffects(robot)
         self._world = str(socket_path(runtime.parent, WORLD_SOCKET))
         self._next = 0.0
         socket_path(runtime, DOOR).unlink(missing_ok=True)  # of the process before
@@ -67,7 +67,7 @@ class Door:
         for _ in range(_ACTS_AT_ONCE):
             if not self._take(now):
                 break
-        self._hands.handle_timer(now)
+        self._effects.handle_timer(now)
 
     def _ask(self, now: float) -> None:
         self._socket.settimeout(ANSWER_S)
@@ -89,7 +89,7 @@ class Door:
         except OSError:
             return False
         try:
-            self._hands.do(unpack(datagram), now)
+            self._effects.do(unpack(datagram), now)
         except (LocalError, RemoteError) as error:
             _log.warning("an act that is none: %s", error)
         return True

@@ -7,7 +7,7 @@ from sim.core.devices import Device, SimulatedRobot
 ADDRESSES = {"imu": imu.ADDRESS, "atmega": balboa.ADDRESS, "display": display.ADDRESS}
 
 
-class Hands:
+class ActionEffects:
     """Acts on one robot; `handle_timer` lets buttons go again."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
