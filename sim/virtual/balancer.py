@@ -9,7 +9,7 @@ import random
 from services.balancer.core.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.faults import STOPPED
 from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim, Order, Shown, shown
-from sim.core.actions import BUTTONS, Act, Lay, Place, Press, Push
+from sim.core.actions import BUTTONS, Lay, Place, Press, Push, SimulationAction
 from sim.core.observer import Observer
 from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
@@ -91,7 +91,7 @@ class VirtualBalancer:
         self.body.advance(self._time.now)
         return self.body
 
-    def act(self, act: Act) -> None:
+    def act(self, act: SimulationAction) -> None:
         """What a person does to it."""
         now = self._time.now
         match act:

@@ -12,7 +12,7 @@ from services.apps.runner import Runner
 from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import Known
 from services.mesh.core.wire.packets import Advertisement
-from sim.core.actions import Act
+from sim.core.actions import SimulationAction
 from sim.core.observer import Observer
 from sim.options import DELAY, FROM_START, SETTLED
 from sim.virtual.air import Air
@@ -168,7 +168,7 @@ class World:
         for launch, kept in begun:
             self._begin(robot, launch, kept)
 
-    def act(self, robot: str, at: float, act: Act) -> None:
+    def act(self, robot: str, at: float, act: SimulationAction) -> None:
         """Let a person do something to a robot."""
         self.time.at(at, self.robots[robot].balancer.act, act)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from browsing import PATIENCE_MS, chromium, row, shown, until
 from conftest import Processes, wait_until
-from far_swarm import Swarm, real_page
+from remote_swarm import Swarm, real_page
 
 from swarm.messages import Pose
 

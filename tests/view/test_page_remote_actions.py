@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from browsing import PATIENCE_MS, chromium, row, shown, until
 from conftest import Processes
-from far_swarm import Swarm, real_page
+from remote_swarm import Swarm, real_page
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
