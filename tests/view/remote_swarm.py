@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 from conftest import Processes
-from remote_units import Units, scripts
 from needs import needs_ssh
+from remote_units import Units, scripts
 
 from bench.fake_robots import FakeRobots
 from laptop.fleet.ssh import Ssh, hosts

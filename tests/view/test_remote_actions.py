@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from conftest import wait_until
-from remote_units import SUDO, scripts
 from needs import needs_ssh
+from remote_units import SUDO, scripts
 from test_reach import Tunnel
 
 from bench.fake_robots import FakeRobots
