@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from sim.control import datagrams
-from sim.core.actions import DOOR, Place, pack
+from sim.core.actions import BODY_SOCKET, Place, pack
 from sim.core.module_line import SOURCE as SOURCE_ATMEGA
 from sim.core.observer import Observer
 from sim.module import ModuleBoard
@@ -158,7 +158,7 @@ class World:
         start = self._starts.get(robot, (0.0, 0.0, 0.0))
         place = Place(*start, 0.0, True) if last is None else Place(last.x, last.y, last.heading, last.tilt, last.held)
         with contextlib.suppress(OSError):  # it ended again
-            self._socket.sendto(pack(place), str(socket_path(self._run_dir / robot, DOOR)))
+            self._socket.sendto(pack(place), str(socket_path(self._run_dir / robot, BODY_SOCKET)))
 
     def _place(self, report: BodyReport) -> None:
         self._last[report.robot] = report

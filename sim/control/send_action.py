@@ -7,9 +7,9 @@ learns of it as a real one would, through its sensors.
 from pathlib import Path
 
 from sim.control import datagrams
-from sim.core.actions import DOOR, SimulationAction, check, pack
+from sim.core.actions import BODY_SOCKET, SimulationAction, check, pack
 
 
 def do(robot: Path, act: SimulationAction) -> None:
     """Do it to the simulated robot with the runtime directory `robot`; `LocalError` where its body is not there."""
-    datagrams.send(robot, DOOR, pack(check(act)), f"the body of {robot.name} is not running at this moment")
+    datagrams.send(robot, BODY_SOCKET, pack(check(act)), f"the body of {robot.name} is not running at this moment")

@@ -7,7 +7,7 @@ from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import decode, encode
 
-DOOR = "body.sock"
+BODY_SOCKET = "body.sock"
 
 BUTTONS = ("A", "B", "C")
 SIDES = ("back", "front")
@@ -81,7 +81,7 @@ def unpack(datagram: bytes) -> SimulationAction:
     kind = _NAMES.get(name.decode("ascii", "replace"))
     if kind is None:
         raise LocalError(f"no act {name[:20]!r}, there are {', '.join(_NAMES)}")
-    return check(decode(kind, fields, DOOR))
+    return check(decode(kind, fields, BODY_SOCKET))
 
 
 def check(act: SimulationAction) -> SimulationAction:

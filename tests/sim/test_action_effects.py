@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from sim.control import datagrams
 from sim.core.action_effects import ActionEffects
 from sim.core.actions import Lay, Place, Press, Push, Unplug, check, pack, unpack
-from sim.door import WORLD_SOCKET, Door
 from sim.world import LedReport, World
+from sim.world_client import WORLD_SOCKET, WorldClient
 from swarm import clock
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
@@ -147,7 +147,7 @@ def test_a_body_that_is_put_down_lies_where_it_was() -> None:
 def test_a_change_of_leds_waits_for_room_at_a_busy_world(runtime: Path) -> None:
     rig, place = upright(), runtime / "r0"
     place.mkdir()
-    door = Door("r0", rig.robot, place, 0.0)
+    door = WorldClient("r0", rig.robot, place, 0.0)
     with contextlib.closing(door._socket), contextlib.closing(datagrams.listen(runtime, WORLD_SOCKET)) as world:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other, contextlib.suppress(BlockingIOError):
             other.setblocking(False)

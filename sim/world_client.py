@@ -12,7 +12,7 @@ import msgpack
 
 from sim.control import datagrams
 from sim.core.action_effects import ActionEffects
-from sim.core.actions import DOOR, unpack
+from sim.core.actions import BODY_SOCKET, unpack
 from sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
 from swarm.process.paths import socket_path
@@ -27,7 +27,7 @@ _MAX_DATAGRAM = 4096
 _log = logging.getLogger("body")
 
 
-class Door:
+class WorldClient:
     """See the module. Nothing here waits, but for the world's answer before the first tick."""
 
     def __init__(self, name: str, robot: SimulatedRobot, runtime: Path, now: float) -> None:
@@ -36,8 +36,8 @@ class Door:
         self._effects = ActionEffects(robot)
         self._world = str(socket_path(runtime.parent, WORLD_SOCKET))
         self._next = 0.0
-        socket_path(runtime, DOOR).unlink(missing_ok=True)  # of the process before
-        self._socket = datagrams.listen(runtime, DOOR)
+        socket_path(runtime, BODY_SOCKET).unlink(missing_ok=True)  # of the process before
+        self._socket = datagrams.listen(runtime, BODY_SOCKET)
         self._ask(now)
         self._socket.setblocking(False)
 
