@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from services.mesh import keep
+from services.mesh.bus_interface import BusInterface
 from services.mesh.core.events import Received
 from services.mesh.core.link.dialler import can_link, dials
 from services.mesh.core.link.handshake import Local
@@ -18,7 +19,6 @@ from services.mesh.core.relay import Relay
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import Start
 from services.mesh.core.wire.frames import BULK, NONCE_SIZE
-from services.mesh.door import Door
 from services.mesh.links.pipe import describe
 from services.mesh.network import Network
 from services.mesh.runner import Runner
@@ -126,7 +126,7 @@ def main() -> None:
         network = Network(this.config, local, this.runtime)
         tell = Tell(this.robot, len(this.config.names), this.runtime)
         mesh = _Mesh(node, network, this, tell.heard)
-        Door(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
+        BusInterface(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
         tell.begin(this.bus, mesh)
         mesh.start()
         this.ready()

@@ -49,7 +49,7 @@ class Mesh(Protocol):
         """The mesh clock now."""
 
 
-class Door:
+class BusInterface:
     """Subscribes and serves on a bus for one mesh."""
 
     def __init__(
