@@ -22,7 +22,7 @@ from services.mesh.core.wire.frames import BULK, NONCE_SIZE
 from services.mesh.links.pipe import describe
 from services.mesh.network import Network
 from services.mesh.runner import Runner
-from services.mesh.tell import Tell
+from services.mesh.view_sender import ViewSender
 from swarm import clock
 from swarm.config import Config
 from swarm.config.keyfile import read_keys
@@ -124,7 +124,7 @@ def main() -> None:
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
-        tell = Tell(this.robot, len(this.config.names), this.runtime)
+        tell = ViewSender(this.robot, len(this.config.names), this.runtime)
         mesh = _Mesh(node, network, this, tell.heard)
         BusInterface(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
         tell.begin(this.bus, mesh)

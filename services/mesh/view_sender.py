@@ -20,7 +20,7 @@ _ASK_S = 2.0
 """s that services may take to say how they are."""
 
 
-class Tell:
+class ViewSender:
     """Of one mesh process."""
 
     def __init__(self, robot: str, robots: int, runtime: Path) -> None:
