@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from services.mesh import keep
+from services.mesh import topology_file
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.events import Received
 from services.mesh.core.link.dialler import can_link, dials
@@ -91,7 +91,7 @@ class _Mesh(Runner):
     def _keep_topology(self) -> None:
         try:
             with self._keeping:
-                keep.save(state_dir(), self.look(lambda each, now: each.topology_file()))
+                topology_file.save(state_dir(), self.look(lambda each, now: each.topology_file()))
         except OSError as error:
             self._service.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
@@ -106,7 +106,7 @@ def main() -> None:
     with Service("mesh") as this:
         local = local_of(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
-        start = Start(ground, local.dials, keep.load(state_dir(), ground))
+        start = Start(ground, local.dials, topology_file.load(state_dir(), ground))
         relay = Relay(this.robot, (), this.config.relay, this.config.names)
         overlays = Overlays(
             this.robot,
