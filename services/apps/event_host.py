@@ -16,8 +16,8 @@ from functools import partial
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
+from services.apps.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, place_of, version
-from services.apps.hold import Hold
 from services.apps.host import Host, Part
 from services.apps.recorder import Recorder
 from swarm import clock
@@ -91,7 +91,7 @@ class EventHost:
         self._state: AppState | None = None
         self._recorder = recorder
         self._recorded = -1
-        self._hold = Hold(devices)
+        self._device_claims = DeviceClaims(devices)
         self._edges = links.config.edges
         record = None if recorder is None else recorder.parameters
         bus, robot, kept = service.bus, service.robot, (service.runtime / f"app.{name}.parameters", run)
@@ -132,7 +132,7 @@ class EventHost:
             thread.join(CLOSE_WITHIN)
             if thread.is_alive():
                 self._service.log.warning("the app does not end: %s", self._hanging())
-        self._hold.close()
+        self._device_claims.close()
         if self._channels is not None:
             self._channels.close()
         self._claim.close()
@@ -275,7 +275,7 @@ class EventHost:
                 self._core.handle_timer(now)
                 self._perform()
                 news = self._report(now)
-            self._hold.look(well=self._core.phase not in ("fault", "done") and not self._core.hangs(now))
+            self._device_claims.look(well=self._core.phase not in ("fault", "done") and not self._core.hangs(now))
             self._look_for_hang(now)
             if now - reminded_at >= REMIND:
                 reminded_at = now

@@ -14,7 +14,7 @@ from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
 from services.apps.core.terms import Terms
-from services.apps.hold import Hold
+from services.apps.device_claims import DeviceClaims
 from services.apps.measurements import Measurements
 from services.apps.recorder import Recorder
 from services.apps.runner import Runner
@@ -100,7 +100,7 @@ class Host:
         service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
         service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
         service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
-        self._hold = Hold(parts[0].app.robot.devices if claim is None else None)
+        self._device_claims = DeviceClaims(parts[0].app.robot.devices if claim is None else None)
         self._ticks = threading.Thread(target=self._ticker, name="ticker", daemon=True)
         for worker in self._workers.values():
             worker.start()
@@ -138,7 +138,7 @@ class Host:
         self._hurry.set()
         self._ticks.join(CLOSE_WITHIN)
         closed = [worker.close() for worker in self._workers.values()]
-        self._hold.close()
+        self._device_claims.close()
         if all(closed) and self._own_claim is not None:
             self._own_claim.close()
 
@@ -236,7 +236,7 @@ class Host:
             if self._closing or self._service.stopping.is_set():
                 return
             news = [worker.tick() for worker in workers]
-            self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
+            self._device_claims.look(well=not self.failed and not any(worker.stuck for worker in workers))
             if not told_ready and all(worker.begun for worker in workers) and not self.failed:
                 told_ready = True
                 self._service.ready()

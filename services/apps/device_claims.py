@@ -3,7 +3,7 @@
 from swarm.app.devices import Devices
 
 
-class Hold:
+class DeviceClaims:
     """Claims them again where that is due, and gives them back when the app is not well any more."""
 
     def __init__(self, devices: Devices | None) -> None:
