@@ -43,7 +43,7 @@ ELSEWHERE = {
     "services/apps/runner.py": "states of the size that the lockstep has checked",
     "services/apps/slots.py": "its own file: tests/apps/test_files.py",
     "services/balancer/link.py": "datagrams between the loop and its own second process",
-    "services/balancer/core/mailbox.py": "a number made of one byte or two: tests/balancer/test_chores.py",
+    "services/balancer/core/mailbox.py": "a number made of one byte or two: tests/balancer/test_slack_tasks.py",
     "services/mesh/__main__.py": "makes a number of random bytes of its own",
     "services/mesh/core/link/dialler.py": "a Bluetooth address that the configuration has checked",
     "services/mesh/links/sim.py": "simulated links only",

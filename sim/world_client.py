@@ -1,8 +1,8 @@
-"""The simulated body's link with what is around it: its pose and its LEDs to the world, and whoever acts on it.
+"""The simulated body's link with its world: it reports its pose and LEDs, and takes the actions of people.
 
-The pose goes to RUN/world.sock 25 times a second, changes of the LEDs as they happen; acts (`sim.core.actions`) come
-to the door, RUN/<robot>/body.sock. A body that starts asks the world, which may know from an
-earlier process where it had been.
+The pose goes to RUN/world.sock 25 times a second, changes of the LEDs as they happen. Actions (`sim.core.actions`)
+arrive on RUN/<robot>/body.sock. A body that starts asks the world for its place, which the world may know from an
+earlier process.
 """
 
 import logging
@@ -28,7 +28,7 @@ _log = logging.getLogger("body")
 
 
 class WorldClient:
-    """See the module. Nothing here waits, but for the world's answer before the first tick."""
+    """Reports to the world and takes actions. Only the constructor waits: for the world's answer about the place."""
 
     def __init__(self, name: str, robot: SimulatedRobot, runtime: Path, now: float) -> None:
         """`runtime` is the robot's runtime directory."""

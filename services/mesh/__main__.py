@@ -124,18 +124,18 @@ def main() -> None:
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
-        tell = ViewSender(this.robot, len(this.config.names), this.runtime)
-        mesh = _Mesh(node, network, this, tell.heard)
+        view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
+        mesh = _Mesh(node, network, this, view_sender.heard)
         BusInterface(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
-        tell.begin(this.bus, mesh)
+        view_sender.begin(this.bus, mesh)
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):
             mesh.report()
-            tell.step()
+            view_sender.step()
             if mesh.turned():
                 this.watchdog()
-        tell.close()
+        view_sender.close()
         mesh.stop()
         network.close()
 

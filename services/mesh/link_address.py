@@ -1,4 +1,4 @@
-"""Where a link leads, in one line of text: `type:parameters`.
+"""Link addresses: where a link leads, as one line of text `type:parameters`.
 
 sim:PATH         a Unix socket with a simulated radio behind it
 tcp:HOST:PORT    Wi-Fi or Ethernet; HOST may be [IPv6]
@@ -42,7 +42,7 @@ _ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
 
 
 def parse(text: str) -> LinkAddress:
-    """Read a moniker; raises `ConfigError` with what was expected."""
+    """Read a link address; raises `ConfigError` with what was expected."""
     kind, _, rest = text.partition(":")
     if kind == "sim" and rest:
         path = Path(rest)

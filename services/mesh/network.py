@@ -42,7 +42,7 @@ class Network:
         own = link_address.of_robot(me) if callers else None
         listen = config.mesh.listen
         near = [link_address.of_robot(robots[peer]) for peer in callers if has_address(robots[peer])]
-        hosts = {moniker.host for moniker in near if isinstance(moniker, link_address.Tcp)}
+        hosts = {address.host for address in near if isinstance(address, link_address.Tcp)}
         # Whom the configuration links with us must be able to call; others may become neighbours one day.
         first = local.dials if config.auto else config.neighbours(local.robot)
         needed = [peer for peer in callers if peer in first]

@@ -1,6 +1,6 @@
 """A hand on a simulated robot: tells its body what a person does.
 
-Each body of a running simulation listens at its door, a datagram socket in the robot's runtime directory; the balancer
+Each body of a running simulation listens on a datagram socket in the robot's runtime directory; the balancer
 learns of it as a real one would, through its sensors.
 """
 

@@ -260,10 +260,10 @@ def test_a_port_in_use_is_named() -> None:
     listener.close()
 
 
-# -- monikers ------------------------------------------------------------------------------------------------
+# -- link addresses ------------------------------------------------------------------------------------------
 
 
-def test_monikers() -> None:
+def test_link_addresses_are_read() -> None:
     assert link_address.parse("sim:/tmp/r0/mesh.sock") == Sim(Path("/tmp/r0/mesh.sock"))
     assert link_address.parse("tcp:robot.local:7447") == Tcp("robot.local", 7447)
     assert link_address.parse("rfcomm:b8:27:eb:00:00:01") == Rfcomm("B8:27:EB:00:00:01")
@@ -283,7 +283,7 @@ def test_monikers() -> None:
         ("tcp:host:port", "expected HOST:PORT"),
     ],
 )
-def test_wrong_monikers_say_what_was_expected(text: str, message: str) -> None:
+def test_a_wrong_link_address_is_refused_with_what_was_expected(text: str, message: str) -> None:
     with pytest.raises(SwarmError, match=message):
         link_address.parse(text)
 

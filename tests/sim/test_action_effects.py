@@ -147,19 +147,19 @@ def test_a_body_that_is_put_down_lies_where_it_was() -> None:
 def test_a_change_of_leds_waits_for_room_at_a_busy_world(runtime: Path) -> None:
     rig, place = upright(), runtime / "r0"
     place.mkdir()
-    door = WorldClient("r0", rig.robot, place, 0.0)
-    with contextlib.closing(door._socket), contextlib.closing(datagrams.listen(runtime, WORLD_SOCKET)) as world:
+    client = WorldClient("r0", rig.robot, place, 0.0)
+    with contextlib.closing(client._socket), contextlib.closing(datagrams.listen(runtime, WORLD_SOCKET)) as world:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other, contextlib.suppress(BlockingIOError):
             other.setblocking(False)
             while True:
                 other.sendto(b"full", str(runtime / WORLD_SOCKET))
         rig.robot.atmega.led_changes.clear()
         rig.robot.atmega.led_changes.append((7.0, (False, True, False)))
-        door.look(1.0)
+        client.look(1.0)
         with contextlib.suppress(BlockingIOError):
             while world.recv(100) == b"full":
                 pass
-        door.look(1.01)
+        client.look(1.01)
         told = decode(LedReport, world.recv(100), WORLD_SOCKET)
         assert told == LedReport("r0", 7.0, red=False, yellow=True, green=False)
 
