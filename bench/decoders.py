@@ -38,7 +38,7 @@ ELSEWHERE = {
     "services/apps/__main__.py": "makes a number of a hash of its own",
     "services/apps/core/strand.py": "its own stamp in a snapshot whose lengths were checked",
     "services/apps/event_runner.py": "states of the size that `Asynchronous` has checked",
-    "services/apps/host.py": "hands on what `together` takes apart",
+    "services/apps/host.py": "passes on what `split_batch` takes apart",
     "sim/rehearsal/examine.py": "states that it has packed itself",
     "services/apps/runner.py": "states of the size that the lockstep has checked",
     "services/apps/slots.py": "its own file: tests/apps/test_files.py",

@@ -142,7 +142,7 @@ class EventHost:
         # Of whomever the mesh brings: neighbours may change.
         bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
         bus.subscribe(key(robot, "mesh", "topology"), self._on_topology)
-        self._slow = Throttle(bus, key(robot, f"app/{name}", "state"), APP_STATE_S)
+        self._throttle = Throttle(bus, key(robot, f"app/{name}", "state"), APP_STATE_S)
         bus.serve(key(robot, f"app/{name}", "state"), self._answer)
         bus.serve(key(robot, f"app/{name}", "progress"), lambda *_: encode(self._progress()))
         if "on_button" in self._runner.handled:
@@ -331,7 +331,7 @@ class EventHost:
                 self._app_lock.release()
             self._state = state
             self._publish("state", state)
-            self._slow.publish(state, clock.now(), news=repeat)
+            self._throttle.publish(state, clock.now(), news=repeat)
 
     def _count(self) -> None:
         for name, count in {**self._core.counters, "unreadable": self._runner.unreadable}.items():

@@ -97,7 +97,7 @@ class Worker:
         self._muted = False
         self._state: AppState | None = None
         self._state_key = key(service.robot, self._keys, "state")
-        self._slow = Throttle(service.bus, self._state_key, APP_STATE_S)
+        self._throttle = Throttle(service.bus, self._state_key, APP_STATE_S)
         self._told: tuple[object, ...] = ()
         self._told_at = 0.0
         self._watch = topology.Watch(links, service.robot, lambda text: service.log.warning("%s", text))
@@ -322,7 +322,7 @@ class Worker:
                 self._app_lock.release()
             self._state = state
             self._service.bus.publish(self._state_key, state)
-            self._slow.publish(state, clock.now(), news=strand.phase == "done")
+            self._throttle.publish(state, clock.now(), news=strand.phase == "done")
 
     def _report(self, now: float) -> tuple[str, tuple[str, ...], str]:
         """Phase, robots waited for, reason."""
