@@ -244,7 +244,7 @@ class Run:
         if self._options.seconds is not None:
             self._problems += _held_up(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
-        found = self._world.look(lambda observer: scene.seen(self._scenario, observer, self._commanded))
+        found = self._world.look(lambda scene_record: scene.seen(self._scenario, scene_record, self._commanded))
         self._processes.stop()  # only then are the recordings complete
         paths = self._trajectories(self._scenario.app) if self._scenario.app is not None else {}
         beside = {each.app: self._trajectories(each.app) for each in self._beside.values()}
@@ -265,7 +265,7 @@ class Run:
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in _members(seen)),
             scene=found,
-            observer=self._world.look(lambda observer: observer),
+            scene_record=self._world.look(lambda scene_record: scene_record),
             began=self._commanded,
             moves_from=self._moves_from,
             beside=beside,

@@ -16,7 +16,7 @@ from typing import TypeVar
 from sim.control import datagrams
 from sim.core.actions import BODY_SOCKET, Place, pack
 from sim.core.module_line import SOURCE as SOURCE_ATMEGA
-from sim.core.observer import Observer
+from sim.core.scene_record import SceneRecord
 from sim.module import ModuleBoard
 from swarm import clock
 from swarm.config import Config
@@ -100,7 +100,7 @@ class World:
             for name in config.names:
                 self._modules.add(name)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC)
-        self._observer = Observer(config.names)
+        self._scene_record = SceneRecord(config.names)
         self._seeing = threading.Lock()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
@@ -119,10 +119,10 @@ class World:
         self._socket.close()
         os.close(self._wake)
 
-    def look(self, at: Callable[[Observer], T]) -> T:
-        """`at(observer)`, while nothing new is seen."""
+    def look(self, at: Callable[[SceneRecord], T]) -> T:
+        """`at(scene_record)`, while nothing new is seen."""
         with self._seeing:
-            return at(self._observer)
+            return at(self._scene_record)
 
     def _run(self) -> None:
         while not self._closing:
@@ -149,7 +149,7 @@ class World:
     def _show(self, leds: LedReport) -> None:
         """Pass on what a robot's LEDs show."""
         with self._seeing:
-            self._observer.leds(leds.robot, leds.t, yellow=leds.yellow)
+            self._scene_record.leds(leds.robot, leds.t, yellow=leds.yellow)
         self._publish(leds.robot, LedChange(leds.t, leds.red, leds.yellow, leds.green))
 
     def _answer(self, robot: str) -> None:
@@ -163,7 +163,7 @@ class World:
     def _place(self, report: BodyReport) -> None:
         self._last[report.robot] = report
         with self._seeing:
-            self._observer.pose(report.robot, report.t, (report.x, report.y), report.tilt)
+            self._scene_record.pose(report.robot, report.t, (report.x, report.y), report.tilt)
         if self._ranging:
             self._modules.update_pose(report.robot, report.x, report.y, report.heading)
         due = self._publish_at[report.robot]

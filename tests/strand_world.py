@@ -11,8 +11,8 @@ from itertools import count
 from random import Random
 
 from lockstep_world import way_around
-
 from services.apps.core.strand import Renew, Strand
+
 from services.apps.core.terms import Terms
 from swarm.core.epoch_actions import Keep, Switch, Tell
 from swarm.core.epoch_notes import LOST, first

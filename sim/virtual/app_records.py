@@ -4,13 +4,12 @@ from functools import partial
 from pathlib import Path
 
 from services.apps import loader
-from services.apps.changes import in_force
+from services.apps.observer import Line, Source
 from services.apps.recorder import Recorder
 from sim.virtual.bus import VirtualBus
-from sim.virtual.strand import Line, Teller, VirtualStrand
 from sim.virtual.trajectory_builder import TrajectoryBuilder
 from sim.virtual.world import World
-from swarm.messages import AppEpoch, AppProgress
+from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
 from swarm.recording.reader import SUFFIX
 from swarm.recording.recorded_topics import Watch
@@ -47,41 +46,29 @@ class AppRecords:
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 
-    def advanced(self, teller: Teller, line: Line) -> None:
+    def advanced(self, source: Source, line: Line) -> None:
         """A robot has done an iteration."""
-        name = teller.robot
         if self._recorders:
-            if line.k == 0:
-                self.progress(teller)
-                if isinstance(teller, VirtualStrand) and not teller.part:
-                    self._recorders[name].parameters(in_force(teller.runner.app, line.t))
-            if line.measurement is not None:
-                self._recorders[name].measurement(line.k - 1, line.t, line.measurement)
-            self._recorders[name].state(line.k, line.t, line.state, line.result, teller.part)
-        if not teller.part:
-            self._builders[name].write(teller, line._replace(t=self._world.time.now) if self._skewed else line)
+            self._recorders[source.robot].advanced(source, line)
+        if not source.part:
+            self._builders[source.robot].write(source, line._replace(t=self._world.time.now) if self._skewed else line)
 
-    def progress(self, teller: Teller, phase: str = "") -> None:
-        """Record what has become of an app: it runs, waits, is done, or has failed."""
-        if not self._recorders:
-            return
-        reason = teller.reason or teller.obstacle
-        phase = phase or ("waiting" if teller.waiting or reason else "running")
-        now = self._world.robots[teller.robot].time.now
-        progress = AppProgress(now, phase, teller.runner.k, teller.waiting, reason)
-        self._recorders[teller.robot].progress(progress, teller.part)
+    def progressed(self, source: Source) -> None:
+        """A robot has begun, waits for others, or goes on."""
+        if self._recorders:
+            self._recorders[source.robot].progressed(source)
 
-    def ended(self, teller: Teller) -> None:
-        """A robot is at its last iteration, or its app has failed."""
-        self.progress(teller, "fault" if teller.reason else "done")
-
-    def switched(self, teller: Teller, epoch: AppEpoch) -> None:
+    def switched(self, source: Source, epoch: AppEpoch) -> None:
         """The members have changed."""
         if self._recorders:
-            self._recorders[teller.robot].epoch(epoch, teller.part)
-            self.progress(teller)
-        if not teller.part:
-            self._builders[teller.robot].go_back(epoch.k)
+            self._recorders[source.robot].switched(source, epoch)
+        if not source.part:
+            self._builders[source.robot].go_back(epoch.k)
+
+    def parameters(self, robot: str, parameters: AppParameters) -> None:
+        """These parameters are in force on a robot."""
+        if self._recorders:
+            self._recorders[robot].parameters(robot, parameters)
 
     def close(self) -> None:
         """End the recording."""
@@ -90,4 +77,4 @@ class AppRecords:
 
     def trajectories(self) -> dict[str, Trajectory]:
         """By robot."""
-        return {name: builder.trajectory() for name, builder in self._builders.items()}
+        return {name: tape.trajectory() for name, tape in self._builders.items()}

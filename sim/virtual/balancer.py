@@ -10,7 +10,7 @@ from services.balancer.core.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.faults import STOPPED
 from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim, Order, Shown, shown
 from sim.core.actions import BUTTONS, Lay, Place, Press, Push, SimulationAction
-from sim.core.observer import Observer
+from sim.core.scene_record import SceneRecord
 from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
@@ -55,7 +55,7 @@ class VirtualBalancer:
         time: Time,
         bus: VirtualBus,
         seed: object,
-        observer: Observer | None = None,
+        scene_record: SceneRecord | None = None,
     ) -> None:
         numbers = random.Random(f"{seed} {robot} body")
         place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
@@ -65,7 +65,7 @@ class VirtualBalancer:
         """What the LEDs show."""
         self._time = time
         self._bus = bus
-        self._observer = observer
+        self._scene_record = scene_record
         self._claim = Claim()
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
@@ -83,8 +83,8 @@ class VirtualBalancer:
         PeriodicPublisher(time, bus, odometry_and_state, TELEMETRY, time.now + TELEMETRY * phase, self._tell)
         PeriodicPublisher(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
-        if observer is not None:
-            time.soon(self._be_seen, observer)
+        if scene_record is not None:
+            time.soon(self._be_seen, scene_record)
 
     def look(self) -> VirtualBody:
         """Its body, as it is now."""
@@ -150,8 +150,8 @@ class VirtualBalancer:
         if self.shown == lamps:
             return
         self.shown = lamps
-        if self._observer is not None:
-            self._observer.leds(self.robot, self._time.true, yellow=lamps[1])
+        if self._scene_record is not None:
+            self._scene_record.leds(self.robot, self._time.true, yellow=lamps[1])
         self._bus.publish(self._keys["leds"], Leds(now, *lamps))
         self._bus.publish(self._sim_leds_key, LedChange(now, *lamps))
 
@@ -200,11 +200,11 @@ class VirtualBalancer:
         body.advance(now)
         self._bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
 
-    def _be_seen(self, observer: Observer) -> None:
+    def _be_seen(self, scene_record: SceneRecord) -> None:
         now, body = self._time.now, self.body
-        self._time.at(now + TELEMETRY, self._be_seen, observer)
+        self._time.at(now + TELEMETRY, self._be_seen, scene_record)
         body.advance(now)
-        observer.pose(self.robot, self._time.true, (body.x, body.y), body.tilt)
+        scene_record.pose(self.robot, self._time.true, (body.x, body.y), body.tilt)
 
     def _tell_slowly(self) -> None:
         """What is told once a second."""

@@ -3,7 +3,7 @@
 from array import array
 from collections.abc import Mapping
 
-from sim.virtual.strand import Line, Teller
+from services.apps.observer import Line, Source
 from swarm.messages.codec import Value
 from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
 
@@ -15,7 +15,7 @@ class TrajectoryBuilder:
     two in eight and so on, so that iterations can still be measured over a window.
     """
 
-    __slots__ = ("_every", "_keep", "_ks", "_last", "_lines", "_teller", "_times")
+    __slots__ = ("_every", "_keep", "_ks", "_last", "_lines", "_source", "_times")
 
     def __init__(self, *, keep: bool) -> None:
         self._keep = keep
@@ -26,11 +26,11 @@ class TrajectoryBuilder:
         self._lines: dict[int, Line] = {}
         """All, where they are kept."""
         self._last: Line | None = None
-        self._teller: Teller | None = None
+        self._source: Source | None = None
 
-    def write(self, teller: Teller, line: Line) -> None:
+    def write(self, source: Source, line: Line) -> None:
         """One iteration."""
-        self._teller = teller
+        self._source = source
         self._last = line
         if self._keep:
             self._lines[line.k] = line
@@ -63,9 +63,9 @@ class TrajectoryBuilder:
         lines = self._lines
         if not self._keep and self._last is not None:
             lines = {self._last.k: self._last}
-        if self._teller is None or not lines:
+        if self._source is None or not lines:
             return EMPTY
-        shared = [column for field in self._teller.runner.schema.fields for column in field.columns]
+        shared = [column for field in self._source.runner.schema.fields for column in field.columns]
         results: list[str] = []
         for name, value in next(iter(lines.values())).result.items():
             parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]

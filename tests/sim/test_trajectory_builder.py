@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from services.apps.observer import Line
 from sim.virtual import trajectory_builder as module
-from sim.virtual.strand import Line
 from sim.virtual.trajectory_builder import TrajectoryBuilder
 from swarm.recording.trajectory import iteration_times, median, percentile
 

@@ -1,9 +1,8 @@
 """One lockstep of an app on one robot: the author's steps, the lockstep core, its epochs, and when to stop.
 
-An app has one strand, or one for each of its channels. No IO, no clock, no thread: a process (`services.apps.worker`)
-and virtual time drive the same object. Two things happen to a strand, perhaps in two threads: messages and timers,
-which take no time, and the app's code, which may take long. So `compute` and `renew` alone touch the app (and `begin`),
-and the driver holds a lock of its own around the rest.
+An app has one, or one for each of its channels. It has no IO, no clock and no thread: `services.apps.lockstep_driver`
+has these. Two things happen to it, perhaps in two threads: messages and timers, which take no time, and the app's code,
+which may take long. So `start`, `compute` and `renew` alone run the author's steps, beside whatever else happens.
 """
 
 import struct
@@ -32,7 +31,7 @@ _STAMP = struct.Struct("<dd")  # before the private fields in a snapshot: when i
 
 @frozen
 class Renew:
-    """Let the app go over to the newest epoch (`Strand.renew`), when no step runs."""
+    """Let the app go over to the newest epoch (`LockstepRun.renew`), when no step runs."""
 
     epoch: Epoch
 
@@ -49,7 +48,7 @@ class State(NamedTuple):
 Action = lockstep.Action | epoch_actions.Action | Renew
 
 
-class Strand:
+class LockstepRun:
     """What a driver asks, tells and carries out; see the module's text for its two sides."""
 
     __slots__ = (
@@ -152,8 +151,18 @@ class Strand:
         found = [Snapshot.decode(page) for page in pages]
         return [one for one in found if (one.run, one.schema) == (self.terms.run, self.terms.schema)]
 
-    def begin(self, saved: Sequence[Snapshot], measurement: Measurement | None, now: float) -> None:
-        """Go on from snapshots, the newest last, or let the app set its first state. What it raises is `AppError`."""
+    @property
+    def new(self) -> bool:
+        """Whether this robot has not been in the run yet, so that it begins with the app's first state."""
+        return self._new
+
+    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
+        """Let the app set its first state, which goes to `begin`."""
+        return self._program.start(measurement)
+
+    def begin(self, saved: Sequence[Snapshot], first: tuple[bytes, bytes] | None, now: float) -> None:
+        """Go on from snapshots, the newest last, or begin with the app's first state where this robot is `new`. What
+        the app raises is `AppError`."""
         self.phase = "running"
         self._progress_at = self._began_at = now
         epoch = self.epochs.epoch
@@ -172,9 +181,8 @@ class Strand:
                     self.epochs.lose()
                 else:
                     self.epochs.resettle()
-        elif self._new:
-            own, private = self._program.start(measurement)
-            self._enter(epoch, own, private, now)
+        elif first is not None:
+            self._enter(epoch, *first, now)
         else:
             self.lost = True
             self.epochs.lose()
