@@ -13,7 +13,7 @@ from services.apps.observer import Line, Observer
 from services.apps.runner import Runner
 from services.apps.storage import Storage
 from services.apps.topology import Watch
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.bus.throttle import APP_STATE_S, THROTTLED, Throttle
 from swarm.config import Config
 from swarm.core.epoch_actions import Keep, Order, Switch, Tell
@@ -47,7 +47,7 @@ class Place(NamedTuple):
     """The run's number, the same on all robots."""
     digest: bytes
     """A digest of the app's source."""
-    options: Conduct
+    options: RunOptions
     """How long the app runs, and what becomes of robots that are away."""
     names: frozenset[str]
     """All robots that there may be."""
@@ -59,7 +59,7 @@ class Place(NamedTuple):
     """It goes up with every start of the app's process, or of the robot."""
 
     @classmethod
-    def of(cls, run: int, digest: bytes, options: Conduct, config: Config, epoch: int, incarnation: int) -> "Place":
+    def of(cls, run: int, digest: bytes, options: RunOptions, config: Config, epoch: int, incarnation: int) -> "Place":
         """The place in a run that begins with the links of a configuration; `epoch` is the number of these links."""
         begin = first(config.names, config.edges, epoch)
         return cls(run, digest, options, frozenset(config.names), begin, config.graph, incarnation)

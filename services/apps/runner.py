@@ -35,7 +35,7 @@ class AppRunner:
 
     def state(self) -> dict[str, Value]:
         """The shared state by name."""
-        return self.schema.plain({name: getattr(self.app, name) for name in self.schema.names})
+        return self.schema.message_values({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
         """What the app reports now; its names never change."""

@@ -15,15 +15,15 @@ from services.apps.observer import Line, Observer, Source
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions
-from sim.core.witness import Witness
+from sim.core.scene_record import SceneRecord
 from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from sim.options import parse as arguments_of
 from sim.report import Json, Outcome, summary
 from sim.scenario import Scenario, build
+from sim.virtual.app_records import AppRecords
 from sim.virtual.hang import broken_off
-from sim.virtual.ledger import Ledger
 from sim.virtual.world import Launch, World
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.errors import ConfigError, LocalError
 from swarm.messages import AppEpoch, AppParameters
@@ -72,7 +72,7 @@ class Run:
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
-        self._witness = Witness(names) if scenario.app in scene.WATCHED else None
+        self._scene_record = SceneRecord(names) if scenario.app in scene.WATCHED else None
         self.world = World(
             scenario.config,
             model,
@@ -81,10 +81,10 @@ class Run:
             mesh=mesh,
             lying=scenario.lying,
             skew=options.clock_skew,
-            witness=self._witness,
+            scene_record=self._scene_record,
         )
-        self._ledger = self._ledger_of(scenario.app or "")
-        self._beside = {each.app: self._ledger_of(each.app) for each in scenario.beside}
+        self._records = self._records_of(scenario.app or "")
+        self._beside = {each.app: self._records_of(each.app) for each in scenario.beside}
         self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
         self._running = set(names)
         self._missing_first = set(names) - self._late.keys()
@@ -108,12 +108,14 @@ class Run:
         scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.program is not None:
-            launches = [self._launch(loader.load(scenario.program), "", scenario.conduct, self._ledger, self)]
+            launches = [self._launch(loader.load(scenario.program), "", scenario.run_options, self._records, self)]
             for each in scenario.beside:
-                ledger = self._beside[each.app]
-                beside = _Beside(ledger, self._problems)
+                records = self._beside[each.app]
+                beside = _Beside(records, self._problems)
                 launches.append(
-                    self._launch(loader.load(each.program), f" {each.app}", scenario.conduct_beside, ledger, beside)
+                    self._launch(
+                        loader.load(each.program), f" {each.app}", scenario.run_options_beside, records, beside
+                    )
                 )
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds)
@@ -125,15 +127,17 @@ class Run:
             self._first_done()
         self._watch()
         ended_at = world.time.now
-        for ledger in (self._ledger, *self._beside.values()):
-            ledger.close()
+        for records in (self._records, *self._beside.values()):
+            records.close()
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
 
-    def _ledger_of(self, app: str) -> Ledger:
-        return Ledger(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
+    def _records_of(self, app: str) -> AppRecords:
+        return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
-    def _launch(self, app: loader.App, which: str, conduct: Conduct, ledger: Ledger, observer: Observer) -> Launch:
+    def _launch(
+        self, app: loader.App, which: str, run_options: RunOptions, records: AppRecords, observer: Observer
+    ) -> Launch:
         """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
         tickets of requests begin with."""
         place, scenario = self._options.record, self._scenario
@@ -143,8 +147,8 @@ class Run:
             if app.name not in loader.BUILT_IN:
                 files[f"{app.name}.py"] = Path(app.source).read_bytes()
             folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
-            ledger.record(place, app, number)
-        return Launch(app, number, conduct, None, observer)
+            records.record(place, app, number)
+        return Launch(app, number, run_options, None, observer)
 
     def _watch(self) -> None:
         """Let time pass until the run is over, looking now and then whether anything still moves."""
@@ -180,7 +184,7 @@ class Run:
     def advanced(self, source: Source, line: Line) -> None:
         """See `Observer`: a robot has done an iteration."""
         self._last_progress = self.world.time.now
-        self._ledger.advanced(source, line)
+        self._records.advanced(source, line)
         if not source.part and self._started is None and (line.k >= 1 or _has_no_steps(source)):
             self._missing_first.discard(source.robot)
             if not self._missing_first:
@@ -188,11 +192,11 @@ class Run:
 
     def progressed(self, source: Source) -> None:
         """See `Observer`."""
-        self._ledger.progressed(source)
+        self._records.progressed(source)
 
     def parameters(self, robot: str, parameters: AppParameters) -> None:
         """See `Observer`."""
-        self._ledger.parameters(robot, parameters)
+        self._records.parameters(robot, parameters)
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
@@ -207,11 +211,11 @@ class Run:
 
     def ended(self, source: Source) -> None:
         """See `Observer`: a robot is at its last iteration, or its app has failed. That ends the run."""
-        self._ledger.progressed(source)
+        self._records.progressed(source)
         progress = source.progress
         if progress.phase == "fault":
             self._problems.append(f"{source.robot} app {progress.reason}")
-            if not self._scenario.conduct.drop:
+            if not self._scenario.run_options.drop:
                 self.world.time.stop()
                 return
         if source.part:
@@ -223,7 +227,7 @@ class Run:
         """See `Observer`: the members have changed."""
         name = source.robot
         self._last_progress = self.world.time.now
-        self._ledger.switched(source, epoch)
+        self._records.switched(source, epoch)
         if source.part:
             return
         if name in epoch.members:
@@ -250,8 +254,8 @@ class Run:
             seed=self._options.seed,
             started_s=started,
             seconds=0.0 if started is None else ended_at - started,
-            trajectories=self._ledger.trajectories() if self._scenario.app else {},
-            beside={name: ledger.trajectories() for name, ledger in self._beside.items()},
+            trajectories=self._records.trajectories() if self._scenario.app else {},
+            beside={name: records.trajectories() for name, records in self._beside.items()},
             bodies=dict.fromkeys(names),
             messages=frames,
             rss_mib={},
@@ -259,21 +263,21 @@ class Run:
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
-            witness=self._witness,
+            scene_record=self._scene_record,
             moves_from=math.inf if started is None else started,
-            scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
+            scene={} if self._scene_record is None else scene.seen(self._scenario, self._scene_record, 0.0),
         )
 
 
 class _Beside:
     """Observes an app beside the one that the run is about: where it ends, the others go on."""
 
-    def __init__(self, ledger: Ledger, problems: list[str]) -> None:
+    def __init__(self, records: AppRecords, problems: list[str]) -> None:
         self._problems = problems
-        self.advanced = ledger.advanced
-        self.progressed = self._progressed = ledger.progressed
-        self.switched = ledger.switched
-        self.parameters = ledger.parameters
+        self.advanced = records.advanced
+        self.progressed = self._progressed = records.progressed
+        self.switched = records.switched
+        self.parameters = records.parameters
 
     def ended(self, source: Source) -> None:
         self._progressed(source)

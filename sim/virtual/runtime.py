@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Callable
 from typing import TypeVar
 
-from sim.virtual.beat import Beat
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
+from sim.virtual.periodic_publisher import PeriodicPublisher
 from swarm.errors import SwarmError
 
 T = TypeVar("T")
@@ -45,7 +45,7 @@ class VirtualRuntime:
 
     def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
         """See `Runtime`."""
-        Beat(self._time, self.bus, keys, period, self._time.now + period, call)
+        PeriodicPublisher(self._time, self.bus, keys, period, self._time.now + period, call)
 
     @staticmethod
     def entry(call: T) -> T:

@@ -20,8 +20,8 @@ from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import Known
 from services.mesh.core.wire.packets import Advertisement
-from sim.core.actions import Act
-from sim.core.witness import Witness
+from sim.core.actions import SimulationAction
+from sim.core.scene_record import SceneRecord
 from sim.options import DELAY, FROM_START, SETTLED
 from sim.virtual.air import Air
 from sim.virtual.balancer import VirtualBalancer
@@ -34,7 +34,7 @@ from sim.virtual.runtime import VirtualRuntime
 from sim.virtual.storage import MemoryStorage
 from sim.virtual.uwb import ModuleField, VirtualDwm
 from swarm.app.event_app import EventApp
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.messages import Target
@@ -86,7 +86,7 @@ class Launch(NamedTuple):
 
     app: loader.App
     run: int
-    conduct: Conduct
+    run_options: RunOptions
     recording: Recording | None
     """That the app replays."""
     observer: Observer
@@ -105,11 +105,11 @@ class World:
         mesh: str = FROM_START,
         lying: str | None = None,
         skew: float = 0.0,
-        witness: Witness | None = None,
+        scene_record: SceneRecord | None = None,
     ) -> None:
         """`body`: which model of `sim.virtual.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
         which robots begin, if they do not stand; `skew`: how far the rates of their clocks err at most, 1e-6 = 1 ppm
-        (then their zeros differ, too); `witness`: who is told what is to be seen."""
+        (then their zeros differ, too); `scene_record`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
@@ -122,7 +122,7 @@ class World:
         self._body = body
         self._lying = lying
         self._skew = skew
-        self._witness = witness
+        self._scene_record = scene_record
         self._names = frozenset(config.names)
         self._launched: dict[tuple[str, str], Launch] = {}
         self._begin_with: dict[tuple[str, int, int], Place] = {}
@@ -169,7 +169,7 @@ class World:
         for launch in begun:
             self._begin(robot, launch)
 
-    def act(self, robot: str, at: float, act: Act) -> None:
+    def act(self, robot: str, at: float, act: SimulationAction) -> None:
         """Let a person do something to a robot."""
         self.time.at(at, self.robots[robot].balancer.act, act)
 
@@ -182,7 +182,7 @@ class World:
             self.time.soon(self._begin, robot, launch)
 
     def _begin(self, robot: str, launch: Launch) -> None:
-        app, run, conduct, recording, observer = launch
+        app, run, run_options, recording, observer = launch
         config, epoch, there = self.config, topology.CONFIGURED, self.robots[robot]
         if config.auto:
             assert isinstance(there.mesh, VirtualMesh)  # an automatic topology is found by meshes
@@ -197,7 +197,7 @@ class World:
         runtime = VirtualRuntime(robot, there.time, bus)
         begin = app.name, run, epoch
         if begin not in self._begin_with:
-            self._begin_with[begin] = Place.of(run, app.digest, conduct, config, epoch, 1)
+            self._begin_with[begin] = Place.of(run, app.digest, run_options, config, epoch, 1)
         place = self._begin_with[begin]._replace(incarnation=there.starts)
         # Tickets of requests: others in each run, and after each start.
         tickets = f"{run & 0xFFFFFFFFFFFF:012x}" + (f"-{there.starts}" if there.starts > 1 else "")
@@ -212,11 +212,11 @@ class World:
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
-            measurements = self._measurements(runtime, recording, conduct.last) if instance.measured else None
-            parts = [Part("", Runner(instance, app.source, conduct.tolerance), measurements)]
+            measurements = self._measurements(runtime, recording, run_options.last) if instance.measured else None
+            parts = [Part("", Runner(instance, app.source, run_options.tolerance), measurements)]
             host = LockstepHost(
                 *(runtime, app.name, parts, place, there.storage, observer),
-                links_change=conduct.drop,  # else nobody asks which links are in force
+                links_change=run_options.drop,  # else nobody asks which links are in force
             )
         there.apps[app.name], there.buses[app.name] = host, bus
         host.start()
@@ -256,7 +256,7 @@ class World:
             mesh = DelayMesh(self.config, name, self._common.near[name], self._model, self.time, meshes_bus)
         else:
             mesh = VirtualMesh(self._common, name, time, self.air, meshes_bus, self.seed)
-        balancer = VirtualBalancer(self.config, name, self._body, time, bus, self.seed, self._witness)
+        balancer = VirtualBalancer(self.config, name, self._body, time, bus, self.seed, self._scene_record)
         if self._lying is not None:
             balancer.body.lay(self._lying, time.now)
         dwm = VirtualDwm(

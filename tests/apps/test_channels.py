@@ -17,7 +17,7 @@ from services.apps.host import LockstepHost, Part
 from services.apps.lockstep_driver import Place
 from services.apps.runner import Runner
 from services.apps.storage import FileStorage
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.process.service import Service, run
 from swarm.process.threads import ThreadedRuntime
 
@@ -31,7 +31,7 @@ def main():
             for name, app in (("a", fast), ("b", slow))
         ]
         claim = Claim(service.runtime, "pair")
-        place = Place.of(7, b"1", Conduct(50), links.config, links.epoch, claim.incarnation)
+        place = Place.of(7, b"1", RunOptions(50), links.config, links.epoch, claim.incarnation)
         runtime = ThreadedRuntime(service)
         host = LockstepHost(runtime, "pair", parts, place, FileStorage(service.runtime), None)
         runtime.entry(host.start)()

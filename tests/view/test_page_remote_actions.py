@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from browsing import PATIENCE_MS, chromium, row, shown, until
 from conftest import Processes
-from far_swarm import Swarm, real_page
+from remote_swarm import Swarm, real_page
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
@@ -57,7 +57,7 @@ def test_apps_links_and_services_of_real_robots(swarm: Swarm) -> None:
         # What a real robot's people do themselves is not offered.
         row(page, "r0").click()
         expect(page.get_by_role("button", name="kill app/consensus")).to_be_visible(timeout=PATIENCE_MS)
-        assert page.locator("#hands button", has_text=re.compile("press|push|lay")).count() == 0
+        assert page.locator("#controls button", has_text=re.compile("press|push|lay")).count() == 0
 
         click(page, "cut r1")
         until(page, "swarmView.store.link('r0', 'r1')?.state === 'down'")
@@ -95,7 +95,7 @@ def test_apps_links_and_services_of_real_robots(swarm: Swarm) -> None:
     with chromium() as browser, shown(browser, *options) as page:
         row(page, "r0").click(timeout=PATIENCE_MS)
         expect(page.locator("#keys h2")).to_have_text("swarm/r0")
-        for each in ("#stop", "#apps", "#hands"):
+        for each in ("#stop", "#apps", "#controls"):
             expect(page.locator(each)).to_be_hidden()
         page.evaluate("""() => {
           const socket = new WebSocket(`ws://${location.host}/live${location.search}`);

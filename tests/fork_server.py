@@ -49,7 +49,7 @@ _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h
 _ROOM = 1 << 17
 """Bytes of one order: words and an environment."""
 
-_door: socket.socket | None = None
+_control: socket.socket | None = None
 _one = threading.Lock()
 """One order at a time: the answers say not to which order."""
 
@@ -64,7 +64,7 @@ def start(command: Sequence[str], env: Mapping[str, str] = os.environ, **streams
 
 
 class _Forked(subprocess.Popen[Any]):
-    """A process that the nursery has forked."""
+    """A process that the fork server has forked."""
 
     def _execute_child(self, args: Any, *rest: Any) -> None:
         """In place of fork and exec."""
@@ -72,11 +72,11 @@ class _Forked(subprocess.Popen[Any]):
         streams = [number if given < 0 else given for number, given in enumerate((pipes[0], pipes[3], pipes[5]))]
         order = json.dumps([args[2:], str(Path.cwd()), environment]).encode()
         with _one:
-            door = _nursery()
-            # Whoever is between the nursery and the program ends at once, and its orphan is to be ours.
+            control = _fork_server()
+            # Whoever is between the fork server and the program ends at once, and its orphan is to be ours.
             ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
-            socket.send_fds(door, [order], streams)
-            self.pid = int(door.recv(_ROOM))
+            socket.send_fds(control, [order], streams)
+            self.pid = int(control.recv(_ROOM))
             ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 0)
         if (group := rest[-1]) >= 0:
             os.setpgid(self.pid, group)
@@ -84,20 +84,20 @@ class _Forked(subprocess.Popen[Any]):
         self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
 
 
-def _nursery() -> socket.socket:
-    """The door of this process' own nursery; it ends when nobody has the door any more."""
-    global _door
-    if _door is None:
-        _door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+def _fork_server() -> socket.socket:
+    """Return the socket of this process's fork server, which ends when nobody holds the socket any more."""
+    global _control
+    if _control is None:
+        _control, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         process = subprocess.Popen([sys.executable, __file__], stdin=inside, stdout=subprocess.DEVNULL)
         inside.close()
-        atexit.register(_end, _door, process.wait)
-    return _door
+        atexit.register(_end, _control, process.wait)
+    return _control
 
 
-def _end(door: socket.socket, wait: Callable[[], object]) -> None:
-    """End the nursery behind the door."""
-    door.close()
+def _end(control: socket.socket, wait: Callable[[], object]) -> None:
+    """End the fork server behind the socket."""
+    control.close()
     wait()
 
 
@@ -113,13 +113,13 @@ def _prepare() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in before}
 
 
-def _serve(door: socket.socket, chosen: dict[str, str]) -> list[str]:
+def _serve(control: socket.socket, chosen: dict[str, str]) -> list[str]:
     """Fork a process for each order; returns the words of its order in each of them."""
     # Of threads only the one that forks would be copied.
     assert threading.active_count() == 1
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     while True:
-        order, streams, _, _ = socket.recv_fds(door, _ROOM, 3)
+        order, streams, _, _ = socket.recv_fds(control, _ROOM, 3)
         if not order:
             os._exit(0)
         waits, begin = os.pipe()
@@ -133,8 +133,8 @@ def _serve(door: socket.socket, chosen: dict[str, str]) -> list[str]:
         os.wait()
         for number in (waits, begin, *streams):
             os.close(number)
-    door.send(str(os.getpid()).encode())
-    door.close()
+    control.send(str(os.getpid()).encode())
+    control.close()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number, stream in enumerate(streams):
         os.dup2(stream, number)
@@ -147,19 +147,19 @@ def _serve(door: socket.socket, chosen: dict[str, str]) -> list[str]:
     return words
 
 
-def _nurse(words: list[str], chosen: dict[str, str]) -> list[str]:
-    """Give this simulation, which has not begun, a nursery of its own, a copy of it; returns the words of the order in
-    the simulation and in each process that its nursery forks."""
-    global _door
+def _become_fork_server(words: list[str], chosen: dict[str, str]) -> list[str]:
+    """Give this simulation, which has not begun, a fork server: a copy of it; returns the words of the order in
+    the simulation and in each process that its fork server forks."""
+    global _control
     from sim import processes
 
-    _door, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    nursery = os.fork()
-    if not nursery:
-        _door.close()
+    _control, inside = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    fork_server = os.fork()
+    if not fork_server:
+        _control.close()
         return _serve(inside, chosen)
     inside.close()
-    atexit.register(_end, _door, partial(os.waitpid, nursery, 0))
+    atexit.register(_end, _control, partial(os.waitpid, fork_server, 0))
     processes.subprocess = SimpleNamespace(**{**vars(subprocess), "Popen": start})  # type: ignore[assignment]
     return words
 
@@ -168,5 +168,5 @@ if __name__ == "__main__":
     _chosen = _prepare()
     sys.argv = _serve(socket.socket(fileno=os.dup(0)), _chosen)
     if sys.argv[0] in SIMULATIONS:
-        sys.argv = _nurse(sys.argv, _chosen)
+        sys.argv = _become_fork_server(sys.argv, _chosen)
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

@@ -8,7 +8,7 @@ from swarm.messages.codec import Value
 from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
 
 
-class Tape:
+class TrajectoryBuilder:
     """What is kept of one robot's iterations: when each was done, and the states of all or of the last.
 
     Where not all states are kept, nor are all times of a long run: then those of two windows (`WINDOW`) in four are, of

@@ -1,6 +1,6 @@
 """What the bus does in the slack of the ticks: battery, buttons, UWB reports, requests to the DWM1001, the IMU's rates.
 
-Each chore is a core that says which transfer is next. This runs them, in the order of their urgency, as far as the
+Each task is a core that says which transfer is next. This runs them, in the order of their urgency, as far as the
 rest of the tick allows: a transfer that does not fit waits for the next tick, so that no control step is ever late
 because of one.
 """
@@ -17,7 +17,7 @@ from services.balancer.core.display import ADDRESS, Screen, ScreenText
 from services.balancer.core.health import Health
 from services.balancer.core.mailbox import Mailbox
 from services.balancer.core.rates import RateMeter
-from services.balancer.core.transfers import Chore, Transfer, duration
+from services.balancer.core.transfers import SlackTask, Transfer, duration
 from services.balancer.core.tune import Player
 from services.balancer.core.uwb import UwbReader
 from services.balancer.link import Message
@@ -30,12 +30,12 @@ control step's 3.5 ms the bus is busy for 8 of 10 ms at most."""
 MARGIN_S = 1.0e-3
 """Left free before the next tick."""
 LOG_PERIOD_S = 10.0
-"""Of failures: a chore that fails again and again is counted, not logged each time."""
+"""Of failures: a task that fails again and again is counted, not logged each time."""
 
 _log = logging.getLogger("balancer")
 
 
-class Chores:
+class SlackTasks:
     """See the module. All of it runs on the loop's thread."""
 
     def __init__(self, balancer: Balancer, clock: Callable[[], float]) -> None:
@@ -46,7 +46,7 @@ class Chores:
         self._health = Health(now)
         self._player = Player()
         self._screen = Screen(now)
-        self._order: tuple[Chore, ...] = (self._player, self._uwb, self._mailbox, self._health, self._screen)
+        self._order: tuple[SlackTask, ...] = (self._player, self._uwb, self._mailbox, self._health, self._screen)
         self._meter = RateMeter()
         self._lines: tuple[str, ...] = ()
         self._shown: tuple[bool, tuple[str, ...]] | None = None
@@ -61,7 +61,7 @@ class Chores:
         """Transfers that failed here since the start."""
 
     def obey(self, message: Message, now: float) -> bool:
-        """Take a command; False where it is none for a chore."""
+        """Take a command; False where it is none for a task."""
         match message:
             case ModuleRequest():
                 self._mailbox.post(message, now)
@@ -103,26 +103,26 @@ class Chores:
         self._health.remarks.clear()
         if (display := self._display(now)) is not None:
             news.append(display)
-        for chore in (self._health, self._uwb, self._mailbox, self._meter):
-            if chore.news is not None:
-                news.append(chore.news)
-                chore.news = None
+        for task in (self._health, self._uwb, self._mailbox, self._meter):
+            if task.news is not None:
+                news.append(task.news)
+                task.news = None
         return news
 
     def _work(self, budget: float) -> None:
         """Transfers of `budget` seconds at most."""
-        for chore in self._order:
-            while (transfer := chore.next(now := self._clock())) is not None:
+        for task in self._order:
+            while (transfer := task.next(now := self._clock())) is not None:
                 cost = duration(transfer)
                 if cost > budget:
                     break
                 budget -= cost
                 try:
-                    chore.take(self._balancer.balboa.transfer(transfer), now)
+                    task.take(self._balancer.balboa.transfer(transfer), now)
                 except OSError as error:
-                    self._failed(chore, error, now)
+                    self._failed(task, error, now)
                 except RemoteError as error:
-                    self._failed(chore, OSError(errno.EBADMSG, str(error)), now)
+                    self._failed(task, OSError(errno.EBADMSG, str(error)), now)
         transfer = None if self._mailbox.active else self._meter.next(now := self._clock())
         if transfer is not None and duration(transfer) + PAUSE_S <= budget:
             self._measure(transfer, now)
@@ -141,13 +141,13 @@ class Chores:
         self._meter.timed(self._clock() + bus.untimed() - begun)
         self._meter.take(data, now)
 
-    def _failed(self, chore: Chore, error: OSError, now: float) -> None:
-        if chore is not self._screen or self._screen.present:  # a robot without a display is a whole robot
+    def _failed(self, task: SlackTask, error: OSError, now: float) -> None:
+        if task is not self._screen or self._screen.present:  # a robot without a display is a whole robot
             self.errors += 1
             if now - self._logged >= LOG_PERIOD_S:
                 self._logged = now
-                _log.warning("%s: %s errors=%d", type(chore).__name__, error.strerror or error, self.errors)
-        chore.fail(error, now)
+                _log.warning("%s: %s errors=%d", type(task).__name__, error.strerror or error, self.errors)
+        task.fail(error, now)
 
     def _display(self, now: float) -> Display | None:
         """What is to be told of the display, once it is drawn or known not to be there."""

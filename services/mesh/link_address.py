@@ -1,4 +1,4 @@
-"""Where a link leads, in one line of text: `type:parameters`.
+"""Link addresses: where a link leads, as one line of text `type:parameters`.
 
 sim:PATH         a Unix socket with a simulated radio behind it
 tcp:HOST:PORT    Wi-Fi or Ethernet; HOST may be [IPv6]
@@ -36,13 +36,13 @@ class Rfcomm:
     address: str
 
 
-Moniker = Sim | Tcp | Rfcomm
+LinkAddress = Sim | Tcp | Rfcomm
 
 _ADDRESS = re.compile(r"([0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}")
 
 
-def parse(text: str) -> Moniker:
-    """Read a moniker; raises `ConfigError` with what was expected."""
+def parse(text: str) -> LinkAddress:
+    """Read a link address; raises `ConfigError` with what was expected."""
     kind, _, rest = text.partition(":")
     if kind == "sim" and rest:
         path = Path(rest)
@@ -64,7 +64,7 @@ def parse_address(address: str, whole: str) -> Tcp:
     return Tcp(host, int(port))
 
 
-def of_robot(robot: Robot) -> Moniker:
+def of_robot(robot: Robot) -> LinkAddress:
     """How the others reach a robot; raises `ConfigError` naming the robot."""
     if robot.link is None and robot.bluetooth is None:
         raise ConfigError(f"robot {robot.name}: it has neither a link nor a Bluetooth address to be reached at")

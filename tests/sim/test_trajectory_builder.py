@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from services.apps.observer import Line
-from sim.virtual import tape as module
-from sim.virtual.tape import Tape
+from sim.virtual import trajectory_builder as module
+from sim.virtual.trajectory_builder import TrajectoryBuilder
 from swarm.recording.trajectory import iteration_times, median, percentile
 
 FIELD = SimpleNamespace(columns=("value",))
@@ -15,13 +15,13 @@ SOURCE = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(F
 
 
 def written(count, *, keep):
-    """A tape of `count` iterations that take 0.1 s on average."""
+    """A builder of `count` iterations that take 0.1 s on average."""
     numbers = random.Random(1)
-    tape, t = Tape(keep=keep), 0.0
+    builder, t = TrajectoryBuilder(keep=keep), 0.0
     for k in range(count):
         t += numbers.uniform(0.05, 0.15)
-        tape.write(SOURCE, Line(k, t, {"value": float(k)}, {}))
-    return tape
+        builder.write(SOURCE, Line(k, t, {"value": float(k)}, {}))
+    return builder
 
 
 def test_times_of_a_long_run_are_thinned_out_and_measure_the_same(monkeypatch):
@@ -46,9 +46,9 @@ def test_a_short_run_keeps_every_time():
 
 def test_a_run_that_goes_back_forgets_the_iterations_that_are_done_again(monkeypatch):
     monkeypatch.setattr(module, "MOST_TIMES", 100)
-    tape = written(1000, keep=False)
-    tape.go_back(600)
-    assert max(tape._ks) < 600
-    tape.write(SOURCE, Line(600, 500.0, {"value": 0.0}, {}))
-    found = tape.trajectory()
+    builder = written(1000, keep=False)
+    builder.go_back(600)
+    assert max(builder._ks) < 600
+    builder.write(SOURCE, Line(600, 500.0, {"value": 0.0}, {}))
+    found = builder.trajectory()
     assert (found.last, found.newest) == (600, 500.0)

@@ -1,4 +1,4 @@
-"""The lockstep front, in a real browser: a link of a line is cut, and robots wait for each other."""
+"""The lockstep chart, in a real browser: a link of a line is cut, and robots wait for each other."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
 PICTURE = """(() => {
-  const canvas = document.querySelector("#front canvas");
+  const canvas = document.querySelector("#lockstep canvas");
   const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
   let red = 0;
   for (let i = 0; i < data.length; i += 4) {
@@ -39,7 +39,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_says_who_waits_for_whom_and_shows_it(browser: Any, run: Path) -> None:
     with shown(browser, run, color_scheme="light") as page:
         seek(page, 6)
-        said = page.locator("#front p")
+        said = page.locator("#lockstep p")
         waits = "r2 waits for r3 (link down); r3 waits for r2 (link down); 4 robots wait behind them"
         expect(said).to_have_text(re.compile(rf"iterations \d+ to \d+; {re.escape(waits)}"), timeout=PATIENCE_MS)
         until(page, f"{PICTURE} > 300")
@@ -51,7 +51,7 @@ def test_it_says_who_waits_for_whom_and_shows_it(browser: Any, run: Path) -> Non
 def test_a_column_is_a_robot(browser: Any, run: Path) -> None:
     with shown(browser, run) as page:
         seek(page, 6)
-        canvas = page.locator("#front canvas")
+        canvas = page.locator("#lockstep canvas")
         box = canvas.bounding_box(timeout=PATIENCE_MS)
         until(page, f"{PICTURE} > 300")
         canvas.click(position={"x": box["width"] - 60, "y": 100})
@@ -66,7 +66,7 @@ def test_what_an_app_names_goes_before_what_one_can_see(browser: Any, run: Path)
             "swarmView.store.take({t: 6, live: true, robots: {r0: {'app/consensus/progress': "
             "{phase: 'waiting', k: 69, waiting_for: ['r5'], reason: ''}}}}, performance.now())"
         )
-        expect(page.locator("#front p")).to_contain_text("4 robots wait behind them", timeout=PATIENCE_MS)
-        assert page.evaluate("swarmView.front.waits(swarmView.front.front()).get('r0')") == [
+        expect(page.locator("#lockstep p")).to_contain_text("4 robots wait behind them", timeout=PATIENCE_MS)
+        assert page.evaluate("swarmView.lockstepChart.waits(swarmView.lockstepChart.iterations()).get('r0')") == [
             {"peer": "r5", "named": True}
         ]

@@ -5,7 +5,7 @@ from typing import Any
 
 from laptop.cli.hand import kill
 from laptop.view.feed import Simulation
-from laptop.view.hands import Act, cut, named
+from laptop.view.robot_actions import PageAction, cut, named
 from sim.control import app_requests, link_cuts, send_action
 from sim.core.actions import Lay, Press, Push
 from swarm.messages.codec import Value
@@ -13,12 +13,12 @@ from swarm.messages.codec import Value
 PRESS_S = 0.3
 
 
-class SimulatedHands:
+class SimulatedActions:
     """Done at once, by the simulation."""
 
     def __init__(self, feed: Simulation) -> None:
         self._feed = feed
-        self.acts: Mapping[str, Act] = {
+        self.acts: Mapping[str, PageAction] = {
             "press": self._press,
             "push": self._push,
             "lay": self._lay,

@@ -1,8 +1,8 @@
-"""The simulated body's link with what is around it: its pose and its LEDs to the world, and whoever acts on it.
+"""The simulated body's link with its world: it reports its pose and LEDs, and takes the actions of people.
 
-The pose goes to RUN/world.sock 25 times a second, changes of the LEDs as they happen; acts (`sim.core.actions`) come
-to the door, RUN/<robot>/body.sock. A body that starts asks the world, which may know from an
-earlier process where it had been.
+The pose goes to RUN/world.sock 25 times a second, changes of the LEDs as they happen. Actions (`sim.core.actions`)
+arrive on RUN/<robot>/body.sock. A body that starts asks the world for its place, which the world may know from an
+earlier process.
 """
 
 import logging
@@ -11,8 +11,8 @@ from pathlib import Path
 import msgpack
 
 from sim.control import datagrams
-from sim.core.action_effects import Hands
-from sim.core.actions import DOOR, unpack
+from sim.core.action_effects import ActionEffects
+from sim.core.actions import BODY_SOCKET, unpack
 from sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
 from swarm.process.paths import socket_path
@@ -27,17 +27,17 @@ _MAX_DATAGRAM = 4096
 _log = logging.getLogger("body")
 
 
-class Door:
-    """See the module. Nothing here waits, but for the world's answer before the first tick."""
+class WorldClient:
+    """Reports to the world and takes actions. Only the constructor waits: for the world's answer about the place."""
 
     def __init__(self, name: str, robot: SimulatedRobot, runtime: Path, now: float) -> None:
         """`runtime` is the robot's runtime directory."""
         self._name, self._robot, self._body = name, robot, robot.body
-        self._hands = Hands(robot)
+        self._effects = ActionEffects(robot)
         self._world = str(socket_path(runtime.parent, WORLD_SOCKET))
         self._next = 0.0
-        socket_path(runtime, DOOR).unlink(missing_ok=True)  # of the process before
-        self._socket = datagrams.listen(runtime, DOOR)
+        socket_path(runtime, BODY_SOCKET).unlink(missing_ok=True)  # of the process before
+        self._socket = datagrams.listen(runtime, BODY_SOCKET)
         self._ask(now)
         self._socket.setblocking(False)
 
@@ -67,7 +67,7 @@ class Door:
         for _ in range(_ACTS_AT_ONCE):
             if not self._take(now):
                 break
-        self._hands.handle_timer(now)
+        self._effects.handle_timer(now)
 
     def _ask(self, now: float) -> None:
         self._socket.settimeout(ANSWER_S)
@@ -89,7 +89,7 @@ class Door:
         except OSError:
             return False
         try:
-            self._hands.do(unpack(datagram), now)
+            self._effects.do(unpack(datagram), now)
         except (LocalError, RemoteError) as error:
             _log.warning("an act that is none: %s", error)
         return True

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.control import datagrams
-from sim.core.action_effects import Hands
+from sim.core.action_effects import ActionEffects
 from sim.core.actions import Lay, Place, Press, Push, Unplug, check, pack, unpack
-from sim.door import WORLD_SOCKET, Door
 from sim.world import LedReport, World
+from sim.world_client import WORLD_SOCKET, WorldClient
 from swarm import clock
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
@@ -72,19 +72,19 @@ def test_what_cannot_be_done_is_named(act, message: str) -> None:
 
 def test_a_button_is_held_and_let_go() -> None:
     rig = Rig(start_mode="rest").run(0.1)
-    hand = Hands(rig.robot)
-    hand.do(Press("A", 0.5), rig.now)
-    hand.do(Press("C", 1.0), rig.now)
+    effects = ActionEffects(rig.robot)
+    effects.do(Press("A", 0.5), rig.now)
+    effects.do(Press("C", 1.0), rig.now)
     for seconds, expected in ((0.3, (True, False, True)), (0.5, (False, False, True)), (0.5, (False, False, False))):
         rig.run(seconds)
-        hand.handle_timer(rig.now)
+        effects.handle_timer(rig.now)
         assert rig.run(0.05).balancer.motion.buttons == sum(1 << bit for bit, held in enumerate(expected) if held)
 
 
 @pytest.mark.parametrize(("side", "sign"), [("back", -1), ("front", 1)])
 def test_a_laid_robot_is_down_and_says_so_and_stands_up_on_command(side: str, sign: int) -> None:
     rig = upright().run(2)
-    Hands(rig.robot).do(Lay(side), rig.now)
+    ActionEffects(rig.robot).do(Lay(side), rig.now)
     rig.run(3)
     assert rig.body.tilt == pytest.approx(sign * math.radians(110))
     assert (rig.balancer.mode, rig.balancer.posture) == ("fault", side)
@@ -98,7 +98,7 @@ def test_a_laid_robot_is_down_and_says_so_and_stands_up_on_command(side: str, si
 
 def test_turned_over_from_one_side_to_the_other() -> None:
     rig = Rig(start_mode="rest", tilt=math.radians(110), held=False).run(4)
-    Hands(rig.robot).do(Lay("back"), rig.now)
+    ActionEffects(rig.robot).do(Lay("back"), rig.now)
     rig.run(4)
     assert rig.balancer.posture == "back"
     rig.balancer.command("stand", rig.now)
@@ -111,7 +111,7 @@ def test_a_pushed_robot_returns_even_where_its_loop_is_late_once(impulse: float,
     rig = upright().run(3)
     start, late_tick = rig.body.x, rig.tick + 5
     rig.lateness = lambda tick: late_s if tick == late_tick else 0.0
-    Hands(rig.robot).do(Push(impulse), rig.now)
+    ActionEffects(rig.robot).do(Push(impulse), rig.now)
     rig.run(0.5)
     assert rig.body.x > start + 0.02
     rig.run(10)
@@ -125,7 +125,7 @@ def test_a_robot_that_falls_while_its_loop_stands_still_keeps_its_motors_off_unt
     rig = upright().run(3)
     late_tick += rig.tick
     rig.lateness = lambda tick: 0.5 if tick == late_tick else 0.0
-    Hands(rig.robot).do(Push(0.15), rig.now)
+    ActionEffects(rig.robot).do(Push(0.15), rig.now)
     rig.run(5)
     assert rig.balancer.mode == "fault"
     assert rig.robot.atmega.motors == (0.0, 0.0)
@@ -135,31 +135,31 @@ def test_a_robot_that_falls_while_its_loop_stands_still_keeps_its_motors_off_unt
 
 def test_a_body_that_is_put_down_lies_where_it_was() -> None:
     rig = Rig(start_mode="stand")
-    Hands(rig.robot).do(Place(1.5, -0.5, 0.7, -0.1, False), rig.now)
+    ActionEffects(rig.robot).do(Place(1.5, -0.5, 0.7, -0.1, False), rig.now)
     rig.run(1)
     assert (rig.body.x, rig.body.y, rig.body.heading) == (1.5, -0.5, 0.7)
     assert rig.body.tilt == pytest.approx(-math.radians(110))
     assert rig.run(8).balancer.mode == "balancing"
-    Hands(rig.robot).do(Place(9.0, 9.0, 0.0, 0.0, True), rig.now)
+    ActionEffects(rig.robot).do(Place(9.0, 9.0, 0.0, 0.0, True), rig.now)
     assert rig.body.x < 3.0, "a body in its hand begins at its own place"
 
 
 def test_a_change_of_leds_waits_for_room_at_a_busy_world(runtime: Path) -> None:
     rig, place = upright(), runtime / "r0"
     place.mkdir()
-    door = Door("r0", rig.robot, place, 0.0)
-    with contextlib.closing(door._socket), contextlib.closing(datagrams.listen(runtime, WORLD_SOCKET)) as world:
+    client = WorldClient("r0", rig.robot, place, 0.0)
+    with contextlib.closing(client._socket), contextlib.closing(datagrams.listen(runtime, WORLD_SOCKET)) as world:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other, contextlib.suppress(BlockingIOError):
             other.setblocking(False)
             while True:
                 other.sendto(b"full", str(runtime / WORLD_SOCKET))
         rig.robot.atmega.led_changes.clear()
         rig.robot.atmega.led_changes.append((7.0, (False, True, False)))
-        door.look(1.0)
+        client.look(1.0)
         with contextlib.suppress(BlockingIOError):
             while world.recv(100) == b"full":
                 pass
-        door.look(1.01)
+        client.look(1.01)
         told = decode(LedReport, world.recv(100), WORLD_SOCKET)
         assert told == LedReport("r0", 7.0, red=False, yellow=True, green=False)
 

@@ -6,9 +6,9 @@ What is told is heard by a session of its own, which is there only while somebod
 import threading
 from pathlib import Path
 
+from services.mesh.bus_interface import Mesh
 from services.mesh.core.overlays.viewing import KEYS, Viewing
 from services.mesh.core.wire.frames import BULK
-from services.mesh.door import Mesh
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import PayloadError
@@ -20,7 +20,7 @@ _ASK_S = 2.0
 """s that services may take to say how they are."""
 
 
-class Tell:
+class ViewSender:
     """Of one mesh process."""
 
     def __init__(self, robot: str, robots: int, runtime: Path) -> None:

@@ -1,4 +1,4 @@
-// The lockstep front: how far each robot is, and who waits for whom. A column for each robot, as high as its iteration.
+// The lockstep chart: how far each robot is, and who waits for whom. A column for each robot, as high as its iteration.
 //
 // A robot waits for those that its app names (`progress.waiting_for`, at the latest after 3 s) and, before that or where a
 // recording has no progress, for neighbours that are behind it or behind a link that is not up, once it stands still.
@@ -6,14 +6,14 @@
 import { sharp, theme } from "./theme.js";
 
 const STILL_S = 0.5; // a robot that has done no iteration for so long stands still
-const LAG_S = 0.45; // live states come five times a second: the front is shown as it was when all of them were there
+const LAG_S = 0.45; // live states come five times a second: the chart is shown as it was when all of them were there
 const KEPT = 16; // states of a robot, for the way between them
 const LEVELS = 4; // iterations that the picture shows at least
 const NAMED = 6;
 
 const several = (names) => (names.length > NAMED ? `${names.slice(0, NAMED).join(", ")} and ${names.length - NAMED} more` : names.join(", "));
 
-export class Front {
+export class LockstepChart {
   constructor(section, store, select) {
     this.section = section;
     this.canvas = section.querySelector("canvas");
@@ -62,7 +62,7 @@ export class Front {
   }
 
   // Iterations of all robots at one instant of the swarm's clock; a recording's states are those of its instant already.
-  front() {
+  iterations() {
     const newest = Math.max(...[...this.states.values()].map((states) => states.at(-1)[0]));
     const at = this.store.swarm?.recording ? Infinity : newest - LAG_S;
     const found = new Map();
@@ -80,16 +80,16 @@ export class Front {
   }
 
   // Whom each robot waits for: name -> [{peer, named}].
-  waits(front) {
+  waits(iterations) {
     const found = new Map(), store = this.store;
     for (const name of store.names) {
       const progress = store.get(name, `${this.app}/progress`);
       if (progress?.phase === "done" || progress?.phase === "fault") continue;
       const named = Array.isArray(progress?.waiting_for) ? progress.waiting_for : [];
       const peers = named.map((peer) => ({ peer, named: true }));
-      if (!named.length && front.has(name) && this.still(name)) {
+      if (!named.length && iterations.has(name) && this.still(name)) {
         for (const peer of store.neighbours(name)) {
-          const behind = front.get(peer) < front.get(name), cut = (store.link(name, peer)?.state ?? "up") !== "up";
+          const behind = iterations.get(peer) < iterations.get(name), cut = (store.link(name, peer)?.state ?? "up") !== "up";
           if (behind || cut) peers.push({ peer, named: false });
         }
       }
@@ -99,8 +99,8 @@ export class Front {
   }
 
   // In words: those on whom all wait in the end are named first.
-  say(front, waits) {
-    const ks = [...front.values()], least = Math.min(...ks), most = Math.max(...ks);
+  say(iterations, waits) {
+    const ks = [...iterations.values()], least = Math.min(...ks), most = Math.max(...ks);
     const text = least === most ? `all at iteration ${most}` : `iterations ${least} to ${most}`;
     if (!waits.size) return text;
     const awaited = new Set([...waits.values()].flat().map(({ peer }) => peer));
@@ -123,22 +123,22 @@ export class Front {
     if (!apps.includes(this.app)) this.show(apps[0] ?? null);
     this.choice.hidden = apps.length < 2;
     if (this.choice.options.length !== apps.length) this.choice.replaceChildren(...apps.map((app) => new Option(app.slice(4), app)));
-    const front = this.app ? this.front() : new Map();
-    this.section.hidden = !front.size;
-    if (!front.size) return;
-    const waits = this.waits(front), text = this.say(front, waits);
+    const iterations = this.app ? this.iterations() : new Map();
+    this.section.hidden = !iterations.size;
+    if (!iterations.size) return;
+    const waits = this.waits(iterations), text = this.say(iterations, waits);
     if (this.text.textContent !== text) this.text.textContent = text;
     const ratio = sharp(this.canvas);
-    const shown = JSON.stringify([[...front], [...waits], selected, theme.version, this.canvas.width, this.canvas.height]);
+    const shown = JSON.stringify([[...iterations], [...waits], selected, theme.version, this.canvas.width, this.canvas.height]);
     if (!ratio || shown === this.shown) return;
     this.shown = shown;
-    this.paint(front, waits, selected, ratio);
+    this.paint(iterations, waits, selected, ratio);
   }
 
-  paint(front, waits, selected, ratio) {
+  paint(iterations, waits, selected, ratio) {
     const c = this.canvas.getContext("2d"), names = this.store.names;
     const width = this.canvas.width / ratio, height = this.canvas.height / ratio;
-    const ks = [...front.values()], most = Math.max(...ks), least = Math.min(Math.min(...ks), most - LEVELS + 1);
+    const ks = [...iterations.values()], most = Math.max(...ks), least = Math.min(Math.min(...ks), most - LEVELS + 1);
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, height);
     c.font = "12px system-ui, sans-serif";
@@ -166,8 +166,8 @@ export class Front {
     const bar = Math.max(2, Math.min(34, this.step * 0.7)), skip = Math.ceil((label + 8) / this.step);
     c.textAlign = "center";
     names.forEach((name, index) => {
-      if (front.has(name)) {
-        const height = y(front.get(name)), colour = this.store.colour(name);
+      if (iterations.has(name)) {
+        const height = y(iterations.get(name)), colour = this.store.colour(name);
         c.fillStyle = colour;
         c.globalAlpha = 0.28;
         c.fillRect(x(index) - bar / 2, height, bar, bottom - height);
@@ -193,7 +193,7 @@ export class Front {
         const from = names.indexOf(name), to = names.indexOf(peer);
         if (from < 0 || to < 0) continue;
         const fade = many && selected && name !== selected ? 0.15 : 1;
-        this.arrow(c, x(from), y(front.get(name) ?? least), x(to), y(front.get(peer) ?? least), named, fade, Math.min(7, 2 + this.step / 4));
+        this.arrow(c, x(from), y(iterations.get(name) ?? least), x(to), y(iterations.get(peer) ?? least), named, fade, Math.min(7, 2 + this.step / 4));
       }
     }
   }

@@ -1,4 +1,4 @@
-"""Chores in the slack, in virtual time: what is told when, and that no tick suffers."""
+"""Slack tasks in virtual time: what is told when, and that no tick suffers."""
 
 import errno
 import logging
@@ -9,7 +9,6 @@ from balancer_rig import Rig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.chores import MARGIN_S, SLACK_S, Chores
 from services.balancer.core import balboa, uwb
 from services.balancer.core.buttons import ButtonCounter
 from services.balancer.core.display import ScreenText
@@ -17,6 +16,7 @@ from services.balancer.core.lqr import PERIOD_S
 from services.balancer.core.mailbox import check_request
 from services.balancer.core.requests import check
 from services.balancer.core.transfers import Transfer, duration, read
+from services.balancer.slack_tasks import MARGIN_S, SLACK_S, SlackTasks
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, encode_location
 from sim.core.devices import SimulatedRobot
 from swarm.errors import LocalError, RemoteError
@@ -36,11 +36,11 @@ from swarm.messages import (
 
 
 class Ticking:
-    """A robot whose loop calls the chores after each control step."""
+    """A robot whose loop calls the slack tasks after each control step."""
 
     def __init__(self, rig: Rig | None = None) -> None:
         self.rig = rig or Rig()
-        self.chores = Chores(self.rig.balancer, lambda: self.rig.now)
+        self.tasks = SlackTasks(self.rig.balancer, lambda: self.rig.now)
         self.news: list = []
         self.transfers: list[tuple[int, Transfer]] = []
         self.tick = 0
@@ -52,7 +52,7 @@ class Ticking:
         for _ in range(round(seconds / PERIOD_S)):
             self.rig.run(PERIOD_S)
             self.tick += 1
-            self.news += self.chores.run(self.rig.deadline)
+            self.news += self.tasks.run(self.rig.deadline)
         return self
 
     def of(self, kind: type) -> list:
@@ -65,9 +65,9 @@ class Ticking:
 
 def test_no_tick_has_more_than_its_share() -> None:
     ticking = Ticking().run(1.0)
-    ticking.chores.obey(ModuleRequest("long", b"\x99\xfd" + bytes(253)), ticking.rig.now)
-    ticking.chores.obey(ScreenText(tuple("abcdefghijklmnopqrstu" for _ in range(7))), ticking.rig.now)
-    ticking.chores.obey(SetNotes((Note(440.0, 0.1, 1.0),) * 64), ticking.rig.now)
+    ticking.tasks.obey(ModuleRequest("long", b"\x99\xfd" + bytes(253)), ticking.rig.now)
+    ticking.tasks.obey(ScreenText(tuple("abcdefghijklmnopqrstu" for _ in range(7))), ticking.rig.now)
+    ticking.tasks.obey(SetNotes((Note(440.0, 0.1, 1.0),) * 64), ticking.rig.now)
     ticking.run(3.0)
     spent: dict[int, float] = {}
     for tick, transfer in ticking.transfers:
@@ -75,7 +75,7 @@ def test_no_tick_has_more_than_its_share() -> None:
     assert max(spent.values()) <= SLACK_S
     assert len(ticking.transfers) > 150
     assert ticking.rig.balancer.mode == "balancing"
-    assert ticking.chores.errors == 0
+    assert ticking.tasks.errors == 0
 
 
 def test_a_late_tick_does_nothing_that_would_make_the_next_one_late() -> None:
@@ -83,7 +83,7 @@ def test_a_late_tick_does_nothing_that_would_make_the_next_one_late() -> None:
     before = len(ticking.transfers)
     for _ in range(50):
         ticking.rig.now += PERIOD_S
-        assert not [each for each in ticking.chores.run(ticking.rig.now + MARGIN_S) if not isinstance(each, Buttons)]
+        assert not [each for each in ticking.tasks.run(ticking.rig.now + MARGIN_S) if not isinstance(each, Buttons)]
     assert len(ticking.transfers) == before
 
 
@@ -145,17 +145,17 @@ def test_presses_are_the_rising_edges(downs: list[int]) -> None:
 def test_imu_samples_as_long_as_asked_for() -> None:
     ticking = Ticking().run(4.0)
     assert ticking.of(ImuSample) == []
-    ticking.chores.obey(ImuRequest(100.0, 0.5), ticking.rig.now)
+    ticking.tasks.obey(ImuRequest(100.0, 0.5), ticking.rig.now)
     ticking.run(1.0)
     told = ticking.of(ImuSample)
     assert [each.sequence for each in told] == list(range(1, len(told) + 1))
     assert 49 <= len(told) <= 51
     assert told[-1].acceleration[0] == pytest.approx(9.8, abs=0.5)
     assert len(told[-1].gyro) == 3
-    ticking.chores.obey(ImuRequest(10.0, 60.0), ticking.rig.now)
+    ticking.tasks.obey(ImuRequest(10.0, 60.0), ticking.rig.now)
     ticking.run(1.0)
     assert 9 <= len(ticking.of(ImuSample)) - len(told) <= 11
-    ticking.chores.obey(ImuRequest(10.0, 0.0), ticking.rig.now)
+    ticking.tasks.obey(ImuRequest(10.0, 0.0), ticking.rig.now)
     count = len(ticking.of(ImuSample))
     ticking.run(1.0)
     assert len(ticking.of(ImuSample)) == count
@@ -163,7 +163,7 @@ def test_imu_samples_as_long_as_asked_for() -> None:
 
 def test_the_display_shows_and_tells_what_it_was_given() -> None:
     ticking = Ticking().run(0.2)
-    ticking.chores.obey(ScreenText(("r0", "balancing")), ticking.rig.now)
+    ticking.tasks.obey(ScreenText(("r0", "balancing")), ticking.rig.now)
     ticking.run(2.0)
     assert [(each.present, each.lines) for each in ticking.of(Display)][-1] == (True, ("r0", "balancing"))
     assert "#" in "".join(ticking.robot.display.picture())
@@ -178,7 +178,7 @@ def test_a_robot_without_a_display_is_a_whole_robot(caplog: pytest.LogCaptureFix
     assert [(each.present, each.lines) for each in ticking.of(Display)] == [(False, ())]
     assert caplog.text.count("display not there (0x3C)") == 1
     assert ("display", "not there (0x3C): nothing is shown") in ticking.rig.balancer.notices
-    assert (ticking.chores.errors, ticking.rig.balancer.mode, ticking.rig.balancer.fault) == (0, "balancing", None)
+    assert (ticking.tasks.errors, ticking.rig.balancer.mode, ticking.rig.balancer.fault) == (0, "balancing", None)
 
 
 def test_failures_of_chores_are_counted_and_logged_now_and_then(caplog: pytest.LogCaptureFixture) -> None:
@@ -189,7 +189,7 @@ def test_failures_of_chores_are_counted_and_logged_now_and_then(caplog: pytest.L
 
     ticking.rig.balancer.balboa.transfer = fail
     ticking.run(5.0)
-    assert ticking.chores.errors > 20
+    assert ticking.tasks.errors > 20
     assert 1 <= caplog.text.count("Remote I/O error") <= 2
     assert ticking.rig.balancer.mode == "balancing"
 
@@ -200,7 +200,7 @@ def test_nonsense_from_the_atmega_is_an_error_and_no_news(caplog: pytest.LogCapt
     ticking.rig.balancer.balboa.transfer = lambda transfer: bytes((99,)) * transfer.reads
     ticking.run(2.0)
     assert ticking.of(Uwb) == []
-    assert ticking.chores.errors > 0
+    assert ticking.tasks.errors > 0
     assert "there is none" in caplog.text or "quality" in caplog.text
 
 
@@ -208,7 +208,7 @@ def test_a_request_while_the_devices_are_away_has_an_end() -> None:
     ticking = Ticking().run(4.0)
     ticking.robot.devices.pop(balboa.ADDRESS)
     ticking.run(1.0)
-    ticking.chores.obey(ModuleRequest("mine", b"\x08\x00"), ticking.rig.now)
+    ticking.tasks.obey(ModuleRequest("mine", b"\x08\x00"), ticking.rig.now)
     ticking.run(3.5)
     assert [(each.ticket, each.problem) for each in ticking.of(ModuleAnswer)] == [("mine", "no answer within 3 s")]
 
@@ -222,7 +222,7 @@ def test_a_clock_that_goes_back_stops_no_chore_for_good() -> None:
     ticking.run(3.0)
     assert ticking.of(Battery)
     assert ticking.of(Uwb)
-    assert ticking.chores.errors == 0
+    assert ticking.tasks.errors == 0
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -234,7 +234,7 @@ def test_requests_and_reports_come_through_a_bus_with_failures(seed: int) -> Non
     told = 0
     for number in range(3):
         request = b"\x99\xc8" + bytes((number,)) * 200
-        ticking.chores.obey(ModuleRequest(str(number), request), ticking.rig.now)
+        ticking.tasks.obey(ModuleRequest(str(number), request), ticking.rig.now)
         for _ in range(320):
             ticking.robot.failures = [errno.EREMOTEIO if chance.random() < 0.1 else 0 for _ in range(20)]
             ticking.run(PERIOD_S)

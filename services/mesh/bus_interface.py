@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 
 class Mesh(Protocol):
-    """The mesh behind the door; see `services.mesh.runner.Runner`, whose docstrings hold here, too."""
+    """The mesh that this interface serves; `services.mesh.runner.Runner` documents the methods."""
 
     def publish(self, source: int, key: str, payload: bytes) -> None:
         """A sample of the own bus."""
@@ -49,8 +49,8 @@ class Mesh(Protocol):
         """The mesh clock now."""
 
 
-class Door:
-    """Subscribes and serves on a bus for one mesh."""
+class BusInterface:
+    """Subscribes and answers queries on the robot's bus for one mesh."""
 
     def __init__(
         self,

@@ -17,5 +17,5 @@ def test_its_words_say_the_same(last: list[str], end: list[str], away: list[str]
     parser.add_argument("--iterations", type=int)
     run_options.add_arguments(parser)
     found = run_options.of(parser.parse_args([*last, *end, *away]))
-    assert found.words == [*last, *end, *away]
+    assert found.arguments == [*last, *end, *away]
     assert found.last == (7 if last else None)

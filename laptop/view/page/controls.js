@@ -11,7 +11,7 @@ const button = (text, act) => {
   return element;
 };
 
-export class Hands {
+export class Controls {
   constructor(header, panel, store, ask) {
     this.stop = header.querySelector("#stop");
     this.arm = header.querySelector("#arm");

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.virtual.beat import Beat
 from sim.virtual.bus import VirtualBus, VirtualRouter
 from sim.virtual.events import EventQueue, LocalTime
+from sim.virtual.periodic_publisher import PeriodicPublisher
 
 KEYS = ("swarm/r0/balancer/odometry", "swarm/r0/balancer/state")
 PERIOD = 0.04
@@ -43,7 +43,7 @@ def test_it_calls_when_a_plain_timer_does_while_somebody_hears(clock, first, spa
     router = VirtualRouter(world)
     teller, hearer = VirtualBus(router), VirtualBus(router)
     expected, seen = plain(world, time, first), []
-    Beat(time, teller, KEYS, PERIOD, time.now + first, lambda: seen.append((world.now, time.now)))
+    PeriodicPublisher(time, teller, KEYS, PERIOD, time.now + first, lambda: seen.append((world.now, time.now)))
     heard, at = [], 0.0
     for length, key in spans:
         begin, end = at + gap, at + gap + length
@@ -65,7 +65,7 @@ def test_it_costs_nothing_while_nobody_hears():
     world = EventQueue()
     router = VirtualRouter(world)
     teller, hearer = VirtualBus(router), VirtualBus(router)
-    Beat(world, teller, KEYS, PERIOD, 0.01, pytest.fail)
+    PeriodicPublisher(world, teller, KEYS, PERIOD, 0.01, pytest.fail)
     world.run(END)
     assert world.done == 1
     hearer.subscribe("swarm/r0/dwm/pose", print)

@@ -5,7 +5,7 @@ START_LIMIT_S = 60.0
 machine may take longer for the whole start; as long as more and more is ready, that is no fault of the swarm."""
 
 
-class Patience:
+class StartTimeout:
     """Watches how much of a swarm is ready."""
 
     def __init__(self, now: float) -> None:

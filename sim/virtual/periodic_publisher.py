@@ -10,7 +10,7 @@ from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 
 
-class Beat:
+class PeriodicPublisher:
     """Calls at fixed intervals; falls asleep where nobody hears its keys, and goes on in step when somebody does."""
 
     __slots__ = ("_bus", "_call", "_keys", "_last", "_period", "_time")

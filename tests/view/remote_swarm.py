@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 from conftest import Processes
-from far_units import Units, scripts
 from needs import needs_ssh
+from remote_units import Units, scripts
 
 from bench.fake_robots import FakeRobots
 from laptop.fleet.ssh import Ssh, hosts
 from laptop.view.control import Control
-from laptop.view.far import FarHands
+from laptop.view.remote_actions import RemoteActions
 from laptop.view.robots import Robots
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.config import load
@@ -99,7 +99,7 @@ class Swarm:
 
     def control(self, view: Robots) -> Control:
         """Of a view."""
-        self._controls.append(Control(view, FarHands(view, Ssh(self.far.ssh_config))))
+        self._controls.append(Control(view, RemoteActions(view, Ssh(self.far.ssh_config))))
         return self._controls[-1]
 
     def close(self) -> None:

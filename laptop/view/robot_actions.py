@@ -7,18 +7,18 @@ from typing import Any, Protocol
 from swarm.errors import LocalError
 from swarm.messages.codec import Value
 
-Act = Callable[[Mapping[str, Any]], str]
+PageAction = Callable[[Mapping[str, Any]], str]
 """Carries out `{act: NAME, ...}`, or begins to; says what, in words. Raises `LocalError`, and `KeyError`, `TypeError`,
 `ValueError` or `OSError` where something is missing or wrong."""
 
 MAX_CUT_S = 600.0
 
 
-class Hands(Protocol):
+class RobotActions(Protocol):
     """Simulated robots, or real ones."""
 
     @property
-    def acts(self) -> Mapping[str, Act]:
+    def acts(self) -> Mapping[str, PageAction]:
         """What can be done to these robots; a page shows no other."""
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:

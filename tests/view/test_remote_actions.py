@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 from conftest import wait_until
-from far_units import SUDO, scripts
 from needs import needs_ssh
+from remote_units import SUDO, scripts
 from test_reach import Tunnel
 
 from bench.fake_robots import FakeRobots
 from laptop.fleet.ssh import Ssh, hosts
-from laptop.view import far as module
+from laptop.view import remote_actions as module
 from laptop.view import robots as robots_module
 from laptop.view.control import Control
-from laptop.view.far import FarHands
+from laptop.view.remote_actions import RemoteActions
 from laptop.view.robots import Robots
 from swarm.config import load
 from swarm.errors import LocalError
@@ -33,7 +33,7 @@ class Far:
     def __init__(self, folder: Path) -> None:
         self.robots = FakeRobots(folder)
         self.view: Robots
-        self.hands: FarHands
+        self.actions: RemoteActions
 
     def add(self, name: str, *, release: str = "1-a", **options: Any) -> None:
         home = self.robots.add(name, **options)
@@ -49,10 +49,10 @@ class Far:
         self.view = Robots(config, hosts(config, ",".join(names)), ssh)
         for tunnel in self.view.buses.values():
             tunnel.take(["bus", True])
-        self.hands = FarHands(self.view, ssh)
+        self.actions = RemoteActions(self.view, ssh)
 
     def do(self, act: str, **asked: object) -> str:
-        return self.hands.acts[act](asked)
+        return self.actions.acts[act](asked)
 
     def told(self, text: str, count: int = 1) -> None:
         """Wait until it is among the events."""
@@ -70,7 +70,7 @@ class Far:
         return (self.robots.folder / name / "etc/apps/consensus.env").read_text()
 
     def close(self) -> None:
-        self.hands.close()
+        self.actions.close()
         self.view.close()
         self.robots.close()
 
@@ -127,7 +127,7 @@ def test_robots_that_differ_run_nothing_and_are_named(far: Far, odd: str, said: 
         text = SUDO.format(runtime="", python="").replace('"revision": 1', '"revision": 2')
         far.robots.script("r1", "sudo", text)
     far.begin("r0", "r1")
-    wait_until(lambda: far.hands._is_seen("r0") and far.hands._is_seen("r1"))
+    wait_until(lambda: far.actions._is_seen("r0") and far.actions._is_seen("r1"))
     far.do("start", app="consensus")
     far.told("app/consensus was not started: ", 2)
     assert sum(said in text for text in far.events()) == 1
@@ -182,7 +182,7 @@ def test_robots_without_a_run_in_common_begin_a_new_one_if_it_comes_with_the_rel
             return far.view.picture.newest("r0", module.APPS)
 
     wait_until(lambda: known() == {"apps": ["consensus", "mine"]}, what="apps of before are known")
-    wait_until(lambda: far.hands._is_seen("r0") and far.hands._is_seen("r1"))
+    wait_until(lambda: far.actions._is_seen("r0") and far.actions._is_seen("r1"))
     far.do("start", app="consensus")
     far.told("app/consensus was started", 2)
     assert far.settings("r0") == far.settings("r1") != "APP=consensus\nARGUMENTS=--run 1\n"
@@ -221,7 +221,7 @@ def test_parameters_go_over_ssh_where_no_bus_is_near(far: Far) -> None:
     far.add("r1")
     far.add("r2", up=False)
     far.begin("r0")
-    control = Control(far.view, far.hands)
+    control = Control(far.view, far.actions)
     asked = {"act": "set", "app": "consensus", "name": "gain", "value": 0.5}
     assert control.do(asked) == "consensus: gain=0.5 asked of r0 r1 r2"
     far.told("r1 app/consensus: gain=0.5")
@@ -283,7 +283,7 @@ def test_bad_orders_reach_no_robot(far: Far) -> None:
         ({"act": "cut", "robot": "r0", "peer": "r1", "seconds": float("nan")}, "600"),
     ):
         with pytest.raises(LocalError, match=said):
-            far.hands.acts[act["act"]](act)
+            far.actions.acts[act["act"]](act)
     assert far.log("r0") == far.log("r1") == []
 
 

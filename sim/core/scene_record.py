@@ -43,7 +43,7 @@ WINDOW_S = 3.0
 """In this time each LED must go on twice at least."""
 
 
-class Witness:
+class SceneRecord:
     """Keeps what it sees, in bounded memory. Times are of one clock, s."""
 
     def __init__(self, names: Iterable[str]) -> None:

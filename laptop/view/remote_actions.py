@@ -19,9 +19,9 @@ from laptop.fleet import apps
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts
 from laptop.fleet.units import SERVICES, kill, unit
-from laptop.view.hands import Act, cut, named
 from laptop.view.picture import REACH
 from laptop.view.plan import Plan
+from laptop.view.robot_actions import PageAction, cut, named
 from laptop.view.robots import Robots
 from laptop.view.tunnel import PROGRAM
 from swarm import clock
@@ -51,7 +51,7 @@ Job = Callable[[Host], Awaitable[str]]
 """Does the work on one robot and says what was done; raises `HostError`."""
 
 
-class FarHands:
+class RemoteActions:
     """Orders under way, in a thread of ours, until closed."""
 
     def __init__(self, view: Robots, ssh: Ssh) -> None:
@@ -66,9 +66,14 @@ class FarHands:
         self._turns: dict[tuple[str, str], asyncio.Lock] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="far hands", daemon=True)
+        self._thread = threading.Thread(target=self._loop.run_forever, name="remote actions", daemon=True)
         self._thread.start()
-        self.acts: Mapping[str, Act] = {"start": self._start, "end": self._end, "kill": self._kill, "cut": self._cut}
+        self.acts: Mapping[str, PageAction] = {
+            "start": self._start,
+            "end": self._end,
+            "kill": self._kill,
+            "cut": self._cut,
+        }
         self._begin(self._look_for_apps())
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from services.apps import loader
 from services.apps.observer import Line, Source
 from services.apps.recorder import Recorder
 from sim.virtual.bus import VirtualBus
-from sim.virtual.tape import Tape
+from sim.virtual.trajectory_builder import TrajectoryBuilder
 from sim.virtual.world import World
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
@@ -17,7 +17,7 @@ from swarm.recording.trajectory import Trajectory
 from swarm.recording.virtual_file import PlainRecording
 
 
-class Ledger:
+class AppRecords:
     """Of one app, on all robots."""
 
     def __init__(self, world: World, app: str, *, keep: bool, skewed: bool) -> None:
@@ -25,7 +25,7 @@ class Ledger:
         self.app = app
         self._world = world
         self._skewed = skewed
-        self._tapes = {name: Tape(keep=keep) for name in world.robots}
+        self._builders = {name: TrajectoryBuilder(keep=keep) for name in world.robots}
         self._files: list[PlainRecording] = []
         self._recorders: dict[str, Recorder] = {}
 
@@ -51,7 +51,7 @@ class Ledger:
         if self._recorders:
             self._recorders[source.robot].advanced(source, line)
         if not source.part:
-            self._tapes[source.robot].write(source, line._replace(t=self._world.time.now) if self._skewed else line)
+            self._builders[source.robot].write(source, line._replace(t=self._world.time.now) if self._skewed else line)
 
     def progressed(self, source: Source) -> None:
         """A robot has begun, waits for others, or goes on."""
@@ -63,7 +63,7 @@ class Ledger:
         if self._recorders:
             self._recorders[source.robot].switched(source, epoch)
         if not source.part:
-            self._tapes[source.robot].go_back(epoch.k)
+            self._builders[source.robot].go_back(epoch.k)
 
     def parameters(self, robot: str, parameters: AppParameters) -> None:
         """These parameters are in force on a robot."""
@@ -77,4 +77,4 @@ class Ledger:
 
     def trajectories(self) -> dict[str, Trajectory]:
         """By robot."""
-        return {name: tape.trajectory() for name, tape in self._tapes.items()}
+        return {name: tape.trajectory() for name, tape in self._builders.items()}
