@@ -14,7 +14,6 @@ from services.mesh.core.link.flow import encode_ack
 from services.mesh.core.link.handshake import Local
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.overlays import around
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.overlays.viewing import KEYS, Viewing
 from services.mesh.core.relay import Relay
@@ -63,7 +62,7 @@ PACKETS = (
         )
         for flood in (False, True)
     ),
-    around.encode(around.Packet("r0", "r1", "swarm/r0/app/x/sync/1/r1/around", b"x", 9)),
+    packets.encode_message(packets.Message("r0", "r1", 7, 0, "swarm/r0/app/x/sync/1/r1/around", b"x", 9)),
     Ground(NAMES, (), auto=True).encode(Topology(2, 1, "r0", True, EDGES)),
     encode(Watch(1.0, 5.0)),
 )
@@ -83,7 +82,7 @@ def _overlays(rng: random.Random) -> Overlays:
     start = Start(Ground(NAMES, (), auto=True), {name: True for name in NAMES if name != "r1"})
     return Overlays(
         "r1", frozenset(NAMES), incarnation=10**15, random=rng.random, counters=Counter(), start=start,
-        admits_flood=lambda key: True, admits_unicast=lambda sender, key: True, admits_around=lambda sender, key: True,
+        admits_flood=lambda key: True, admits_unicast=lambda sender, key: True,
     )  # fmt: skip
 
 
@@ -294,7 +293,7 @@ def _view(rng: random.Random) -> Made:
 _CORE = "services/mesh/core/"
 _PACKET_DECODERS = (
     packets.decode_spread, packets.decode_echo, packets.decode_digest, packets.decode_summary, packets.decode_halt,
-    packets.decode_advertisement, packets.decode_message, packets.decode_ack, around.decode, probe._answer,
+    packets.decode_advertisement, packets.decode_message, packets.decode_ack, probe._answer,
     pieces.decode, pieces.decode_offer, pieces.decode_want, pieces.decode_piece, pieces.decode_state,
 )  # fmt: skip
 
@@ -323,7 +322,6 @@ TARGETS = (
             for each in (
                 "wire/packets.py",
                 "bulk/pieces.py",
-                "overlays/around.py",
                 "routing/topology.py",
                 "wire/texts.py",
             )
@@ -336,7 +334,6 @@ TARGETS = (
         (
             f"{_CORE}wire/packets.py",
             f"{_CORE}bulk/pieces.py",
-            f"{_CORE}overlays/around.py",
             f"{_CORE}wire/texts.py",
             f"{_CORE}link/probe.py",
         ),

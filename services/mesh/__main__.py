@@ -119,7 +119,6 @@ def main() -> None:
             start=start,
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
         )
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)

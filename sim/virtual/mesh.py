@@ -125,7 +125,6 @@ class VirtualMesh:
             start=Start(common.ground, local.dials, None),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
             wanted=bus.wanted,
         )
         self.node = Node(

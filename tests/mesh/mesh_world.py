@@ -147,7 +147,6 @@ class World:
             start=Start(Ground(sorted(local.robots), self.topology, auto=self.auto), local.dials, self.saved.get(name)),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
         )
         node = Node(
             local,

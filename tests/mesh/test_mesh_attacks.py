@@ -105,7 +105,7 @@ def watched() -> Iterator[Watched]:
         (hello() + frames.encode_data(1, 0, b"x"), "bad_frames", "frame kind 6 before CONFIRM"),
         (hello(robot="r9"), "refused_robot", "robot r9 is not in our configuration"),
         (hello(network="other"), "refused_network", "network 'other'"),
-        (hello(versions=(3, 4)), "refused_version", "speaks protocol versions 3 to 4"),
+        (hello(versions=(4, 5)), "refused_version", "speaks protocol versions 4 to 5"),
         (b"\xff\xff" + bytes(100), "bad_frames", "frame length 65535: 1 to 256"),
         (hello() + b"\xff\xff" + bytes(100), "bad_frames", "frame length 65535: 1 to 256"),
         (hello(), "silent", "no handshake within 2 s"),

@@ -209,8 +209,8 @@ def test_bytes_too_many_are_refused() -> None:
 
 
 def test_another_version_is_told_from_noise_whatever_follows() -> None:
-    body = frames.MAGIC + bytes((3, 7)) + b"a layout of the future"
-    with pytest.raises(frames.VersionError, match="speaks protocol versions 3 to 7, we speak 2"):
+    body = frames.MAGIC + bytes((4, 7)) + b"a layout of the future"
+    with pytest.raises(frames.VersionError, match="speaks protocol versions 4 to 7, we speak 3"):
         frames.decode_hello(body)
     with pytest.raises(FrameError, match="not one of ours") as caught:
         frames.decode_hello(b"GET / HTTP/1.1")

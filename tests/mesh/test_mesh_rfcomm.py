@@ -268,7 +268,6 @@ class Mesh:
             start=Start(Ground(config.names, config.edges, auto=False), own.dials),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
         )
         node = Node(
             own,

@@ -23,7 +23,7 @@ from services.mesh.core.link.session import DOWN, SUSPECT, Session
 from services.mesh.core.node_actions import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.problems import Problems
-from services.mesh.core.relay import AROUND, Relay, Send
+from services.mesh.core.relay import Relay, Send
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.channels import name_of
 from swarm.errors import FrameError
@@ -257,12 +257,11 @@ class Node:
         if leg.overlay != frames.NEIGHBOURS:
             if leg.overlay == frames.FLOOD:
                 self.overlays.flood(leg.key, payload, leg.priority, now, latest=leg.latest)
-            elif leg.overlay == AROUND:
-                for peer in leg.peers:
-                    self.overlays.go_around(peer, leg.key, payload, leg.priority, now)
             else:
                 for peer in leg.peers:
-                    self.overlays.send(peer, leg.key, payload, leg.priority, now, latest=leg.latest)
+                    self.overlays.send(
+                        peer, leg.key, payload, leg.priority, now, latest=leg.latest, avoid_link=leg.avoid_link
+                    )
             self._serve_overlays()
             return
         for peer in leg.peers:

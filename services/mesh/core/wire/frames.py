@@ -16,7 +16,7 @@ from swarm.errors import FrameError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.keys import MAX_KEY_LENGTH, is_name
 
-VERSION = 2
+VERSION = 3
 """The protocol version spoken here. HELLO carries a range; the two ends use the highest that both speak."""
 
 MAGIC = b"BSWM"

@@ -142,10 +142,16 @@ class Message(NamedTuple):
     incarnation: int
     """Of the sender."""
     number: int
-    """Counts what this sender sent to this receiver, from 1."""
+    """Counts what this sender sent to this receiver, from 1. Message 0 is sent once, nobody acknowledges it, and it
+    does not use the link between its sender and its receiver."""
     key: str
     payload: bytes
     ttl: int
+
+    @property
+    def avoided(self) -> tuple[str, str] | None:
+        """The ends of the link that the message must not use; None where it may use any."""
+        return None if self.number else (self.sender, self.to)
 
 
 class Ack(NamedTuple):
@@ -391,8 +397,6 @@ def decode_message(data: bytes) -> Message:
     _, ttl, incarnation, number = _MESSAGE.unpack_from(data)
     reader = Reader(data, _MESSAGE.size)
     sender, to, key = reader.name(), reader.name(), reader.key()
-    if not number:
-        raise FrameError("MESSAGE 0: they count from 1")
     return Message(sender, to, incarnation, number, key, data[reader.at :], ttl)
 
 
