@@ -10,8 +10,7 @@ from functools import partial
 
 from services.mesh import keep
 from services.mesh.core.events import Received
-from services.mesh.core.link.dialler import can_link, dials
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.calls import Local, can_link, dials
 from services.mesh.core.node import Node
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay

@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TypeVar
 
+from services.mesh.core.actions import Close, Dial, LinksChanged
 from services.mesh.core.events import Received
+from services.mesh.core.link.calls import Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
-from services.mesh.core.link.dialler import can_link, dials
-from services.mesh.core.link.handshake import Local
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.node_actions import Close, Dial, LinksChanged
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.routing.topology import Ground

@@ -11,7 +11,7 @@ from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
 from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import Known
-from services.mesh.core.wire.packets import Advertisement
+from services.mesh.core.routing.topology import Advertisement
 from sim.core.actions import Act
 from sim.core.witness import Witness
 from sim.options import DELAY, FROM_START, SETTLED

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.counters import COUNTERS
 from services.mesh.core.link.clock import Claim, decode_claim, encode_claim
-from services.mesh.core.link.flow import decode_ack, encode_ack
+from services.mesh.core.link.flow import Fragment, decode_ack, decode_fragment, encode_ack, encode_fragment
+from services.mesh.core.node import COUNTERS
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.fragments import Fragment, decode_fragment, encode_fragment
 from services.mesh.core.wire.frames import Bind, Decoder, Frame, Heartbeat, Hello
 from swarm.errors import FrameError, LocalError
 

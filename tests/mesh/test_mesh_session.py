@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 
-from services.mesh.core.link.callers import MAX_HALF_OPEN
-from services.mesh.core.link.dialler import FIRST_DELAY, LONGEST_DELAY, Dialler, dials
+from services.mesh.core.link.calls import FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, Dialler, dials
 from services.mesh.core.link.session import HANDSHAKE_TIMEOUT
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello

@@ -12,17 +12,14 @@ from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
 from services.mesh.core.bulk.pieces import Packet
 from services.mesh.core.events import Received
-from services.mesh.core.overlays import catch_up, flood, large_floods, unicast
+from services.mesh.core.overlays import flood, flood_store, large_messages, unicast
 from services.mesh.core.overlays.flood import Flood
 from services.mesh.core.overlays.large_messages import Large
 from services.mesh.core.overlays.requests import Requests
-from services.mesh.core.overlays.stop_register import Register
-from services.mesh.core.overlays.stop_reports import Stops
+from services.mesh.core.overlays.stop import Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
-from services.mesh.core.routing.graph_report import Survey
 from services.mesh.core.routing.link_state import HOPS, Known, LinkState
-from services.mesh.core.routing.membership import SETTLE, Membership
-from services.mesh.core.routing.name_clashes import Clashes
+from services.mesh.core.routing.membership import SETTLE, Clashes, Membership, Survey
 from services.mesh.core.routing.wanted_links import Linking, Start
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
@@ -49,7 +46,7 @@ LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
-COUNTERS = (*flood.COUNTERS, *catch_up.COUNTERS, *large_floods.COUNTERS, *unicast.COUNTERS,
+COUNTERS = (*flood.COUNTERS, *flood_store.COUNTERS, *large_messages.COUNTERS, *unicast.COUNTERS,
             *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
 
 _NEVER = float("inf")

@@ -23,8 +23,8 @@ from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.overlays.flights import Flight, Hop, Receiver
 from services.mesh.core.routing.shortest_paths import Route
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.frames import BULK, SYNC, UNICAST
+from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.packets import Ack, Message
 from services.mesh.core.wire.seen_numbers import Window
 from swarm.errors import FrameError

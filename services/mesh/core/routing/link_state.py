@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 
 from services.mesh.core.routing.shortest_paths import Edge, Route, routes, routes_by_hops
-from services.mesh.core.wire.packets import Advertisement, decode_advertisement, encode_advertisement
+from services.mesh.core.routing.topology import Advertisement, decode_advertisement, encode_advertisement
 from swarm.errors import FrameError
 
 HOPS, TIME = "hops", "time"

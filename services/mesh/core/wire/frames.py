@@ -46,6 +46,9 @@ MAC_SIZE = 32
 MAX_PAYLOAD = MAX_FRAME - 3 - TAG_SIZE
 """Largest payload of one DATA frame, in bytes."""
 
+MAX_MESSAGE = 1024 * 1024
+"""Largest message, in bytes, of the class bulk; files go by other ways."""
+
 MAX_CHANNELS = 1024
 """Channel handles of one direction of one connection: 0 to 1023."""
 
