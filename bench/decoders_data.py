@@ -20,7 +20,7 @@ from services.balancer.core import balboa, imu, intel_hex, uwb
 from services.dwm.core import calibration_file, calls, shell, tlv
 from services.dwm.core.exchange import Exchange
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position
-from services.mesh import monikers
+from services.mesh import link_address
 from swarm import messages
 from swarm.bluetooth import hci
 from swarm.config import keyfile
@@ -392,7 +392,7 @@ TARGETS = (
     Target("key file", ("swarm/config/keyfile.py",),
            simple([_KEYS], lambda data: keyfile.parse_keys(data, Path("key"))), (LocalError,)),
     Target("addresses of robots", (), simple([b"tcp:10.0.0.1:4000", b"rfcomm:B8:27:EB:12:34:56"],
-                                             text(monikers.parse)), (ConfigError,)),
+                                             text(link_address.parse)), (ConfigError,)),
     Target("fetch: list of files", (), simple([_LIST], text(collect.parse_list)), (RemoteError,)),
     Target("fetch: stream of files", (), _stream, (RemoteError,)),
     Target("fetch: journal", ("laptop/fleet/journal.py",),

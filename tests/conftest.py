@@ -31,8 +31,8 @@ with contextlib.suppress(ImportError):  # a machine of the lab has none
     settings.load_profile("swarm")
 
 try:
-    from nursery import start
-except ImportError:  # nor this; its services have a nursery of their own (tests/lab/inside_nursery.py)
+    from fork_server import start
+except ImportError:  # nor this; its services have a fork server of their own (tests/lab/inside_fork_server.py)
     start = subprocess.Popen
 
 CONFIG = """\

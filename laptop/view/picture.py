@@ -16,7 +16,7 @@ from swarm.errors import PayloadError
 from swarm.messages import type_of
 from swarm.messages.codec import unpack
 from swarm.messages.fields import check_fields
-from swarm.messages.json_values import plain
+from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse
 from swarm.process.text import printable
 
@@ -166,7 +166,7 @@ class Picture:
         if value.value is None:
             value.value = _NOTHING
             try:
-                message = plain(unpack(value.payload), MAX_BYTES)
+                message = json_value(unpack(value.payload), MAX_BYTES)
             except PayloadError as error:
                 if _kind(topic) is None:
                     self.refused += 1  # an app's own bytes

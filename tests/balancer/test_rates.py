@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from test_balancer_registers import Bench
-from test_chores import Ticking
+from test_slack_tasks import Ticking
 
 from services.balancer import measure_i2c as i2c
 from services.balancer.core.rates import FAILURES, check_measurement
@@ -51,7 +51,7 @@ def test_a_dead_bus_is_given_up() -> None:
 
 def test_a_balancer_measures_in_its_slack() -> None:
     ticking = Ticking().run(4.0)
-    ticking.chores.obey(MeasureI2C("mine", 28, 20), ticking.rig.now)
+    ticking.tasks.obey(MeasureI2C("mine", 28, 20), ticking.rig.now)
     ticking.run(3.0)
     (found,) = ticking.of(I2CRates)
     assert (found.ticket, found.size, found.count, found.problem) == ("mine", 28, 20, "")
@@ -65,10 +65,10 @@ def test_a_balancer_measures_in_its_slack() -> None:
 def test_a_request_to_the_module_goes_first() -> None:
     """Both use the mailbox's window."""
     ticking = Ticking().run(4.0)
-    ticking.chores.obey(MeasureI2C("mine", 28, 50), ticking.rig.now)
+    ticking.tasks.obey(MeasureI2C("mine", 28, 50), ticking.rig.now)
     ticking.run(0.2)
     request = b"\x99\xfd" + bytes(range(253))
-    ticking.chores.obey(ModuleRequest("long", request), ticking.rig.now)
+    ticking.tasks.obey(ModuleRequest("long", request), ticking.rig.now)
     sent = b""
     while not sent.startswith(b"\x99"):
         ticking.run(0.01)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import nursery
+import fork_server
 import pytest
 from conftest import wait_until
 from fake_robots import FakeRobots
@@ -50,7 +50,7 @@ def start(robots: FakeRobots, *arguments: str) -> subprocess.Popen[str]:
     robots.ready()
     command = [sys.executable, "-m", "laptop.cli.z_sub", *arguments]
     command += ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config)]
-    return nursery.start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return fork_server.start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def finish(process: subprocess.Popen[str], *homes: Path) -> tuple[int, str, str]:

@@ -8,7 +8,7 @@ from conftest import ask, stop, wait_until
 from test_mesh_process import Build, Swarm, build
 
 from laptop.cli import main
-from services.mesh.keep import NAME
+from services.mesh.topology_file import NAME
 from swarm.messages import Topology, read
 from swarm.process.simulations import LOCK, claim
 

@@ -52,11 +52,11 @@ def test_no_sample_harms_it(samples: list[tuple[str, str, bytes]]) -> None:
 
 @given(VALUES)
 def test_whatever_a_key_holds_can_be_told_to_a_page(value: object) -> None:
-    from laptop.view.picture import plain
+    from laptop.view.picture import json_value
 
     picture = Picture()
-    picture.put("r0", "mesh/links", plain(value), 0.0)
-    picture.put("r0", "app/x/progress", plain(value), 0.0)
+    picture.put("r0", "mesh/links", json_value(value), 0.0)
+    picture.put("r0", "app/x/progress", json_value(value), 0.0)
     json.dumps(
         [picture.since(0, 0), picture.history("r0", "mesh/links"), picture.trail("r0", "mesh/links", 9.0, 0.0)],
         allow_nan=False,

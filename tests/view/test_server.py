@@ -19,7 +19,7 @@ from laptop.view import server
 from laptop.view.control import ANSWER_S, Control
 from laptop.view.feed import Simulation
 from laptop.view.server import application
-from laptop.view.simulated import SimulatedHands
+from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
 from swarm.messages import Status
 from swarm.messages.codec import encode
@@ -59,7 +59,7 @@ def talk(feed: Simulation, act: Any, *, allowed: bool = False) -> None:
     async def main() -> None:
         async with TestClient(
             TestServer(
-                application(feed, Control(feed, SimulatedHands(feed) if allowed else None), TOKEN), host="127.0.0.1"
+                application(feed, Control(feed, SimulatedActions(feed) if allowed else None), TOKEN), host="127.0.0.1"
             )
         ) as client:
             await act(client)
@@ -160,7 +160,7 @@ def test_without_control_every_act_is_refused(feed: Simulation) -> None:
 
 
 def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulation) -> None:
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     control.do({"act": "stop"})
     feed.picture.put("r0", "mesh/stopped", {"stopped": True}, 0.0)
     control.repeat()
@@ -197,11 +197,11 @@ def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulati
 )
 def test_bad_acts_are_refused_in_words(feed: Simulation, act: object, said: str) -> None:
     with pytest.raises(LocalError, match=said):
-        Control(feed, SimulatedHands(feed)).do(act)
+        Control(feed, SimulatedActions(feed)).do(act)
 
 
 def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5, "robot": "r1"})
     assert [len(bus.published) for bus in feed.buses.values()] == [1, 2]
@@ -211,7 +211,7 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
 
 
 def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: Simulation) -> None:
-    control, asked = Control(feed, SimulatedHands(feed)), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
+    control, asked = Control(feed, SimulatedActions(feed)), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
     feed.config = SimpleNamespace(names=("r0", "r1", "r2"))
     assert control.do(asked) == "x: gain=0.5 asked of r0 r1, not of r2: they are not reached"
     feed.buses["r0"].connected = False
@@ -226,7 +226,7 @@ def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
 ) -> None:
     now = [100.0]
     monkeypatch.setattr("laptop.view.control.clock.now", lambda: now[0])
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.repeat()
     first, again = feed.buses["r0"].published

@@ -50,18 +50,18 @@ def run(args: argparse.Namespace, rig: Rig | None = None) -> int:
     else:
         found, problems = _real(args, rig or Rig())
     report = {name: doctor.examine(robot) for name, robot in found.items()}
-    together = doctor.compare(list(found.values()))
+    swarm_problems = doctor.compare(list(found.values()))
     rows = {name: {check: asdict(each) for check, each in its.items()} for name, its in report.items()}
-    lines = text(report, problems, together, everything=args.all)
-    show(args, {"robots": rows, "problems": problems, "swarm": together}, lines)
+    lines = text(report, problems, swarm_problems, everything=args.all)
+    show(args, {"robots": rows, "problems": problems, "swarm": swarm_problems}, lines)
     wrong = any(each.state == "bad" for its in report.values() for each in its.values())
-    return 1 if wrong or problems or together else 0
+    return 1 if wrong or problems or swarm_problems else 0
 
 
 def text(
     report: Mapping[str, Mapping[str, Finding]],
     problems: Mapping[str, str],
-    together: Sequence[str],
+    swarm_problems: Sequence[str],
     *,
     everything: bool,
 ) -> list[str]:
@@ -77,7 +77,7 @@ def text(
                 if each.remedy:
                     out.append(f"  {'':<9}  {'':<7}  -> {each.remedy}")
     out += [f"{name}: cannot be asked: {problem}" for name, problem in problems.items()]
-    out += [f"swarm: {line}" for line in together]
+    out += [f"swarm: {line}" for line in swarm_problems]
     return out
 
 

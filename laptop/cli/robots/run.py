@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         if wrong := apps.differences(found, config):
             raise LocalError(f"{wrong} (or --force)")
     arguments = [] if args.no_record else ["--record"]
-    start = apps.Start(name, source, arguments=[*arguments, *run_options.of(args).words], settings=args.settings)
+    start = apps.Start(name, source, arguments=[*arguments, *run_options.of(args).arguments], settings=args.settings)
 
     async def job(host: Host, tell: Tell) -> str:
         return await start.on(ssh, host)

@@ -50,11 +50,11 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from laptop.view.control import Control
-    from laptop.view.far import FarHands
     from laptop.view.feed import Simulation
     from laptop.view.recording import Recording
+    from laptop.view.remote_actions import RemoteActions
     from laptop.view.robots import Robots
-    from laptop.view.simulated import SimulatedHands
+    from laptop.view.simulated_actions import SimulatedActions
 
     feed: Simulation | Robots | Recording
     control = None
@@ -73,10 +73,10 @@ def run(args: argparse.Namespace) -> int:
     elif args.robots:
         config, ssh = load(args.config), Ssh(args.ssh_config)
         feed = Robots(config, hosts(config, args.robots), ssh)
-        control = Control(feed, FarHands(feed, ssh) if args.control else None)
+        control = Control(feed, RemoteActions(feed, ssh) if args.control else None)
     else:
         feed = Simulation((args.run_dir or default_run_dir()).absolute())
-        control = Control(feed, SimulatedHands(feed) if args.control else None)
+        control = Control(feed, SimulatedActions(feed) if args.control else None)
 
     at = None
     if isinstance(feed, Recording):

@@ -78,7 +78,7 @@ def of_bursts(size: int, bursts: Sequence[Sequence[float]], count: int) -> Figur
 def _rate(size: int, times: Sequence[float]) -> float | None:
     """bytes/s. Several messages may arrive in one go: what came with the first one does not count, or a short burst
     would seem faster than it was."""
-    together = times[0] + (times[-1] - times[0]) / 20
-    first = sum(time <= together for time in times)
+    first_twentieth = times[0] + (times[-1] - times[0]) / 20
+    first = sum(time <= first_twentieth for time in times)
     passed = times[-1] - times[first - 1]
     return (len(times) - first) * size / passed if passed > 0.0 else None
