@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     push.add_argument("--impulse", type=float, default=0.1, metavar="NS", help=text)
     act("lay").add_argument("side", choices=actions.SIDES)
     place = act("place")
-    place.add_argument("at", nargs=2, type=number(-1e3, 1e3, "m"), metavar=("X", "Y"), help="where to, m")
+    for axis in ("x", "y"):
+        place.add_argument(axis, type=number(-1e3, 1e3), help="where to, m")
     place.add_argument("--heading", type=number(-10, 10, "rad"), default=0.0, metavar="RAD", help="0 = along x (0)")
     unplug = act("unplug")
     unplug.add_argument("device", choices=actions.DEVICES)
@@ -76,9 +77,8 @@ def do(runtime: Path, args: argparse.Namespace) -> str:
             send_action.do(runtime, Lay(args.side))
             return f"laid on its {args.side}"
         case "place":
-            x, y = args.at
-            send_action.do(runtime, Place(x, y, args.heading, -1.0, held=False))
-            return f"lies on its back at ({x:g}, {y:g}) m"
+            send_action.do(runtime, Place(args.x, args.y, args.heading, -1.0, held=False))
+            return f"lies on its back at ({args.x:g}, {args.y:g}) m"
         case "unplug":
             send_action.do(runtime, Unplug(args.device, back=args.back))
             return f"{args.device} is {'back on' if args.back else 'off'} its bus"
