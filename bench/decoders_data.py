@@ -33,7 +33,6 @@ from swarm.core.lockstep import Channel, Lockstep
 from swarm.core.lockstep_frames import Heard, Snapshot, decode_frame, encode_step, encode_want
 from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, RecordingError, RemoteError
 from swarm.messages import codec
-from swarm.onboard.bootstrap import dbus_wire
 from swarm.recording import thesis_csv
 from swarm.recording.core import json_text
 from swarm.recording.core.writer import Writer
@@ -231,14 +230,6 @@ _DATAGRAMS = [
     link._BYTES[kind] + msgpack.packb(sample(kind)) for kind in link._BYTES if dataclasses.is_dataclass(kind)
 ]  # fmt: skip
 _HCI = [bytes((4, 0x0E, 7, 1, 5, 0x14, 0, 11, 0, 0xC8)), bytes((4, 0x0F, 4, 1, 1, 5, 0x14))]
-_DBUS = [
-    dbus_wire.encode(
-        dbus_wire.Message(
-            dbus_wire.CALL, 5, {"path": "/org/bluez", "member": "Pair", "signature": "sa{sv}as"},
-            ["x", {"Paired": ("b", True), "UUIDs": ("as", ["1", "2"])}, ["y"]],
-        )
-    )
-]  # fmt: skip
 _HEX = b":100000000C945C000C946E000C946E000C946E00CA\n:00000001FF\n"
 
 
@@ -385,9 +376,6 @@ TARGETS = (
            (PayloadError,)),
     Target("Bluetooth: HCI events", ("swarm/bluetooth/hci.py",), simple(_HCI, hci.reading, hci.written_supervision),
            (FrameError,)),
-    Target("D-Bus messages", ("swarm/onboard/bootstrap/dbus_wire.py",),
-           simple(_DBUS, dbus_wire.decode, text(dbus_wire.split), lambda data: dbus_wire.unmarshal("a{sv}", data)),
-           (dbus_wire.WireError,)),
     Target("Intel HEX", ("services/balancer/core/intel_hex.py",),
            simple([_HEX], text(lambda each: intel_hex.parse(each, 28 * 1024))), (LocalError,)),
     Target("recordings (MCAP)",

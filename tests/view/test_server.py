@@ -297,9 +297,9 @@ def test_the_command_says_that_there_is_nothing_to_see(tmp_path: Path, capsys: p
     for words, said in (
         (["--run-dir", str(tmp_path)], "no simulation is running"),
         ([str(tmp_path)], "no recording"),
-        (["--robot", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
-        (["--robot", "r0", str(tmp_path)], "--robot looks at real robots"),
-        (["--config", "swarm.toml"], "name one with --robot"),
+        (["--robots", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
+        (["--robots", "r0", str(tmp_path)], "--robots looks at real robots"),
+        (["--config", "swarm.toml"], "name one with --robots"),
         ([str(tmp_path), "--control"], "nothing to control"),
     ):
         with pytest.raises(SystemExit) as end:
