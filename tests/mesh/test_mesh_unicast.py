@@ -250,7 +250,7 @@ def test_only_what_a_rule_allows_comes_in() -> None:
     world.run(1.0)
     assert world.bots["r2"].inbox == [("swarm/r2/x/set/allowed", b"x")]
     assert world.bots["r2"].counters["unicast_refused"] == 2
-    assert not world.bots["r0"].overlays._unicast._waiting
+    assert not world.bots["r0"].overlays._unicast._own.messages
 
 
 def test_the_latest_value_replaces_one_that_waits() -> None:
@@ -260,7 +260,7 @@ def test_the_latest_value_replaces_one_that_waits() -> None:
     key = "swarm/r1/x/set/allowed"
     for n in range(100):
         world.step("r0", lambda each, n=n: each.send("r1", key, b"%d" % n, SYNC, world.now, latest=True))
-    assert world.bots["r0"].overlays._unicast._waiting == 1
+    assert world.bots["r0"].overlays._unicast._own.messages == 1
     world.edges[frozenset(("r0", "r1"))].alive = True
     world.run(1.0)
     assert world.got("r1", "allowed") == [b"99"]
@@ -377,8 +377,8 @@ def test_whatever_happens_delivered_at_most_once_and_said_truly(
         assert len(world.got(name, f"/send/{name}")) == len(world.names)
     for bot in world.bots.values():
         assert bot.counters["unicast_retries"] == 0
-        assert not bot.overlays._unicast._waiting
-        assert not bot.overlays._unicast._waiting_bytes
+        assert not bot.overlays._unicast._own.messages
+        assert not bot.overlays._unicast._own.size
 
 
 # -- routes ----------------------------------------------------------------------------------------------------
