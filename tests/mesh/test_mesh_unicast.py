@@ -11,8 +11,7 @@ from overlay_world import SILENCE, World, full, line, ring, thesis_d
 from services.mesh.core.overlays import unicast
 from services.mesh.core.routing import link_state, topology
 from services.mesh.core.routing.link_state import HOPS, TIME, Level, LinkState
-from services.mesh.core.routing.shortest_paths import Edge, routes
-from services.mesh.core.routing.topology import Advertisement, encode_advertisement
+from services.mesh.core.routing.topology import Advertisement, Weight, encode_advertisement, routes
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, UNICAST
 from services.mesh.core.wire.packets import Message
@@ -388,12 +387,12 @@ def test_whatever_happens_delivered_at_most_once_and_said_truly(
 def test_routes_are_shortest_and_agree(n: int, data: st.DataObject) -> None:
     pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
     chosen = data.draw(st.lists(st.sampled_from(pairs), unique=True))
-    graph: dict[str, dict[str, Edge]] = {f"r{i}": {} for i in range(n)}
+    graph: dict[str, dict[str, Weight]] = {f"r{i}": {} for i in range(n)}
     reference = networkx.Graph()
     reference.add_nodes_from(graph)
     for i, j in chosen:
         cost = data.draw(st.integers(1, 5))
-        graph[f"r{i}"][f"r{j}"] = graph[f"r{j}"][f"r{i}"] = Edge(cost, 10 * cost)
+        graph[f"r{i}"][f"r{j}"] = graph[f"r{j}"][f"r{i}"] = Weight(cost, 10 * cost)
         reference.add_edge(f"r{i}", f"r{j}", weight=cost)
     tables = {name: routes(name, graph) for name in graph}
     for name, table in tables.items():
