@@ -11,8 +11,8 @@ from sim.report import Json, Outcome
 
 def draw(outcome: Outcome, summary: Json, path: Path) -> None:
     """Write the picture of `outcome` to `path`; the ending says in which format."""
-    if outcome.witness is not None and outcome.scenario.app in scene.WATCHED:
-        simulated_scene.draw(outcome.scenario, outcome.witness, outcome.began, path)
+    if outcome.scene_record is not None and outcome.scenario.app in scene.WATCHED:
+        simulated_scene.draw(outcome.scenario, outcome.scene_record, outcome.began, path)
         return
     # Slow to import and only wanted here. Agg: no display is needed.
     import matplotlib as mpl

@@ -62,8 +62,8 @@ _LOG_PERIOD_S = 5.0
 _NOTICES_A_SECOND = 10
 """About refused commands, at most."""
 
-SLOW_STATE_S = 0.2
-"""s between two messages of the state's slow copy; a change of mode is told at once."""
+THROTTLED_STATE_S = 0.2
+"""s between two messages of the throttled copy of the state; a change of mode is told at once."""
 
 _TOPICS: dict[type, str] = {
     BalancerState: "state",
@@ -103,7 +103,7 @@ class Relay:
         self._notices = 0
         self._notices_since = self._heard
         self._keys = {kind: key(service.robot, "balancer", topic) for kind, topic in _TOPICS.items()}
-        self._slow = Throttle(service.bus, self._keys[BalancerState], SLOW_STATE_S)
+        self._throttle = Throttle(service.bus, self._keys[BalancerState], THROTTLED_STATE_S)
         self._mode = ""
         commands = (key(service.robot, "balancer", "set", what) for what in _COMMANDS)
         service.bus.subscribe(STOP, self._stop)
@@ -153,7 +153,7 @@ class Relay:
                 self._service.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
                 self._service.ready()
-            self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True)
+            self._throttle.publish(message, message.t, news=message.mode != self._mode, urgent=True)
             self._mode = message.mode
         # The body's state goes ahead of whatever floods the bus.
         self._service.bus.publish(self._keys[type(message)], message, urgent=True)

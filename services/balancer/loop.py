@@ -13,10 +13,9 @@ import signal
 import time
 from collections.abc import Callable
 
-from services.balancer import chores, realtime
+from services.balancer import realtime, slack_tasks
 from services.balancer.balancer import Balancer
 from services.balancer.child import Bridge
-from services.balancer.chores import Chores
 from services.balancer.core import leds
 from services.balancer.core.body import body_model
 from services.balancer.core.gyro import Zero
@@ -24,6 +23,7 @@ from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.orders import halt, moves, obey
+from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
 from swarm import clock
@@ -49,7 +49,7 @@ class Loop:
         self,
         balancer: Balancer,
         telemetry: Telemetry,
-        chores: Chores,
+        tasks: SlackTasks,
         bridge: Bridge,
         keep: Callable[[Zero, float], None] = lambda *_: None,
     ) -> None:
@@ -57,7 +57,7 @@ class Loop:
         self._balancer = balancer
         self._keep = keep
         self._telemetry = telemetry
-        self._chores = chores
+        self._tasks = tasks
         self._bridge = bridge
         self._lateness = Lateness()
         self._stopping = False
@@ -111,7 +111,7 @@ class Loop:
             now = clock.now()
             if heard <= self._stopped_at and moves(message):
                 self._balancer.notices.append(("stop", "refused: a command that was given before the stop is void"))
-            elif not (obey(self._balancer, message, now) or self._chores.obey(message, now)):
+            elif not (obey(self._balancer, message, now) or self._tasks.obey(message, now)):
                 _log.warning("the bridge sent a %s", type(message).__name__)
         self._show_leds(clock.now())
         part = self.ticks % TELEMETRY_TICKS
@@ -126,7 +126,7 @@ class Loop:
             self._each_second(self.ticks % SECOND_TICKS)
         due = self._balancer.leds_due
         write_at = leds.moment(due, until)
-        for message in self._chores.run(until if write_at is None else write_at + chores.MARGIN_S):
+        for message in self._tasks.run(until if write_at is None else write_at + slack_tasks.MARGIN_S):
             self._bridge.send(message)
         if write_at is not None:
             self._show_leds_at(due, write_at, until)
@@ -166,7 +166,7 @@ class Loop:
             self._keep(zero, clock.now())
 
     def _state(self) -> BalancerState:
-        errors = self._balancer.bus_errors + self._chores.errors
+        errors = self._balancer.bus_errors + self._tasks.errors
         return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max())
 
     def _tell_again(self) -> None:
@@ -216,7 +216,7 @@ def main(
             bridge = Bridge(clock.now())
             try:
                 telemetry = Telemetry(balancer, settings.controller)
-                loop = Loop(balancer, telemetry, Chores(balancer, clock.now), bridge, zeros.keep)
+                loop = Loop(balancer, telemetry, SlackTasks(balancer, clock.now), bridge, zeros.keep)
                 for number in (signal.SIGTERM, signal.SIGINT):
                     signal.signal(number, lambda *_: loop.stop())
                 realtime.enter(_log)

@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from services.mesh import keep
+from services.mesh import topology_file
+from services.mesh.bus_interface import BusInterface
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import Local, can_link, dials
 from services.mesh.core.node import Node
@@ -17,11 +18,10 @@ from services.mesh.core.relay import Relay
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import Start
 from services.mesh.core.wire.frames import BULK, NONCE_SIZE
-from services.mesh.door import Door
 from services.mesh.links.pipe import describe
 from services.mesh.network import Network
 from services.mesh.runner import Runner
-from services.mesh.tell import Tell
+from services.mesh.view_sender import ViewSender
 from swarm import clock
 from swarm.config import Config
 from swarm.config.keyfile import read_keys
@@ -90,7 +90,7 @@ class _Mesh(Runner):
     def _keep_topology(self) -> None:
         try:
             with self._keeping:
-                keep.save(state_dir(), self.look(lambda each, now: each.topology_file()))
+                topology_file.save(state_dir(), self.look(lambda each, now: each.topology_file()))
         except OSError as error:
             self._service.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
@@ -105,7 +105,7 @@ def main() -> None:
     with Service("mesh") as this:
         local = local_of(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
-        start = Start(ground, local.dials, keep.load(state_dir(), ground))
+        start = Start(ground, local.dials, topology_file.load(state_dir(), ground))
         relay = Relay(this.robot, (), this.config.relay, this.config.names)
         overlays = Overlays(
             this.robot,
@@ -122,18 +122,18 @@ def main() -> None:
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
-        tell = Tell(this.robot, len(this.config.names), this.runtime)
-        mesh = _Mesh(node, network, this, tell.heard)
-        Door(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
-        tell.begin(this.bus, mesh)
+        view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
+        mesh = _Mesh(node, network, this, view_sender.heard)
+        BusInterface(this.bus, this.robot, mesh, relay.subscriptions, this.counters, partial(this.log.warning, "%s"))
+        view_sender.begin(this.bus, mesh)
         mesh.start()
         this.ready()
         while not this.stopping.wait(_REPORT_PERIOD):
             mesh.report()
-            tell.step()
+            view_sender.step()
             if mesh.turned():
                 this.watchdog()
-        tell.close()
+        view_sender.close()
         mesh.stop()
         network.close()
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TypeVar
 
+from services.mesh.bus_interface import BusInterface
 from services.mesh.core.actions import Close, Dial, LinksChanged
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import Local, can_link, dials
@@ -17,7 +18,6 @@ from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import Start
-from services.mesh.door import Door
 from sim.virtual.air import Air, End
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
@@ -134,7 +134,7 @@ class VirtualMesh:
             nonce=partial(numbers.randbytes, 16),
             counters=self.counters,
         )
-        Door(bus, robot, self, relay.subscriptions, self.counters, lambda _: None)
+        BusInterface(bus, robot, self, relay.subscriptions, self.counters, lambda _: None)
         self._links_key = key(robot, "mesh", "links")
         self._clock_key = key(robot, "mesh", "clock")
         self._topology_key = key(robot, "mesh", "topology")

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer import loop as loop_module
-from services.balancer.chores import Chores
 from services.balancer.core.gyro import Zero
 from services.balancer.link import pack, pack_command, unpack, unpack_command
 from services.balancer.loop import Loop
+from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
 from swarm.errors import PayloadError
 from swarm.messages import (
@@ -68,7 +68,7 @@ class VirtualLoop:
         self.rig = rig or Rig()
         self.bridge = Lists()
         balancer = self.rig.balancer
-        self.loop = Loop(balancer, Telemetry(balancer, "lqr"), Chores(balancer, self.rig.clock), self.bridge)
+        self.loop = Loop(balancer, Telemetry(balancer, "lqr"), SlackTasks(balancer, self.rig.clock), self.bridge)
         self.started: list[float] = []
         self.oversleep: dict[int, float] = {}
         self.notified: list[str] = []

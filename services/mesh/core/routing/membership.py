@@ -93,8 +93,8 @@ class Membership:
         for name in gone:
             # By the graph as it was: the links among those who are gone can no longer be heard of.
             near = self._told.get(name, ())
-            together = any(other in near and name in self._told.get(other, ()) for other in gone)
-            changes.append(MemberChange(now, name, PARTITION if together else CRASH))
+            partitioned = any(other in near and name in self._told.get(other, ()) for other in gone)
+            changes.append(MemberChange(now, name, PARTITION if partitioned else CRASH))
         self._told = told
         self.changes += changes
         return changes
