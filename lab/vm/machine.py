@@ -111,7 +111,7 @@ class Machine:
             self._process = subprocess.Popen(
                 self._words(self._wire, devices), stdin=subprocess.DEVNULL, stdout=console, stderr=console,
                 env={**os.environ, "TMPDIR": MEMORY}, pass_fds=[each.fileno() for each in devices.values()],
-                start_new_session=True, preexec_fn=self._begin,  # noqa: PLW1509  it makes three system calls
+                start_new_session=True, preexec_fn=self._begin,  # noqa: PLW1509  it makes a few system calls
             )  # fmt: skip
         self._answers, self._next = {}, 0
         self._stream = ours
@@ -223,7 +223,10 @@ class Machine:
         """In the child: no machine outlives the test that started it, however that ends, and none leaves a core."""
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        os.nice(self._niceness)
+        niceness = os.nice(self._niceness)
+        # Linux shares a processor between sessions (sched(7), autogroups) before it looks at niceness within them.
+        with contextlib.suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(niceness))
 
     def _read(self, stream: socket.socket) -> None:
         """The reading thread: answers of the agent, until the machine is off."""
