@@ -229,8 +229,8 @@ class Machine:
         """In the child: no machine outlives the test that started it, however that ends, and none leaves a core."""
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        # A machine has one processor, so its programs take turns. Where the host may wake each on another processor than
-        # the one before, that takes six times as long (a robot's I2C transfers: 61 % of a processor instead of 10 %).
+        # A machine has one processor, so its programs take turns. Where the host wakes each on another processor than
+        # the one before, a turn takes several times as long (61 % of a processor for a robot's I2C bus, not 10 %).
         os.sched_setaffinity(0, {self._processor})
         niceness = os.nice(self._niceness)
         # Linux shares a processor between sessions (sched(7), autogroups) before it looks at niceness within them.
