@@ -59,17 +59,24 @@ def run(args: argparse.Namespace) -> int:
     recorded = Run(args.run, args.app)
     labels = dict(_label(text) for text in args.label)
     kind = args.kind or ("states" if args.column or labels else _of(recorded))
-    draw = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
+    drawing = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
     name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
     path = args.output or Path(f"{name}.png")
     with figure(path, settings=style.RC, layout="constrained") as made:
-        draw(made, recorded)
+        drawing(made, recorded)
         for axes in made.axes if args.between else ():
             if axes.get_xlabel() == TIME:
                 axes.set_xlim(*args.between)
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0
+
+
+def draw(run: Path, app: str, path: Path) -> None:
+    """Draw what is drawn of a recorded run of an app where nothing else is asked for."""
+    recorded = Run(run, app)
+    with figure(path, settings=style.RC, layout="constrained") as made:
+        KINDS[_of(recorded)](made, recorded)
 
 
 def _label(text: str) -> tuple[str, str]:
