@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from laptop.plotting.figure import add_plot, figure
+from laptop.plotting.style import add_plot, figure
 from swarm.onboard.measure import links
 from swarm.onboard.measure.figures import Series
 

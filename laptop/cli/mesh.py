@@ -4,7 +4,7 @@ import argparse
 import math
 from pathlib import Path
 
-from laptop.plotting.figure import add_plot, figure
+from laptop.plotting.style import add_plot, figure
 from swarm.core.graph import Graph
 from swarm.onboard.ask import AWAY
 from swarm.onboard.mesh import show

@@ -1,4 +1,7 @@
-"""A film of a recorded run: the page, picture by picture at exact instants of the recording, made a file by ffmpeg."""
+"""Pictures of the page without a person: one as a file, or a film of a recorded run.
+
+A film shows the page at exact instants of the recording; ffmpeg makes it a file.
+"""
 
 import asyncio
 import contextlib
@@ -91,3 +94,30 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
             await process.wait()
         await errors
         part.unlink(missing_ok=True)
+
+
+SIZE = (1400, 1000)
+"""Pixels."""
+
+SETTLE_S = 4.0
+"""s that a live page has to connect, and for trails and charts to grow."""
+
+DRAWN_S = 0.5
+"""s within which all parts of the page have drawn what they know."""
+
+
+async def take(address: str, path: Path, at: float | None, charts: Sequence[str]) -> None:
+    """Write a PNG of the page at `address`, of a recording at the instant `at`, s. Raises `LocalError` where that
+    fails."""
+    query = urlencode([("chart", chart) for chart in charts])
+    async with chromium.opened(f"{address}&{query}", SIZE) as page:
+        await page.until("Boolean(window.swarmView?.store.swarm)")
+        if at is not None:
+            await page.evaluate(f"swarmView.player.seek({at!r})")
+        await asyncio.sleep(SETTLE_S if at is None else DRAWN_S)
+        await page.until("document.querySelector('#connection').textContent !== 'server lost'")  # on a busy machine
+        picture = await page.picture()
+    try:
+        path.write_bytes(picture)
+    except OSError as error:
+        raise LocalError(f"{path}: {error.strerror}") from None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from laptop.plotting import events, journeys, mesh, places, states, style
-from laptop.plotting.figure import figure
+from laptop.plotting.style import figure
 from swarm.errors import LocalError
 from swarm.onboard.arguments import add_json, show
 from swarm.recording.run import Run

@@ -46,7 +46,7 @@ def announce(address: str, *, browse: bool) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     try:
-        from laptop.view import screenshot, server
+        from laptop.view import film, server
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from laptop.view.control import Control
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
         async def ready(address: str) -> None:
             if args.screenshot is not None:
-                await screenshot.take(address, args.screenshot, at, args.chart)
+                await film.take(address, args.screenshot, at, args.chart)
                 print(args.screenshot)
                 ended.set()
                 return
