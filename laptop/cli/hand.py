@@ -14,8 +14,6 @@ from swarm.messages.keys import is_name
 from swarm.onboard.arguments import add_json, add_run_dir, number, show
 from swarm.process.simulations import pid_of, runtime_of
 
-HELP = "act on simulated robots"
-
 BOOT_S = 3.0
 MAX_CUT_S = 600.0
 

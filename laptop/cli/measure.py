@@ -8,8 +8,6 @@ from laptop.plotting.style import add_plot, figure
 from swarm.onboard.measure import links
 from swarm.onboard.measure.figures import Series
 
-HELP = "round trips and throughput of links and paths"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what a robot's commands take, and `--plot`."""
