@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.bulk import pieces
+from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, Id, Packet
 from services.mesh.core.overlays import stop
 from services.mesh.core.overlays.stop import Halt, Mark
@@ -19,7 +20,6 @@ from services.mesh.core.routing.topology import Advertisement
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import MAX_PAYLOAD
 from services.mesh.core.wire.packets import Ack, Echo, Message, Spread
-from services.mesh.core.wire.seen_numbers import Window
 from swarm.errors import FrameError
 
 DOCUMENT = Path(__file__).parents[2] / "docs/overlays.md"
@@ -249,7 +249,7 @@ def test_the_header_of_a_flood_is_short() -> None:
 
 @given(st.lists(st.integers(1, 400)), st.sampled_from((8, 64, 256)))
 def test_a_window_takes_each_number_at_most_once(numbers: list[int], size: int) -> None:
-    window, taken, highest = Window(size), set(), 0
+    window, taken, highest = SeenNumbers(size), set(), 0
     for number in numbers:
         expected = number not in taken and number > highest - size
         assert window.add(number) is expected

@@ -126,7 +126,7 @@ def test_a_page_gets_all_first_and_then_what_changes_and_two_of_them_do_not_dist
 
 def test_a_page_may_ask_for_the_history_of_a_key(feed: Simulation) -> None:
     for t in range(3):
-        feed.picture.put("r0", "balancer/state", {"tilt": 0.1 * t}, float(t))
+        feed.picture.take("r0", "swarm/r0/balancer/state", encode({"tilt": 0.1 * t}), float(t))
 
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)

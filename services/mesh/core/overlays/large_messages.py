@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.exchange import Exchange, total_of
+from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import SIZE, Id, Packet
 from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.overlays.echo import MAX_WAVES, Waves
@@ -19,7 +20,6 @@ from services.mesh.core.overlays.echo import Id as WaveId
 from services.mesh.core.overlays.flood_store import NEW, OLD, Store
 from services.mesh.core.wire.frames import BULK
 from services.mesh.core.wire.packets import Spread
-from services.mesh.core.wire.seen_numbers import Window
 
 MAX_OWN_BYTES = 4 * 1024 * 1024
 """Bytes of own messages that are held to be fetched; more are refused."""
@@ -96,7 +96,7 @@ class LargeFloods:
         self.exchange: Exchange
         self._coming: dict[Id, _Coming] = {}
         self._held: OrderedDict[Id, _Held] = OrderedDict()
-        self._delivered: dict[str, tuple[int, Window]] = {}
+        self._delivered: dict[str, tuple[int, SeenNumbers]] = {}
 
     def has_room(self, size: int) -> bool:
         """Whether one more own message can be held."""
@@ -219,7 +219,7 @@ class LargeFloods:
     def _was_delivered(self, id: Id) -> bool:
         incarnation, window = self._delivered.get(id.origin, (0, None))
         if window is None or incarnation < id.incarnation:
-            window = Window(WINDOW)
+            window = SeenNumbers(WINDOW)
             self._delivered[id.origin] = (id.incarnation, window)
         return incarnation <= id.incarnation and window.has(id.number)
 

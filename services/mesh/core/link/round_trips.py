@@ -1,4 +1,9 @@
-"""What the heartbeats of one connection tell: round trips, the other clock, bytes per second."""
+"""Round trips: those that heartbeats measure on a connection, and what a window learns from the bytes it lets through.
+
+`Pulse` has what the heartbeats of one connection tell: round trips, the other clock, bytes per second. `RoundTrips` is
+what both congestion controls keep: that of a link (`link.flow`) and that of the pieces of large messages
+(`bulk.pieces`).
+"""
 
 from collections import deque
 
@@ -7,14 +12,47 @@ from services.mesh.core.wire.frames import Heartbeat
 RTT_SAMPLES = 120
 """Round-trip times kept, a minute of heartbeats."""
 
-_RTT_GAIN = 0.125
-"""Weight of a new round-trip sample (Jacobson 1988, RFC 6298 section 2)."""
+_RTT_GAIN, _DEVIATION_GAIN = 0.125, 0.25
+"""Weights of a new round-trip sample (Jacobson 1988, RFC 6298 section 2)."""
+
+LEAST_OVER = 15.0
+"""s; the shortest round trip is taken over one to two of these: ways change, a link may get slower for good."""
 
 _MAX_RTT = 60.0
 """s; a longer sample comes from wrong stamps."""
 
 MAX_APART = 1e10
 """Seconds by which two monotonic clocks may differ; a larger difference comes from wrong stamps."""
+
+
+class RoundTrips:
+    """Smoothed round-trip time, how far samples are from it, and the shortest one of late, all in s."""
+
+    __slots__ = ("_least", "_least_until", "deviation", "smoothed")
+
+    def __init__(self) -> None:
+        self.smoothed = 0.0
+        """0 while none was measured."""
+        self.deviation = 0.0
+        self._least = [float("inf"), float("inf")]
+        self._least_until = 0.0
+
+    @property
+    def least(self) -> float:
+        """The shortest one of late; infinite while none was measured."""
+        return min(self._least)
+
+    def add(self, rtt: float, now: float) -> None:
+        """One more was measured."""
+        if self.smoothed:
+            self.deviation += _DEVIATION_GAIN * (abs(rtt - self.smoothed) - self.deviation)
+            self.smoothed += _RTT_GAIN * (rtt - self.smoothed)
+        else:
+            self.smoothed, self.deviation = rtt, rtt / 2
+        if now >= self._least_until:
+            self._least_until = now + LEAST_OVER
+            self._least = [self._least[1], rtt]
+        self._least[1] = min(self._least[1], rtt)
 
 
 class Pulse:
