@@ -43,9 +43,14 @@ def draw(mesh: Mesh, path: Path) -> None:
             axes.plot((xa, xb), (ya, yb), "-" if up else ":", color="#0072b2" if up else "#d55e00", zorder=1)
             if up and len(mesh.states) <= 40:
                 axes.text(
-                    (xa + xb) / 2, (ya + yb) / 2, ms(mesh.round_trips[a, b]), fontsize=7, ha="center", va="center",
+                    (xa + xb) / 2,
+                    (ya + yb) / 2,
+                    ms(mesh.round_trips[a, b]),
+                    fontsize=7,
+                    ha="center",
+                    va="center",
                     bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-                )  # fmt: skip
+                )
         for name, (x, y) in where.items():
             known = mesh.robots.get(name)
             away = known is not None and known.state in AWAY

@@ -64,8 +64,15 @@ def mesh(figure: Any, run: Run) -> None:
         lost = sum(seen[-1].get("dropped", 0) - seen[0].get("dropped", 0) for seen in each.values())
         text = "down" if not up else "" if rtt is None else f"{1e3 * rtt:.0f} ms"
         text += f"\n{lost} dropped" if lost else ""
-        axes.annotate(text, words[pair], ha="center", va="center", fontsize=7.5, zorder=2,
-                      bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.9})  # fmt: skip
+        axes.annotate(
+            text,
+            words[pair],
+            ha="center",
+            va="center",
+            fontsize=7.5,
+            zorder=2,
+            bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.9},
+        )
     for name, (x, y) in places.items():
         size = 5 if crowded else 21
         axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=size, zorder=3)

@@ -52,8 +52,14 @@ def scene(figure: Any, run: Run) -> None:
     if way:
         seen += [place for _, place in way]
         if len(way) > 1:
-            axes.plot(*zip(*(place for _, place in way), strict=True), "-", color="black", linewidth=1.4, zorder=4,
-                      **_once(marks, "target's way"))  # fmt: skip
+            axes.plot(
+                *zip(*(place for _, place in way), strict=True),
+                "-",
+                color="black",
+                linewidth=1.4,
+                zorder=4,
+                **_once(marks, "target's way"),
+            )
         axes.plot(*way[-1][1], "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
     tracks = paths(run)
     for index, name in enumerate(robots):
@@ -67,8 +73,9 @@ def scene(figure: Any, run: Run) -> None:
             if len(way) > 1:  # it goes on after the last estimate
                 there = _at(way, t)
                 axes.plot(*zip(place, there, strict=True), ":", color=colour, linewidth=0.9, zorder=5)
-                axes.plot(*there, ".", color=colour, markersize=5, zorder=6,
-                          **_once(marks, "where the target was then"))  # fmt: skip
+                axes.plot(
+                    *there, ".", color=colour, markersize=5, zorder=6, **_once(marks, "where the target was then")
+                )
             axes.plot(
                 *place, "x", color=colour, markersize=7, markeredgewidth=1.6, zorder=6, **_once(marks, "estimate")
             )
@@ -171,8 +178,12 @@ def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name
     axes.plot(*place, "o", color=colour, markersize=7, zorder=4, **_once(marks, "robot"))
     axes.annotate(name, place, textcoords="offset points", xytext=(6, 6), color=colour, fontsize=8.5)
     if (heading := last.get("heading")) is not None:
-        axes.annotate("", (place[0] + 0.12 * math.cos(heading), place[1] + 0.12 * math.sin(heading)), place,
-                      arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2})  # fmt: skip
+        axes.annotate(
+            "",
+            (place[0] + 0.12 * math.cos(heading), place[1] + 0.12 * math.sin(heading)),
+            place,
+            arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2},
+        )
     if (dx := last.get("deviation_x")) is not None and (dy := last.get("deviation_y")) is not None:
         _ellipse(axes, place, (dx * dx, last.get("correlation", 0.0) * dx * dy, dy * dy), colour, marks)
 

@@ -61,12 +61,34 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
     part = path.with_name(f".{path.name}.part")
     query = urlencode([("theme", film.theme), *(("chart", chart) for chart in film.charts)])
     process = await asyncio.create_subprocess_exec(
-        program, "-loglevel", "error", "-y", "-f", "image2pipe", "-framerate", f"{film.fps:g}", "-c:v", "png",
-        "-i", "-", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart",
-        "-f", "mp4", str(part),
-        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
+        program,
+        "-loglevel",
+        "error",
+        "-y",
+        "-f",
+        "image2pipe",
+        "-framerate",
+        f"{film.fps:g}",
+        "-c:v",
+        "png",
+        "-i",
+        "-",
+        "-c:v",
+        "libx264",
+        "-crf",
+        "18",
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        "-f",
+        "mp4",
+        str(part),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.PIPE,
         start_new_session=True,
-    )  # fmt: skip
+    )
     assert process.stdin is not None
     assert process.stderr is not None
     errors = asyncio.create_task(process.stderr.read())

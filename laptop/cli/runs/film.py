@@ -35,9 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dark", action="store_true", help="in dark colours")
     add_json(parser)
     parser.add_argument(
-        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        "--chart",
+        action="append",
+        default=[],
+        metavar="TOPIC:FIELD",
         help="with a chart, e.g. app/consensus/state:state.value; several, if you like",
-    )  # fmt: skip
+    )
 
 
 def run(args: argparse.Namespace) -> int:

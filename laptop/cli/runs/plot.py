@@ -44,11 +44,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, what to draw, and where."""
     parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
     parser.add_argument("--kind", choices=KINDS, help="what to draw (by the app)")
-    parser.add_argument("--app", default="", metavar="NAME",
-                        help="where robots ran several (the one that the run is about)")  # fmt: skip
+    parser.add_argument(
+        "--app", default="", metavar="NAME", help="where robots ran several (the one that the run is about)"
+    )
     parser.add_argument("--column", action="append", default=[], metavar="NAME", help="of the states, may be repeated")
-    parser.add_argument("--label", action="append", default=[], metavar="NAME=TEXT",
-                        help='what stands at the axis of a state, e.g. "value=x / m"')  # fmt: skip
+    parser.add_argument(
+        "--label",
+        action="append",
+        default=[],
+        metavar="NAME=TEXT",
+        help='what stands at the axis of a state, e.g. "value=x / m"',
+    )
     parser.add_argument("--between", nargs=2, type=float, metavar=("FROM", "TO"), help="only this time of the run, s")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="PNG, PDF or SVG (RUN-KIND.png)")
     add_json(parser)

@@ -34,13 +34,28 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--robots", type=values_of, metavar="N,N", help="numbers of robots")
     p.add_argument("--topology", type=values_of, metavar="NAME,NAME", help="topologies")
     p.add_argument("--algorithm", type=values_of, metavar="NAME,NAME", help="algorithms of the app")
-    p.add_argument("--set", dest="settings", action="append", type=setting_of, default=[],
-                   metavar="NAME=VALUE,VALUE", help="values of a parameter")  # fmt: skip
+    p.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        type=setting_of,
+        default=[],
+        metavar="NAME=VALUE,VALUE",
+        help="values of a parameter",
+    )
     p.add_argument("--seeds", type=seeds_of, default=(1,), metavar="N|A-B", help="seeds 1 to N, or A to B (1)")
-    p.add_argument("--within", type=float, default=WITHIN, metavar="X",
-                   help=f"how near its last value a result has settled, in its unit ({WITHIN:g})")  # fmt: skip
-    p.add_argument("--limit", metavar="NAME=LOW,HIGH",
-                   help="find the largest value of a parameter between these with which all runs settle")  # fmt: skip
+    p.add_argument(
+        "--within",
+        type=float,
+        default=WITHIN,
+        metavar="X",
+        help=f"how near its last value a result has settled, in its unit ({WITHIN:g})",
+    )
+    p.add_argument(
+        "--limit",
+        metavar="NAME=LOW,HIGH",
+        help="find the largest value of a parameter between these with which all runs settle",
+    )
     where = p.add_argument_group("where it is computed")
     where.add_argument("--jobs", type=whole(1), default=os.cpu_count() or 1, metavar="N", help="processes (all cores)")
     where.add_argument("--engine", choices=ENGINES, default="local", help="local processes, or Dask")
@@ -91,8 +106,7 @@ def _limits(
         raise ConfigError(f"--limit {args.limit}: {low:g} is not below {high:g}")
     progress = Progress(sys.stderr, None)
     with engine as run:
-        brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high),
-                          run, progress.done)  # fmt: skip
+        brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high), run, progress.done)
     progress.close()
     print(sweep_results.limits(points, name, brackets))
     if args.json:

@@ -30,9 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
     parser.add_argument("--at", type=float, metavar="S", help="of a recording: its instant that is pictured (the last)")
     parser.add_argument(
-        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        "--chart",
+        action="append",
+        default=[],
+        metavar="TOPIC:FIELD",
         help="with a chart in the picture, e.g. app/consensus/state:state.value; several, if you like",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
 
