@@ -212,8 +212,8 @@ class Bus:
 
     @classmethod
     def of(cls, directory: Path, direct: str | None = None) -> "Bus":
-        """The bus of the robot whose runtime directory is `directory`. `direct`: the name of a service whose messages to
-        others of its kind are too many to go through the router."""
+        """The bus of the robot whose runtime directory is `directory`. `direct`: the name of a service whose messages
+        to others of its kind are too many to go through the router."""
         return cls(bus_endpoint(directory), None if direct is None else bus_endpoint(directory, direct))
 
     @property
