@@ -9,7 +9,7 @@ from services.mesh.core.link.dialler import has_address
 from services.mesh.core.link.handshake import Local
 from services.mesh.links import pybluez, rfcomm, sim, supervision, tcp
 from services.mesh.links.pipe import Pipe
-from services.mesh.runner import Listener
+from services.mesh.sockets import Listener
 from swarm.config import Config
 from swarm.errors import ConfigError, LocalError
 

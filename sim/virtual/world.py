@@ -186,8 +186,8 @@ class World:
         if config.auto:
             mesh = self.robots[robot].mesh
             assert isinstance(mesh, VirtualMesh)  # an automatic topology is found by meshes
-            in_force = mesh.node.overlays.topology(mesh.now)
-            if topology.lacking(config, in_force, mesh.now):
+            in_force = mesh.look(lambda overlays, now: overlays.topology(now))
+            if topology.lacking(config, in_force, self.robots[robot].time.now):
                 self.time.at(self.time.now + ASK_EVERY, self._begin, robot, launch, kept)
                 return
             links = topology.of_edges(config, in_force.edges)
@@ -275,7 +275,7 @@ class World:
         known = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
         for robot in self.robots.values():
             assert isinstance(robot.mesh, VirtualMesh)
-            robot.mesh.node.overlays.settle(links, known, robot.mesh.now)
+            robot.mesh.look(lambda overlays, now: overlays.settle(links, known, now))
 
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)
