@@ -2,7 +2,7 @@
 
 There is no bus here: each transfer waits as long as its bytes take on the wire, the ATmega's holds included, and the
 pauses that the ATmega needs are slept for real, with the loop's priority where that is permitted. Drivers, balancer and
-chores are the robot's own; the devices are simulated.
+slack tasks are the robot's own; the devices are simulated.
 """
 
 import logging
@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
-from laptop.cli.measure.i2c_direct import measure
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
-from services.balancer.chores import Chores
 from services.balancer.core.body import body_model
 from services.balancer.core.display import ScreenText
 from services.balancer.drivers import Balboa
+from services.balancer.measure_i2c import measure
+from services.balancer.slack_tasks import SlackTasks
 from sim.core.balboa import BalboaBody
 from sim.core.devices import SimulatedRobot, draw_errors
 from sim.i2c import SimulatedBus
@@ -107,22 +107,22 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     robot = SimulatedRobot(BalboaBody(model, clock.now()), noise, errors=draw_errors(noise))
     bus = TimedBus(robot)
     balancer = Balancer(bus, model, 0.0, clock.now, bus.pause, start_mode="stand")
-    chores = Chores(balancer, clock.now)
+    tasks = SlackTasks(balancer, clock.now)
     while balancer.mode != "balancing":
-        _tick(balancer, chores)
+        _tick(balancer, tasks)
     steps, ticks, wires = [], [], []
     for number in range(sizes.ticks):
         if number % 100 == 0:
-            chores.obey(ModuleRequest(f"{number}", b"\x99\xfd" + bytes(253)), clock.now())
-            chores.obey(ScreenText(tuple(f"line {n} of {number}" for n in range(7))), clock.now())
-        step, tick, wire = _tick(balancer, chores)
+            tasks.obey(ModuleRequest(f"{number}", b"\x99\xfd" + bytes(253)), clock.now())
+            tasks.obey(ScreenText(tuple(f"line {n} of {number}" for n in range(7))), clock.now())
+        step, tick, wire = _tick(balancer, tasks)
         steps.append(step * 1e3)
         ticks.append(tick * 1e3)
         wires.append(wire * 1e3)
     yield Row("control step, bytes on the wire and holds", statistics.median(wires), "ms", LIMIT_MS, 1.0)
     yield Row("control step, with waits and computation, p50", statistics.median(steps), "ms", LIMIT_MS, 1.0)
     yield Row("the same, p99", sorted(steps)[len(steps) * 99 // 100], "ms", LIMIT_MS, 1.0)
-    yield Row("tick with all chores, p99", sorted(ticks)[len(ticks) * 99 // 100], "ms", PERIOD_MS, 0.9)
+    yield Row("tick with all slack tasks, p99", sorted(ticks)[len(ticks) * 99 // 100], "ms", PERIOD_MS, 0.9)
     found = measure(bus, Balboa(bus, clock.now, bus.pause), MeasureI2C("bench", RATE_SIZE, sizes.transfers))
     assert found.read is not None
     assert found.write is not None
@@ -130,7 +130,7 @@ def rows(sizes: Sizes = FULL) -> Iterator[Row]:
     yield Row("8 bytes written, as the thesis' rate", 8e3 * RATE_SIZE / found.write, "ms", THESIS_WRITE_MS, 1.3)
 
 
-def _tick(balancer: Balancer, chores: Chores) -> tuple[float, float, float]:
+def _tick(balancer: Balancer, tasks: SlackTasks) -> tuple[float, float, float]:
     """One tick; its control step, all of it, and the control step's time on the wire, s."""
     begun = clock.now()
     robot = balancer.bus
@@ -140,7 +140,7 @@ def _tick(balancer: Balancer, chores: Chores) -> tuple[float, float, float]:
     wire = robot.robot.wire_s() - before
     step = clock.now() - begun
     balancer.show_leds(clock.now())
-    chores.run(begun + PERIOD_MS / 1e3)
+    tasks.run(begun + PERIOD_MS / 1e3)
     tick = clock.now() - begun
     time.sleep(max(0.0, begun + PERIOD_MS / 1e3 - clock.now()))
     return step, tick, wire

@@ -12,7 +12,7 @@ from pathlib import Path
 from bench import socket_sim
 from laptop.cli.runs import sim
 from sim import run
-from sim.core import patience
+from sim.core import start_timeout
 from sim.monitor import Monitor
 from sim.run import Run
 from swarm.messages import LedChange, Target, Truth
@@ -48,7 +48,7 @@ def main() -> int:
     """Like `bench.socket_sim`. For the simulation the swarm never starts, since most robots have no bus."""
     sim.Run = OneRobot  # type: ignore[attr-defined]
     run.Monitor = Away  # type: ignore[attr-defined]
-    patience.START_LIMIT_S = math.inf
+    start_timeout.START_LIMIT_S = math.inf
     return socket_sim.main()
 
 

@@ -20,10 +20,10 @@ from typing import TypeVar
 from bench.stop_body import TRUTH
 from laptop.fleet.ssh import Host, Ssh
 from laptop.view.control import Control
-from laptop.view.hands import Act
+from laptop.view.robot_actions import PageAction
 from laptop.view.robots import Robots
-from sim.door import WORLD_SOCKET
 from sim.processes import Processes
+from sim.world_client import WORLD_SOCKET
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.config import load
@@ -68,10 +68,10 @@ LONGEST_PAUSE_S = 0.04
 T = TypeVar("T")
 
 
-class NoHands:
+class NoActions:
     """What a page may do besides stopping: nothing."""
 
-    acts: Mapping[str, Act] = {}
+    acts: Mapping[str, PageAction] = {}
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
         """Nothing is near."""
@@ -128,7 +128,7 @@ class RobotsOnALine:
         self.ssh, self.host = Ssh(), Host("r0", "r0")
         self.view = Robots(load(config), [self.host], self.ssh)
         self._stack.callback(self.view.close)
-        self.control = Control(self.view, NoHands())
+        self.control = Control(self.view, NoActions())
 
     def __enter__(self) -> "RobotsOnALine":
         return self

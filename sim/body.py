@@ -1,7 +1,7 @@
 """`python -m sim.body`: the balancer of one simulated robot, the real one but for its I2C bus.
 
 The body moves with the loop's own clock (sim/core), tells its true pose to the world, and is acted upon by
-people (sim/door.py).
+people (sim/world_client.py).
 """
 
 from services.balancer.loop import main as balance

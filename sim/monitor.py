@@ -22,8 +22,8 @@ from swarm.messages import (
 )
 from swarm.messages.keys import key
 
-SLOW_TRUTH_S = 0.2
-"""s between two messages of the truth's slow copy."""
+THROTTLED_TRUTH_S = 0.2
+"""Seconds between two messages of the throttled copy of the truth."""
 
 
 _TRUTHS = {Truth: "truth", Target: "target", LedChange: "leds"}
@@ -65,7 +65,9 @@ class Monitor:
         self._seen = {name: Seen() for name in names}
         self._decoded: dict[str, bytes] = {}  # by key: the sample that is in `_seen`
         self._buses = {name: Bus.of(run_dir / name) for name in names}
-        self._slow = {name: Throttle(bus, key(name, "sim", "truth"), SLOW_TRUTH_S) for name, bus in self._buses.items()}
+        self._throttles = {
+            name: Throttle(bus, key(name, "sim", "truth"), THROTTLED_TRUTH_S) for name, bus in self._buses.items()
+        }
         for name, bus in self._buses.items():
             bus.subscribe(
                 [
@@ -82,7 +84,7 @@ class Monitor:
     def truth(self, robot: str, message: Truth | Target | LedChange) -> None:
         """Publish where a robot or the target really is, or what a robot's LEDs show."""
         if isinstance(message, Truth):
-            self._slow[robot].publish(message, message.t)
+            self._throttles[robot].publish(message, message.t)
         self._buses[robot].publish(key(robot, "sim", _TRUTHS[type(message)]), message)
 
     def ask_status(self) -> None:

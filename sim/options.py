@@ -24,7 +24,7 @@ from sim.quantities import (
 )
 from sim.virtual.body import MODELS
 from swarm.app import run_options
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
 
@@ -76,7 +76,7 @@ class Options:
     run_dir: Path | None
     record: Path | None
     """Where the trajectories are kept; without it they go with the run."""
-    conduct: Conduct
+    run_options: RunOptions
     """When its lockstep ends but for `iterations`, and what becomes of robots that stay away."""
     demo: bool
     virtual: bool
@@ -191,7 +191,7 @@ def parser() -> argparse.ArgumentParser:
 def parse(arguments: list[str]) -> Options:
     """Read the command line; argparse ends the process with code 2 and a message where it is wrong."""
     read = _tuples(parser().parse_intermixed_args(arguments))
-    options = Options(conduct=run_options.of(read), **vars(read))
+    options = Options(run_options=run_options.of(read), **vars(read))
     if options.config is not None and (options.robots is not None or options.topology is not None):
         raise ConfigError("--config names robots and topology itself: leave out --robots and --topology")
     if options.noise is not None and options.replay is not None:
@@ -221,7 +221,7 @@ def parse(arguments: list[str]) -> Options:
                 raise ConfigError(f"{name} needs an APP, e.g. swarm sim consensus")
         if options.iterations is not None:
             raise ConfigError("--iterations needs an APP; without one use --seconds")
-        if options.conduct.words:
+        if options.run_options.arguments:
             raise ConfigError("--until, --for and --absent need an APP, e.g. swarm sim consensus")
     return options
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field
 
 from sim import scene
-from sim.core.witness import Witness
+from sim.core.scene_record import SceneRecord
 from sim.scenario import Scenario
 from swarm.frozen import frozen
 from swarm.messages import BalancerState
@@ -44,10 +44,10 @@ class Outcome:
     """s that a run under virtual time took to compute; None of one in real time."""
     scene: Mapping[str, object] = field(default_factory=dict)
     """What the world saw of it (sim/scene.py)."""
-    witness: Witness | None = None
+    scene_record: SceneRecord | None = None
     """The world's own eyes, where somebody looked."""
     began: float = 0.0
-    """When the run began, by the witness' clock, s."""
+    """When the run began, by the scene_record' clock, s."""
     moves_from: float = math.inf
     """When a target that moves began to, by the clock of the trajectories, s."""
     beside: Mapping[str, Mapping[str, Trajectory]] = field(default_factory=dict)

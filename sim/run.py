@@ -14,7 +14,7 @@ from sim.app_requests_server import Orders
 from sim.control import link_cuts
 from sim.control.send_action import do
 from sim.core import actions
-from sim.core.patience import START_LIMIT_S, Patience
+from sim.core.start_timeout import START_LIMIT_S, StartTimeout
 from sim.monitor import Monitor, Seen
 from sim.options import PRESS_S, Options
 from sim.power_server import Power
@@ -102,7 +102,7 @@ class Run:
         started: float | None = None
         cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
         presses = sorted(self._options.presses, key=lambda press: press.at)
-        asked, patience = 0.0, Patience(self._commanded)
+        asked, start_timeout = 0.0, StartTimeout(self._commanded)
         while not self._stop:
             now = clock.now()
             self._power.look(now)
@@ -130,10 +130,10 @@ class Run:
                     started = now
                     self._moves_from = now
                     self._world.move_target(now)
-                elif (faults := _faults(seen)) and not self._scenario.conduct.drop:
+                elif (faults := _faults(seen)) and not self._scenario.run_options.drop:
                     self._problems += faults
                     break
-                elif patience.lost(_ready(seen, missing), now):
+                elif start_timeout.lost(_ready(seen, missing), now):
                     found = _obstacles(seen, missing)
                     self._problems.append(f"no first iteration, and nothing new for {START_LIMIT_S:g} s: {found}")
                     break
@@ -152,10 +152,10 @@ class Run:
         for service, module in SERVICE_MODULES.items():
             self._processes.add(name, service, [module], directory)
         if self._scenario.app is not None and self._scenario.program is not None:
-            words = [APP_SERVICE, self._scenario.program, *self._scenario.conduct.words]
+            words = [APP_SERVICE, self._scenario.program, *self._scenario.run_options.arguments]
             self._processes.add(name, f"app/{self._scenario.app}", words, directory)
         for service, beside in self._beside.items():
-            words = [APP_SERVICE, beside.program, *self._scenario.conduct_beside.words]
+            words = [APP_SERVICE, beside.program, *self._scenario.run_options_beside.arguments]
             self._processes.add(name, service, words, directory)
 
     def _start_app(self, robot: str, app: str) -> None:
@@ -191,7 +191,7 @@ class Run:
 
     def _is_done(self, seen: Mapping[str, Seen], elapsed: float) -> bool:
         faults = _faults(seen)
-        if faults and not self._scenario.conduct.drop:
+        if faults and not self._scenario.run_options.drop:
             self._problems += faults
             return True
         if self._options.seconds is not None:
@@ -244,7 +244,7 @@ class Run:
         if self._options.seconds is not None:
             self._problems += _held_up(seen)
         memory = {name: footprint.resident_mib(self._processes.of(name)) for name in names}
-        found = self._world.look(lambda witness: scene.seen(self._scenario, witness, self._commanded))
+        found = self._world.look(lambda scene_record: scene.seen(self._scenario, scene_record, self._commanded))
         self._processes.stop()  # only then are the recordings complete
         paths = self._trajectories(self._scenario.app) if self._scenario.app is not None else {}
         beside = {each.app: self._trajectories(each.app) for each in self._beside.values()}
@@ -265,7 +265,7 @@ class Run:
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in _members(seen)),
             scene=found,
-            witness=self._world.look(lambda witness: witness),
+            scene_record=self._world.look(lambda scene_record: scene_record),
             began=self._commanded,
             moves_from=self._moves_from,
             beside=beside,

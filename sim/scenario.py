@@ -19,7 +19,7 @@ from sim.module import module_address
 from sim.options import Options
 from swarm import config as configuration
 from swarm.app.event_app import EventApp, PeriodicApp
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.app.settings import on_top
 from swarm.config import Affine, Anchor, App, Config, Dwm, Linear, Mesh, Robot, Simulation
 from swarm.config.load import AUTO
@@ -86,7 +86,7 @@ class Scenario:
     """The algorithm the app runs, None where the app has no such parameter."""
     topology: str
     iterations: int | None
-    conduct: Conduct
+    run_options: RunOptions
     """How its lockstep goes, `iterations` and all."""
     recordings: dict[str, Recording]
     """By robot; what --noise makes up, too."""
@@ -106,9 +106,9 @@ class Scenario:
     """What to tell before it starts."""
 
     @property
-    def conduct_beside(self) -> Conduct:
+    def run_options_beside(self) -> RunOptions:
         """How other apps go: as long as the first one does, or as there are measurements for."""
-        return replace(self.conduct, last=self.iterations if self.recordings else None, rule=None)
+        return replace(self.run_options, last=self.iterations if self.recordings else None, rule=None)
 
     @property
     def recorded(self) -> dict[str, Recording]:
@@ -163,7 +163,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         if press.robot not in config.names:
             raise ConfigError(f"--press {press.robot}.{press.button}: the robots are {', '.join(config.names)}")
     iterations = options.iterations
-    if app is not None and iterations is None and options.seconds is None and options.conduct.rule is None:
+    if app is not None and iterations is None and options.seconds is None and options.run_options.rule is None:
         iterations = ITERATIONS.get(app.name, DEFAULT_ITERATIONS)
     if recordings:
         rows = min(len(recording.rows) for recording in recordings)
@@ -180,7 +180,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
         algorithm=_algorithm(config, app) if app is not None else None,
         topology=options.topology or ("file" if options.config is not None else "line"),
         iterations=iterations,
-        conduct=replace(options.conduct, last=iterations),
+        run_options=replace(options.run_options, last=iterations),
         recordings=recorded,
         synthetic=options.noise is not None,
         beside=tuple(Beside(each.name, _program(each)) for each in apps[1:]),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from services.apps.core import formation
-from sim.core.witness import Witness
+from sim.core.scene_record import SceneRecord
 from sim.scenario import Scenario
 
 Json = dict[str, object]
@@ -17,17 +17,17 @@ FORMED_M = 0.05
 """A formation with a smaller root mean square error is one."""
 
 
-def seen(scenario: Scenario, witness: Witness, began: float) -> Json:
+def seen(scenario: Scenario, scene_record: SceneRecord, began: float) -> Json:
     """Figures by name: times in s since `began`, lengths in m; only for apps of which there is something to see."""
     match scenario.app:
         case "led_sync":
-            return _phases(scenario, witness, began)
+            return _phases(scenario, scene_record, began)
         case "stand_up":
-            return _wave(scenario, witness, began)
+            return _wave(scenario, scene_record, began)
         case "formation":
-            return _formation(scenario, witness, began)
+            return _formation(scenario, scene_record, began)
         case "goto":
-            return _closest(witness, began)
+            return _closest(scene_record, began)
     return {}
 
 
@@ -36,22 +36,22 @@ def sentences(figures: Mapping[str, object]) -> list[str]:
     return [f"{name.replace('_', ' '):<11} {_shown(value)}" for name, value in figures.items()]
 
 
-def _phases(scenario: Scenario, witness: Witness, began: float) -> Json:
+def _phases(scenario: Scenario, scene_record: SceneRecord, began: float) -> Json:
     edges = scenario.config.edges
-    phases = witness.phases(edges, began)
+    phases = scene_record.phases(edges, began)
     at = None if phases is None else phases.synchronous_at
     if at is not None:
-        phases = witness.phases(edges, at)
+        phases = scene_record.phases(edges, at)
     return {
-        "flashes": dict(witness.flashed),
+        "flashes": dict(scene_record.flashed),
         "synchronous_after_s": None if at is None else round(at - began, 2),
         "apart_neighbours_p95_ms": None if phases is None else round(1e3 * phases.neighbours, 2),
         "apart_all_p95_ms": None if phases is None else round(1e3 * phases.all, 2),
     }
 
 
-def _wave(scenario: Scenario, witness: Witness, began: float) -> Json:
-    stood = witness.stood_at
+def _wave(scenario: Scenario, scene_record: SceneRecord, began: float) -> Json:
+    stood = scene_record.stood_at
     after = {}
     for name in sorted(stood, key=lambda name: stood[name])[1:]:
         before = [stood[other] for other in scenario.config.neighbours(name) if other in stood]
@@ -59,7 +59,7 @@ def _wave(scenario: Scenario, witness: Witness, began: float) -> Json:
     return {
         "stood_after_s": {name: round(t - began, 2) for name, t in sorted(stood.items(), key=lambda item: item[1])},
         "after_its_neighbour_s": after,
-        "lies": [name for name in witness.names if name not in stood],
+        "lies": [name for name in scene_record.names if name not in stood],
     }
 
 
@@ -73,8 +73,8 @@ def offsets_of(scenario: Scenario) -> dict[str, tuple[float, float]]:
     return {name: formation.offset(shape, i, len(names), float(size)) for i, name in enumerate(names)}
 
 
-def _formation(scenario: Scenario, witness: Witness, began: float) -> Json:
-    misfits = witness.misfits(offsets_of(scenario))
+def _formation(scenario: Scenario, scene_record: SceneRecord, began: float) -> Json:
+    misfits = scene_record.misfits(offsets_of(scenario))
     formed = None
     for t, misfit in reversed(misfits):
         if misfit > FORMED_M:
@@ -83,12 +83,12 @@ def _formation(scenario: Scenario, witness: Witness, began: float) -> Json:
     return {
         "misfit_m": round(misfits[-1][1], 4) if misfits else None,
         "formed_after_s": None if formed is None else round(formed - began, 1),
-        **_closest(witness, began),
+        **_closest(scene_record, began),
     }
 
 
-def _closest(witness: Witness, began: float) -> Json:
-    closest = witness.closest
+def _closest(scene_record: SceneRecord, began: float) -> Json:
+    closest = scene_record.closest
     if closest is None:
         return {"closest_m": None}
     return {

@@ -10,8 +10,8 @@ from services.balancer.core.body import body_model
 from sim.core.balboa import REST_TILT, BalboaBody
 from sim.core.devices import SimulatedRobot, draw_errors
 from sim.core.module_line import SOURCE, TTY, ModuleLine
-from sim.door import Door
 from sim.i2c import SimulatedBus
+from sim.world_client import WorldClient
 from swarm import clock
 from swarm.config import Config
 from swarm.errors import LocalError
@@ -78,7 +78,7 @@ def simulated_bus(config: Config, robot: str) -> SimulatedBus:
     if side := lying():
         body.put_down(*place, side * REST_TILT)
     devices = SimulatedRobot(body, noise, errors=draw_errors(noise), trim=shape.trim)
-    wires: list[Callable[[float], None]] = [Door(robot, devices, runtime_dir(), clock.now()).look]
+    wires: list[Callable[[float], None]] = [WorldClient(robot, devices, runtime_dir(), clock.now()).look]
     if config.dwm.source == SOURCE:
         wires.append(ModuleWire(lambda: devices.atmega.line, runtime_dir() / TTY).carry)
 

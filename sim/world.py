@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from sim.control import datagrams
-from sim.core.actions import DOOR, Place, pack
+from sim.core.actions import BODY_SOCKET, Place, pack
 from sim.core.module_line import SOURCE as SOURCE_ATMEGA
-from sim.core.witness import Witness
+from sim.core.scene_record import SceneRecord
 from sim.module import ModuleBoard
 from swarm import clock
 from swarm.config import Config
@@ -100,7 +100,7 @@ class World:
             for name in config.names:
                 self._modules.add(name)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC)
-        self._witness = Witness(config.names)
+        self._scene_record = SceneRecord(config.names)
         self._seeing = threading.Lock()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
@@ -119,10 +119,10 @@ class World:
         self._socket.close()
         os.close(self._wake)
 
-    def look(self, at: Callable[[Witness], T]) -> T:
-        """`at(witness)`, while nothing new is seen."""
+    def look(self, at: Callable[[SceneRecord], T]) -> T:
+        """`at(scene_record)`, while nothing new is seen."""
         with self._seeing:
-            return at(self._witness)
+            return at(self._scene_record)
 
     def _run(self) -> None:
         while not self._closing:
@@ -149,7 +149,7 @@ class World:
     def _show(self, leds: LedReport) -> None:
         """Pass on what a robot's LEDs show."""
         with self._seeing:
-            self._witness.leds(leds.robot, leds.t, yellow=leds.yellow)
+            self._scene_record.leds(leds.robot, leds.t, yellow=leds.yellow)
         self._publish(leds.robot, LedChange(leds.t, leds.red, leds.yellow, leds.green))
 
     def _answer(self, robot: str) -> None:
@@ -158,12 +158,12 @@ class World:
         start = self._starts.get(robot, (0.0, 0.0, 0.0))
         place = Place(*start, 0.0, True) if last is None else Place(last.x, last.y, last.heading, last.tilt, last.held)
         with contextlib.suppress(OSError):  # it ended again
-            self._socket.sendto(pack(place), str(socket_path(self._run_dir / robot, DOOR)))
+            self._socket.sendto(pack(place), str(socket_path(self._run_dir / robot, BODY_SOCKET)))
 
     def _place(self, report: BodyReport) -> None:
         self._last[report.robot] = report
         with self._seeing:
-            self._witness.pose(report.robot, report.t, (report.x, report.y), report.tilt)
+            self._scene_record.pose(report.robot, report.t, (report.x, report.y), report.tilt)
         if self._ranging:
             self._modules.update_pose(report.robot, report.x, report.y, report.heading)
         due = self._publish_at[report.robot]

@@ -19,7 +19,7 @@ from services.apps.snapshot import SnapshotFile
 from services.balancer.core.gyro import Zero
 from services.balancer.zero_file import ZeroFile
 from services.dwm.localizer import load_calibration
-from services.mesh import keep
+from services.mesh import topology_file
 from services.mesh.core.routing.topology import Ground
 from swarm.config import load
 from swarm.config.keyfile import new_key_file, read_keys
@@ -54,11 +54,11 @@ class Kept(NamedTuple):
 
 def write_topology(place: Path) -> None:
     ground = Ground(("r0", "r1"), (("r0", "r1"),), auto=False)
-    keep.save(place.parent, ground.to_file(ground.first))
+    topology_file.save(place.parent, ground.to_file(ground.first))
 
 
 def read_topology(place: Path) -> object:
-    return keep.load(place.parent, Ground(("r0", "r1"), (("r0", "r1"),), auto=False))
+    return topology_file.load(place.parent, Ground(("r0", "r1"), (("r0", "r1"),), auto=False))
 
 
 def read_claim(place: Path) -> int:

@@ -1,16 +1,19 @@
-"""Finding a running simulation, and `swarm hand kill`."""
+"""Finding a running simulation, and `swarm hand kill` and `swarm hand cut`."""
 
 import argparse
+import contextlib
+import json
 import os
 import signal
+import socket
 import subprocess
-import sys
 from pathlib import Path
 
+import msgpack
 import pytest
 from conftest import Processes, wait_until
 
-from laptop.cli.hand import kill
+from laptop.cli import hand
 from swarm.errors import BusError, LocalError
 from swarm.process.simulations import claim, default_run_dir, is_live, pid_file, pid_of, robots
 
@@ -121,10 +124,14 @@ def victim(processes: Processes, run: Path, service: str) -> subprocess.Popen[st
     return process
 
 
-def call(run: Path, *arguments: str) -> int:
+def hands(run: Path, *arguments: str) -> int:
     parser = argparse.ArgumentParser()
-    kill.add_arguments(parser)
-    return kill.run(parser.parse_args([*arguments, "--run-dir", str(run)]))
+    hand.add_arguments(parser)
+    return hand.run(parser.parse_args([*arguments, "--run-dir", str(run)]))
+
+
+def call(run: Path, *arguments: str) -> int:
+    return hands(run, "kill", *arguments)
 
 
 @pytest.mark.parametrize("service", ["bus", "mesh", "app/consensus"])
@@ -132,7 +139,7 @@ def test_kill(processes: Processes, run: Path, service: str, capsys: pytest.Capt
     process = victim(processes, run, service)
     assert call(run, "r0", service) == 0
     assert process.wait(60) == -signal.SIGKILL
-    assert capsys.readouterr().out == f"{service} of r0 (pid {process.pid}): SIGKILL\n"
+    assert capsys.readouterr().out == f"r0: {service} (pid {process.pid}): SIGKILL\n"
     with pytest.raises(LocalError, match=f"{service} of r0 is not running at this moment"):
         call(run, "r0", service)
 
@@ -178,9 +185,23 @@ def test_what_kill_refuses(run: Path, runtime: Path) -> None:
         call(run, "r0", "app")
 
 
-def test_the_module_is_a_verb() -> None:
-    code = (
-        "import argparse; from laptop.cli.hand import kill\n"
-        "kill.add_arguments(argparse.ArgumentParser()); print(kill.HELP)"
-    )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == kill.HELP
+@pytest.mark.parametrize(("option", "seconds"), [(("--seconds", "3"), 3.0), (("--mend",), 0.0)])
+def test_a_cut_reaches_both_ends_of_a_link(
+    run: Path, option: tuple[str, ...], seconds: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.ExitStack() as stack:
+        meshes = {}
+        for name in ("r0", "r1"):
+            (run / name).mkdir(exist_ok=True)
+            meshes[name] = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            meshes[name].bind(str(run / name / "air.sock"))
+            meshes[name].settimeout(10)
+        assert hands(run, "cut", "r0", "r1", *option, "--json") == 0
+        told = {name: msgpack.unpackb(mesh.recv(1000)) for name, mesh in meshes.items()}
+    assert told == {"r0": {"cut": "r1", "seconds": seconds}, "r1": {"cut": "r0", "seconds": seconds}}
+    assert json.loads(capsys.readouterr().out)["act"] == "cut"
+
+
+def test_a_cut_of_a_robot_without_a_mesh_is_an_error(run: Path) -> None:
+    with pytest.raises(LocalError, match="not cut: the mesh of r0 is not running"):
+        hands(run, "cut", "r0", "r1")

@@ -23,6 +23,9 @@ PLACE = "/opt/lab"
 """Of this package inside."""
 CARRIED = ("__init__.py", "waiting.py", "i2c/*.py", "robot/__init__.py", "robot/__main__.py", "robot/module.py")
 KEY_MODE = 0o100600
+NICENESS = -10
+"""Of a machine with such a disk, on the host: its body falls in real time. A robot has a processor of its own; those of
+the host are shared by machines and tests, and a balancer that waits for them lies on the ground."""
 
 
 class Disk:
@@ -83,6 +86,9 @@ def robots(image: Image, folder: Path, config: str, key: Path) -> Image:
     for pattern in CARRIED:
         for source in ours.glob(pattern):
             disk.file(source, f"{PLACE}/lab/{source.relative_to(ours)}")
+    for pattern in ("sim/**/*.py", "laptop/**/*.py"):  # robots carry neither; the devices are simulated
+        for source in ours.parent.glob(pattern):
+            disk.file(source, f"{PLACE}/{source.relative_to(ours.parent)}")
     for unit in OURS:
         disk.file(HERE / f"units/{unit}.service", f"{UNITS}/{unit}.service")
     disk.file(HERE / "units/balancer.conf", f"{UNITS}/swarm-balancer.service.d/90-lab.conf")

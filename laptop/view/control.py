@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from laptop.view.feed import Live, Publisher
-from laptop.view.hands import Act, Hands, named
+from laptop.view.robot_actions import PageAction, RobotActions, named
 from swarm import clock
 from swarm.errors import LocalError
 from swarm.frozen import frozen
@@ -29,29 +29,29 @@ class _Halt:
 class Control:
     """Carries out what pages ask, in any threads."""
 
-    def __init__(self, feed: Live, hands: Hands | None) -> None:
-        """`hands`: what can be done besides what goes over a bus; None where the page only watches."""
+    def __init__(self, feed: Live, actions: RobotActions | None) -> None:
+        """`actions`: what can be done besides what goes over a bus; None where the page only watches."""
         self._feed = feed
-        self._hands = hands
+        self._actions = actions
         self._halting = threading.Lock()
         """Held while a stop or its end goes out, so that the later of two holds on every robot."""
         self._wanted: _Halt | None = None
         self._asked: dict[tuple[str, str], tuple[SetAppParameters, float]] = {}
         """What apps have not answered yet: by robot and app, and until when they are asked."""
-        self.acts: dict[str, Act] = {}
+        self.acts: dict[str, PageAction] = {}
         """What pages may ask for."""
-        if hands is not None:
+        if actions is not None:
             self.acts |= {
                 "stop": lambda _: self._halt(stop=True),
                 "arm": lambda _: self._halt(stop=False),
                 "set": self._set,
-                **hands.acts,
+                **actions.acts,
             }
 
     def close(self) -> None:
         """Give up what is under way."""
-        if self._hands is not None:
-            self._hands.close()
+        if self._actions is not None:
+            self._actions.close()
 
     def do(self, asked: object) -> str:
         """Carry out `{act: NAME, ...}`; what was done, in words. Raises `LocalError`."""
@@ -110,8 +110,8 @@ class Control:
         robots = [named(asked["robot"], everybody)] if asked.get("robot") else list(everybody)
         near = [robot for robot in robots if robot in buses and buses[robot].connected]
         values: dict[str, Value] = {name: value}
-        assert self._hands is not None
-        silent = self._hands.give([robot for robot in robots if robot not in near], app, values)
+        assert self._actions is not None
+        silent = self._actions.give([robot for robot in robots if robot not in near], app, values)
         if silent == robots:
             raise LocalError(f"set: {asked.get('robot') or 'no robot'} is not reached")
         for robot in near:

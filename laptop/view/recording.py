@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from laptop.view.feed import config_of
-from laptop.view.picture import HISTORY_S, TRAIL_S, Event, Picture, places
+from laptop.view.history import HISTORY_S
+from laptop.view.picture import TRAIL_S, Event, Picture, places
 from swarm.errors import RecordingError, SwarmError
-from swarm.messages.json_values import plain
+from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key
 from swarm.recording.core import json_text
 from swarm.recording.run import Run
@@ -34,7 +35,7 @@ class Recording:
         for sample in run.samples():
             try:
                 robot, service, topic = parse_key(sample.topic)
-                message = plain(sample.message)
+                message = json_value(sample.message)
             except SwarmError:
                 continue
             name = f"{service}/{topic}"
@@ -86,6 +87,6 @@ class Recording:
 
     def _message(self, data: bytes) -> object:
         try:
-            return plain(json_text.decode(data))
+            return json_value(json_text.decode(data))
         except (ValueError, RecursionError) as error:
             raise RecordingError(f"{self.path}: a message is not JSON: {error}") from None

@@ -10,23 +10,25 @@ import hashlib
 import os
 
 from services.apps import loader, topology
+from services.apps.claim import Claim
+from services.apps.equipment import equip
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
-from services.apps.host import Host, Part
+from services.apps.host import LockstepHost, Part
+from services.apps.lockstep_driver import Place
 from services.apps.measurements import source_of
 from services.apps.recording import Recording, place_of
+from services.apps.runner import Runner
+from services.apps.storage import FileStorage
 from swarm.app import run_options
-from swarm.app.devices import Devices
 from swarm.app.event_app import EventApp
-from swarm.app.mesh_clock import MeshClock
-from swarm.app.overlays import Overlays
-from swarm.app.ranging import Ranging
 from swarm.app.settings import Setting, parse, with_settings
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.core.lockstep_frames import MAX_ITERATION
 from swarm.errors import AppError, LocalError
 from swarm.process.service import Service, run
+from swarm.process.threads import ThreadedRuntime
 
 FAULT = 3
 """Exit code of a host whose app is in fault."""
@@ -36,49 +38,53 @@ def main() -> int:
     """Run the app until told to stop; after the last iteration its result stays to be read."""
     options = _options()
     app = loader.load(options.app)
-    host: Host | EventHost | None = None
+    host: LockstepHost | EventHost | None = None
+    runtime: ThreadedRuntime | None = None
 
     def on_bus(connected: bool) -> None:
-        if connected and host is not None:
-            host.nudge()
+        if connected and host is not None and runtime is not None:
+            runtime.entry(host.nudge)()
 
-    with Service(f"app/{app.name}", on_bus=on_bus) as service:
+    with Service(f"app/{app.name}", on_bus=on_bus, direct=True) as service:
         service.config = with_settings(service.config, app.name, options.settings)
         number = options.run if options.run is not None else _default_run(app, service.config, options.settings)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)
         instance = app.make(service.config, service.robot, seed)  # what is wrong with it is said at once
+        runtime = ThreadedRuntime(service)
         measured = isinstance(instance, SyncApp) and instance.measured
-        measurements = source_of(service, options.iterations) if measured else None
+        measurements = source_of(runtime, service.config, options.iterations) if measured else None
         links = topology.of_run(service, app.name, number)
         if links is None:
             return 0
         if links.config.edges != service.config.edges:
             instance = app.make(links.config, service.robot, seed)
-        instance.robot.bus = service.bus
-        instance.robot.overlays = overlays = Overlays(service.bus, service.robot, app.name)
-        instance.robot.mesh_clock = MeshClock(service.bus, service.robot)
-        instance.robot.ranging = Ranging(service.bus, service.robot)
-        instance.robot.devices = devices = Devices(service.bus, service.robot)
-        place = place_of(app.name, number, wanted=options.record)
-        recording = Recording(service, app, number, seed, place, options.settings) if place is not None else None
-        recorder = recording.recorder if recording is not None else None
+        overlays = equip(instance.robot, service.bus, service.log)
+        storage = FileStorage(service.runtime)
+        claim = Claim(service.runtime, app.name)
+        if not links.kept:
+            topology.save(service.runtime, app.name, number, links)
+        folder = place_of(app.name, number, wanted=options.record)
+        recording = Recording(service, app, number, seed, folder, options.settings) if folder is not None else None
+        recorder = None
         if recording is not None:
-            instance.robot.recording = recording.recorder.value
+            recorder = recording.recorder
+            instance.robot.recording = recorder.value
             overlays.asked = recording.watch.asked
-        code = (app.source, app.digest)
         how = run_options.of(options)
+        place = Place.of(number, app.digest, how, links.config, links.epoch, claim.incarnation)
         if isinstance(instance, EventApp):
             events = EventRunner(instance, app.source)
-            host = EventHost(service, app.name, events, code, number, links, how, overlays, devices, recorder)
+            host = EventHost(runtime, app.name, events, place, service.config, storage, recorder)
         else:
             assert isinstance(instance, SyncApp)
             overlays.collect()
-            parts = [Part("", instance, measurements)]
-            host = Host(service, app.name, parts, code, number, links, how, recorder)
+            parts = [Part("", Runner(instance, app.source, how.tolerance), measurements)]
+            host = LockstepHost(runtime, app.name, parts, place, storage, recorder)
+        runtime.entry(host.start)()
         service.stopping.wait()
-        if measurements is not None:
-            measurements.close()
         host.close()
+        runtime.close()
+        claim.close()
         if recording is not None:
             recording.close()
         return FAULT if host.failed else 0

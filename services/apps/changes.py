@@ -6,11 +6,8 @@ A changed value holds for the run: a process that is started again in mid-run ta
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
 
-from swarm import clock
 from swarm.app.sync_app import App
-from swarm.bus.protocol import BusLike, Clock
 from swarm.errors import AppError, PayloadError
 from swarm.files import atomic_write
 from swarm.frozen import frozen
@@ -18,13 +15,7 @@ from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetApp
 from swarm.messages.codec import Value, decode, encode
 from swarm.messages.keys import key
 from swarm.process.paths import VOLATILE
-
-
-class Refuse(Protocol):
-    """What is told of requests that are none."""
-
-    def __call__(self, error: PayloadError) -> None:
-        """`error` names key and field."""
+from swarm.process.runtime import Runtime, listen
 
 
 @frozen
@@ -41,32 +32,29 @@ class Changes:
 
     def __init__(
         self,
-        bus: BusLike,
-        robot: str,
+        runtime: Runtime,
         name: str,
         app: App,
         change: Callable[[Mapping[str, Value]], None],
-        refuse: Refuse,
-        now: Clock = clock.now,
-        *,
-        kept: tuple[Path, int] | None = None,
-        record: Callable[[AppParameters], None] | None = None,
+        path: Path | None,
+        run: int,
+        record: Callable[[AppParameters], None] | None,
     ) -> None:
-        """`change(values)` takes new values or raises `AppError`; it runs on the bus's thread. `kept`: the file that
-        keeps them, and the run they hold for. `record`: is given them where they are told."""
+        """`change(values)` takes new values or raises `AppError`. `path`: the file that keeps them for run `run`, where
+        they need to be kept. `record` is given them where they are told."""
         self._record = record
-        self._file = kept
+        self._path = path
+        self._run = run
         self._kept = self._read()
-        self._bus = bus
-        self._robot = robot
+        self._runtime = runtime
+        self._bus = runtime.bus
+        self._robot = runtime.robot
         self._name = name
         self._app = app
         self._change = change
-        self._refuse = refuse
-        self._now = now
-        self._key = key(robot, f"app/{name}", "parameters")
-        bus.serve(self._key, lambda *_: encode(self._message()))
-        bus.subscribe(key(robot, f"app/{name}", "set", "parameters"), self._on_set)
+        self._key = key(self._robot, f"app/{name}", "parameters")
+        self._bus.serve(self._key, lambda *_: encode(self._message()))
+        listen(runtime, key(self._robot, f"app/{name}", "set", "parameters"), SetAppParameters, self._on_set)
 
     def kept(self) -> dict[str, Value]:
         """What an earlier process of this run was told; without what the app's file no longer takes."""
@@ -86,45 +74,38 @@ class Changes:
             self._record(message)
 
     def _message(self) -> AppParameters:
-        return in_force(self._app, self._now())
+        return in_force(self._app, self._runtime.now)
 
-    def _on_set(self, name: str, payload: bytes) -> None:
-        try:
-            request = decode(SetAppParameters, payload, name)
-        except PayloadError as error:
-            self._refuse(error)
-            return
+    def _on_set(self, request: SetAppParameters) -> None:
         problem = ""
         try:
             self._change(request.parameters)
             self._keep(request.parameters)
         except AppError as error:
             problem = f"app {self._name} on {self._robot}: {error}"
-        answer = AppParametersSet(self._now(), request.ticket, problem)
+        answer = AppParametersSet(self._runtime.now, request.ticket, problem)
         self._bus.publish(key(self._robot, f"app/{self._name}", "parameters_set"), answer)
 
     def _keep(self, values: Mapping[str, Value]) -> None:
         self._kept = {**self._kept, **values}
-        if self._file is None:
+        if self._path is None:
             return
-        path, run = self._file
         try:
-            atomic_write(path, encode(_Kept(run, self._kept)), unsynced=VOLATILE)
+            atomic_write(self._path, encode(_Kept(self._run, self._kept)), unsynced=VOLATILE)
         except OSError as error:
-            _log.warning("%s: %s; a restart will not know what was changed", path, error.strerror)
+            _log.warning("%s: %s; a restart will not know what was changed", self._path, error.strerror)
 
     def _read(self) -> dict[str, Value]:
-        if self._file is None:
+        if self._path is None:
             return {}
-        path, run = self._file
         try:
-            kept = decode(_Kept, path.read_bytes(), str(path))
+            kept = decode(_Kept, self._path.read_bytes(), str(self._path))
         except FileNotFoundError:
             return {}
         except (OSError, PayloadError) as error:
             _log.warning("%s; what was changed while the app ran is forgotten", error)
             return {}
-        return kept.parameters if kept.run == run else {}
+        return kept.parameters if kept.run == self._run else {}
 
 
 def in_force(app: App, now: float) -> AppParameters:

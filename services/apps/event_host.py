@@ -1,396 +1,375 @@
-"""The process around one event-driven or periodic app: bus, clock and threads for the core and the app's handlers.
+"""The shell around one event-driven or periodic app: its neighbours' states on the bus, its handlers, state and
+progress.
 
-Threads. Zenoh's thread feeds the core, but never runs a handler: an author's code may take its time. One worker runs
-the handlers. A ticker runs the core's timers, claims the devices that the app has taken, and publishes state and
-progress. One lock is around the core; another, taken first, around the app, so that its state is only looked at between
-handlers.
+Handlers run one at a time, on a worker: an author's code may take its time. The app's state is only looked at between
+two of them.
 """
 
 import math
-import queue
-import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-from services.apps import topology
+from services.apps.app_status import LOOK_EVERY, AppStatus
 from services.apps.changes import Changes
-from services.apps.claim import Claim
+from services.apps.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, place_of, version
-from services.apps.hold import Hold
-from services.apps.host import Host, Part
-from services.apps.recorder import Recorder
-from swarm import clock
+from services.apps.host import LockstepHost, Part
+from services.apps.lockstep_driver import CLOSE_WITHIN, Place
+from services.apps.observer import Line, Observer
+from services.apps.runner import Runner
+from services.apps.storage import Storage
+from services.apps.topology import of_edges
 from swarm.app.devices import Devices
+from swarm.app.event_app import Channel as ChannelView
 from swarm.app.event_app import channels_of
 from swarm.app.overlays import Message, Overlays
-from swarm.app.run_options import Conduct
-from swarm.bus.throttle import APP_STATE_S, Throttle
+from swarm.app.robot import Robot
+from swarm.config import Config
 from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
 from swarm.core.lockstep_frames import Channel
-from swarm.errors import AppError, FrameError, PayloadError, SwarmError
+from swarm.errors import FrameError, SwarmError
 from swarm.messages import AppProgress, AppState, Topology
-from swarm.messages.codec import Value, decode, encode
+from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.process.service import Service
+from swarm.process.runtime import Runtime, listen
 
-TICK = 0.1
-"""s between two looks of the ticker: state goes out at 10 Hz at most, for people and programs that watch."""
-EVERY = 1.0
-"""s between two messages of progress and state when nothing changes."""
 REMIND = 0.5
 """s between two looks for requests that have no answer yet."""
-CLOSE_WITHIN = 2.0
-"""s that a running handler has when the process is to end."""
+_MOST_KEYS = 1024
+"""Keys of neighbours' states that are remembered, so that each is taken apart once."""
 
 
 class EventHost:
     """One event-driven or periodic app on one robot, until closed."""
 
+    part = ""
+
     def __init__(
         self,
-        service: Service,
+        runtime: Runtime,
         name: str,
         runner: EventRunner,
-        code: tuple[str, bytes],
-        run: int,
-        links: topology.Links,
-        conduct: Conduct,
-        overlays: Overlays,
-        devices: Devices,
-        recorder: Recorder | None = None,
+        place: Place,
+        config: Config,
+        storage: Storage,
+        observer: Observer | None,
+        *,
+        links_change: bool = True,
     ) -> None:
-        """`code`: path and digest of the app's source. Raises `LocalError` where another process runs this app."""
-        self._service = service
-        self._name = name
-        self._runner = runner
-        self._overlays = overlays
-        self._devices = devices
+        """`links_change`: whether the mesh may put other links in force meanwhile."""
         app = runner.app
-        self._claim = Claim(service.runtime, name)
-        if not links.kept:
-            topology.save(service.runtime, name, run, links)
-        channel = Channel(run, 0, self._claim.incarnation, version(app, code[1]))
+        overlays, devices = app.robot.overlays, app.robot.devices
+        assert overlays is not None
+        assert devices is not None
+        self.app = name
+        self.robot = runtime.robot
+        self.runner = runner
+        self.channels: LockstepHost | None = None
+        """The app's locksteps, once its `start` has returned."""
+        self._runtime = runtime
+        self._bus = runtime.bus
+        self._overlays: Overlays = overlays
+        self._place = place
+        self._config = config
+        self._storage = storage
+        self._observer = observer
+        neighbours = place.graph.neighbours(self.robot)
+        channel = Channel(place.run, 0, place.incarnation, version(app, place.digest))
         self._core = Asynchronous(
-            service.robot,
-            links.neighbours(service.robot),
+            self.robot,
+            neighbours,
             channel,
             runner.schema.size,
-            service.config.names,
+            config.names,
             period=runner.period,
             barrier=app.barrier and runner.period is not None,
             handled=runner.handled,
-            last=conduct.last,
+            last=place.options.last,
         )
-        self._latest = key(service.robot, f"app/{name}", "latest", channel.text)
-        self._changed = threading.Condition()  # its lock is the core's
-        self._app_lock = threading.Lock()
-        self._todo: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
-        self._closing = self._hung = False
-        self._changed_at = clock.now()
-        self._state: AppState | None = None
-        self._recorder = recorder
+        self._views: dict[str, ChannelView] = {each: getattr(app, each) for each in channels_of(type(app))}
+        self._worker = runtime.worker("handlers")
+        self._latest = key(self.robot, f"app/{name}", "latest", channel.text)
+        self._status = AppStatus(runtime, f"app/{name}", lambda: self.progress, self._look_at_state)
+        self._changed_at = runtime.now
+        """When the last handler returned."""
         self._recorded = -1
-        self._hold = Hold(devices)
-        self._edges = links.config.edges
-        record = None if recorder is None else recorder.parameters
-        bus, robot, kept = service.bus, service.robot, (service.runtime / f"app.{name}.parameters", run)
-        self._changes = Changes(bus, robot, name, app, self._change, self._refuse, kept=kept, record=record)
+        self._timer = math.inf
+        self._closed = self._over = self._hung = False
+        self._edges: tuple[tuple[str, ...], ...] = ()
+        self._senders: dict[str, tuple[str, Channel] | None] = {}
+        record = None if observer is None else partial(observer.parameters, self.robot)
+        self._changes = Changes(runtime, name, app, self._change, storage.parameters(name), place.run, record)
         runner.change(self._changes.kept())
-        app.robot.timers = self._after
-        self._views = {name: getattr(app, name) for name in channels_of(type(app))}
-        self._channels: Host | None = None
-        self._open_channels = partial(self._host_channels, code, run, links, conduct)
-        self._subscribe()
-        # Daemons: a handler that never returns must not keep the process from ending.
-        self._threads = [
-            threading.Thread(target=self._guarded, args=(loop,), name=loop.__name__.strip("_"), daemon=True)
-            for loop in (self._worker, self._ticker)
-        ]
-        for thread in self._threads:
-            thread.start()
-        self._feed(self._core.begin)
-        service.ready()
+        app.robot.timers = runtime.entry(self._after)
+        self._claims = DeviceClaims(runtime, devices, self._well)
+        if links_change:
+            # Of whomever the mesh brings: neighbours may change.
+            self._bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
+            listen(runtime, key(self.robot, "mesh", "topology"), Topology, self._on_topology)
+        else:
+            for peer in neighbours:
+                self._bus.subscribe(key(peer, f"app/{name}", "latest", "*"), self._on_latest)
+        self._hear_events(overlays, devices)
 
     @property
     def failed(self) -> bool:
         """Whether the app has stopped for a fault."""
-        return self._core.failure != "" or self._hung or (self._channels is not None and self._channels.failed)
+        return self._core.failure != "" or self._hung or (self.channels is not None and self.channels.failed)
+
+    @property
+    def progress(self) -> AppProgress:
+        """What the app does now, and what keeps it from going on."""
+        phase, peers, reason = self._report()
+        return AppProgress(self._runtime.now, phase, self._core.k, peers, reason)
+
+    def start(self) -> None:
+        """Let the app begin."""
+        self._core.begin(self._runtime.now)
+        self._perform()
+        self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
+        self._runtime.at(self._runtime.now + REMIND, self._remind)
+        self._runtime.ready()
 
     def nudge(self) -> None:
         """The bus or a link came up."""
-        if self._channels is not None:
-            self._channels.nudge()
+        if self.channels is not None:
+            self.channels.nudge()
 
     def close(self) -> None:
-        """End the threads and give back what the app has taken. A handler that runs is waited for, but not for ever."""
-        self._closing = True
-        self._todo.put(None)
-        with self._changed:
-            self._changed.notify_all()
-        for thread in self._threads:
-            thread.join(CLOSE_WITHIN)
-            if thread.is_alive():
-                self._service.log.warning("the app does not end: %s", self._hanging())
-        self._hold.close()
-        if self._channels is not None:
-            self._channels.close()
-        self._claim.close()
+        """Give back what the app has taken. A handler that runs is waited for, but not for ever."""
+        self._closed = True
+        if not self._worker.close(CLOSE_WITHIN):
+            self._runtime.log.warning("the app does not end: %s", self._hanging())
+        self._claims.close()
+        if self.channels is not None:
+            self.channels.close()
 
-    def _subscribe(self) -> None:
-        bus, robot, name = self._service.bus, self._service.robot, self._name
-        # Of whomever the mesh brings: neighbours may change.
-        bus.subscribe(key("*", f"app/{name}", "latest", "*"), self._on_latest)
-        bus.subscribe(key(robot, "mesh", "topology"), self._on_topology)
-        self._slow = Throttle(bus, key(robot, f"app/{name}", "state"), APP_STATE_S)
-        bus.serve(key(robot, f"app/{name}", "state"), self._answer)
-        bus.serve(key(robot, f"app/{name}", "progress"), lambda *_: encode(self._progress()))
-        if "on_button" in self._runner.handled:
-            self._devices.on_button(lambda button: self._happened("on_button", button))
-        if "on_message" in self._runner.handled:
-            self._overlays.on_flood(lambda sender, data: self._on_message(Message(sender, data, flooded=True)))
-            self._overlays.on_message(lambda sender, data: self._on_message(Message(sender, data, flooded=False)))
-        if "on_announced" in self._runner.handled:
-            self._overlays.on_complete(lambda origin, answer: self._happened("on_announced", origin, answer))
-        if "on_answer" in self._runner.handled:
-            self._overlays.on_answer(lambda ticket, answer: self._happened("on_answer", ticket, answer))
+    def look(self) -> None:
+        """Publish state and progress where they are new, or were told a while ago."""
+        self._look_for_hang(self._runtime.now)
+        repeated, new = self._status.look()
+        if repeated:
+            for name, count in {**self._core.counters, "unreadable": self.runner.unreadable}.items():
+                self._runtime.counters[f"latest_{name}"] = count
+        if new and self._observer is not None:
+            self._observer.progressed(self)
 
-    # On Zenoh's thread, some on the worker's
+    # What happens
 
-    def _feed(self, act: Callable[[float], object]) -> None:
-        """Let the core know of something, and carry out what it wants."""
-        with self._changed:
-            before = self._core.next_deadline() or math.inf
-            act(clock.now())
-            self._perform()
-            if (self._core.next_deadline() or math.inf) < before:
-                self._changed.notify_all()  # the ticker has to wake up sooner
+    def _hear_events(self, overlays: Overlays, devices: Devices) -> None:
+        """Let the app's handlers be called for what happens, as far as it has them."""
+        handled = self.runner.handled
+        happened = self._runtime.entry(self._happened)
+        if "on_button" in handled:
+            devices.on_button(lambda button: happened("on_button", button))
+        if "on_message" in handled:
+            overlays.on_flood(lambda sender, data: happened("on_message", Message(sender, data, flooded=True)))
+            overlays.on_message(lambda sender, data: happened("on_message", Message(sender, data, flooded=False)))
+        if "on_announced" in handled:
+            overlays.on_complete(lambda origin, answer: happened("on_announced", origin, answer))
+        if "on_answer" in handled:
+            overlays.on_answer(lambda ticket, answer: happened("on_answer", ticket, answer))
 
     def _happened(self, handler: str, *arguments: object) -> None:
-        self._feed(lambda now: self._core.happened(handler, *arguments, now=now))
-
-    def _on_message(self, message: Message) -> None:
-        self._happened("on_message", message)
+        self._core.happened(handler, *arguments, now=self._runtime.now)
+        self._perform()
 
     def _after(self, seconds: float, name: str) -> None:
-        self._feed(lambda now: self._core.after(seconds, name, now))
+        self._core.after(seconds, name, self._runtime.now)
+        self._plan()
 
     def _on_latest(self, name: str, payload: bytes) -> None:
         """A neighbour's state: `swarm/<sender>/app/<app>/latest/<channel>`."""
+        if name not in self._senders:
+            if len(self._senders) >= _MOST_KEYS:
+                self._senders.clear()
+            self._senders[name] = self._sender(name)
+        sender = self._senders[name]
+        if sender is not None:
+            self._core.receive(*sender, payload, self._runtime.now)
+            self._perform()
+
+    def _sender(self, name: str) -> tuple[str, Channel] | None:
         _, sender, _, _, _, text = name.split("/")
         try:
-            channel = Channel.parse(text)
+            return sender, Channel.parse(text)
         except FrameError as error:
-            self._service.counters["refused_keys"] += 1
-            self._service.log.debug("%s: %s", name, error)
-            return
-        self._feed(lambda now: self._core.receive(sender, channel, payload, now))
+            self._runtime.counters["refused_keys"] += 1
+            self._runtime.log.debug("%s: %s", name, error)
+            return None
 
-    def _on_topology(self, name: str, payload: bytes) -> None:
-        try:
-            in_force = decode(Topology, payload, name)
-        except PayloadError as error:
-            self._refuse(error)
-            return
-        links = topology.of_edges(self._service.config, in_force.edges)
-        if links.config.edges != self._edges:
-            self._edges = links.config.edges
-            self._runner.move(links.config.graph)
-            self._feed(partial(self._core.set_neighbours, links.neighbours(self._service.robot)))
+    def _on_topology(self, in_force: Topology) -> None:
+        if in_force.edges != self._edges:
+            self._edges = in_force.edges
+            graph = of_edges(self._config, in_force.edges).config.graph
+            self.runner.move(graph)
+            self._core.set_neighbours(graph.neighbours(self.robot), self._runtime.now)
+            self._perform()
 
     def _change(self, values: Mapping[str, Value]) -> None:
-        with self._changed:
-            names = self._runner.change(values)
-        for name in names:
+        for name in self.runner.change(values):
             self._happened("on_parameter", name)
 
-    def _refuse(self, error: PayloadError) -> None:
-        self._service.counters["refused_payloads"] += 1
-        self._service.log.debug("%s", error)
+    def _remind(self) -> None:
+        if not self._closed:
+            self._runtime.at(self._runtime.now + REMIND, self._remind)
+            self._overlays.remind()
 
-    # On the worker's thread
+    def _handle_timer(self, planned: float) -> None:
+        if planned != self._timer or self._closed:
+            return  # an earlier one came before
+        self._timer = math.inf
+        self._core.handle_timer(self._runtime.now)
+        self._perform()
 
-    def _worker(self) -> None:
-        while (call := self._todo.get()) is not None and not self._closing:
-            with self._changed:
-                k, known = self._core.k, self._core.known(clock.now())
+    # What the core wants
+
+    def _perform(self) -> None:
+        """Carry out what the core wants, in its order."""
+        for action in self._core.actions():
+            if type(action) is Publish:
+                self._bus.publish(self._latest, action.data, urgent=True)
+            elif type(action) is Call:
+                # Not from within a handler: what it does may lead to the next call.
+                self._runtime.soon(self._call, action)
+        self._plan()
+
+    def _plan(self) -> None:
+        deadline = self._core.next_deadline()
+        if deadline is not None and deadline < self._timer:
+            self._timer = deadline
+            self._runtime.at(deadline, self._handle_timer, deadline)
+
+    def _call(self, call: Call) -> None:
+        if not self._core.failure and not self._closed:
             self._take_channels()
-            with self._app_lock:
-                own = self._runner.call(call, k, known)
-                self._changed_at = clock.now()
-            if call.handler == "start" and self._views:
-                self._open_channels()
-            if call.handler in ("start", "on_parameter"):
-                self._changes.tell()
-            self._feed(partial(self._returned, own))
-            self._keep()
+            known = self._core.known(self._runtime.now)
+            job = partial(self.runner.call, call, self._core.k, known)
+            self._worker.run(job, partial(self._returned, call), self._app_failed)
 
-    def _host_channels(self, code: tuple[str, bytes], run: int, links: topology.Links, conduct: Conduct) -> None:
-        """Start the app's locksteps, with the first values that its `start` gave them."""
-        mine = self._runner.app.robot
-        for view in self._views.values():
-            robot = view.app.robot
-            robot.bus, robot.overlays, robot.devices = mine.bus, mine.overlays, mine.devices
-            robot.mesh_clock, robot.ranging, robot.recording = mine.mesh_clock, mine.ranging, mine.recording
-        parts = [Part(name, view.app) for name, view in self._views.items()]
-        links = links._replace(kept=True)  # saved already
-        endless = replace(conduct, last=None, rule=None)
-        host = Host(self._service, self._name, parts, code, run, links, endless, self._recorder, self._claim)
+    def _returned(self, call: Call, own: bytes) -> None:
+        core, runner, now = self._core, self.runner, self._runtime.now
+        self._changed_at = now
+        if call.handler in ("start", "on_parameter"):
+            self._changes.tell()
+        if call.handler == "start" and self._views:
+            self._start_channels()
+        if runner.period is not None and runner.period != core.period:
+            core.set_period(runner.period, now)
+        core.returned(own, now, finished=runner.finished)
+        if self._status.late:
+            self._status.publish_state()
+        self._observe()
+        self._perform()
+        if core.phase == "done":
+            self._end()
+
+    def _observe(self) -> None:
+        """Tell of a step, or of an event where there are no steps."""
+        k = self._core.k
+        if self._observer is None or k == self._recorded:
+            return
+        if self._recorded < 0:
+            self._observer.progressed(self)
+        self._recorded = k
+        try:
+            line = Line(k, self._changed_at, self.runner.state(), self.runner.result())
+        except SwarmError as error:
+            self._app_failed(error)
+            return
+        self._observer.advanced(self, line)
+
+    def _app_failed(self, error: SwarmError) -> None:
+        """Call the app no more, say why, and stay: the reason can be read."""
+        if not self._core.failure:
+            reason = str(error)
+            self._core.fail(reason)
+            self._runtime.log.error("%s", reason)
+            self._runtime.degraded(reason)
+            self._end()
+
+    def _end(self) -> None:
+        if not self._over:
+            self._over = True
+            self._claims.look()
+            if self._observer is not None:
+                self._observer.ended(self)
+
+    # The app's locksteps
+
+    def _start_channels(self) -> None:
+        """Start them with the first values that the app's `start` gave them."""
+        endless = self._place._replace(options=replace(self._place.options, last=None, rule=None))
+        parts = []
         for name, view in self._views.items():
-            view.begin(partial(host.change, name, self._changes.tell))
-        self._channels = host
+            _equip(view.app.robot, self.runner.app.robot)
+            parts.append(Part(name, Runner(view.app, self.runner.source, endless.options.tolerance)))
+        self.channels = LockstepHost(
+            *(self._runtime, self.app, parts, endless, self._storage, self._observer), links_change=False, whole=False
+        )
+        for name, view in self._views.items():
+            view.begin(partial(self.channels.change, name, self._changes.tell))
+        self.channels.start()
 
     def _take_channels(self) -> None:
-        """Let the app see its channels' newest states: the same ones throughout a handler."""
-        if self._channels is None:
+        """Let the app see the newest states of its locksteps: the same ones throughout a handler."""
+        if self.channels is None:
             return
         for name, view in self._views.items():
-            latest = self._channels.latest(name)
+            latest = self.channels.latest(name)
             if latest is not None and latest.k != view.k:
-                fields = type(view.app).spec.schema.fields
-                view.take(latest.k, {field.name: field.check(latest.state[field.name]) for field in fields})
+                schema = type(view.app).spec.schema
+                view.take(latest.k, dict(zip(schema.names, schema.unpack(latest.value), strict=True)))
 
-    def _returned(self, own: bytes, now: float) -> None:
-        period = self._runner.period
-        if period is not None and period != self._core.period:
-            self._core.set_period(period, now)
-        self._core.returned(own, now, finished=self._runner.finished)
+    # What is told
 
-    def _keep(self) -> None:
-        """Record a step, or an event where there are no steps."""
-        k = self._core.k
-        if self._recorder is not None and k != self._recorded:
-            self._recorded = k
-            self._recorder.state(k, self._changed_at, self._runner.state(), self._runner.result())
-
-    # On the ticker's thread
-
-    def _ticker(self) -> None:
-        told: tuple[object, ...] = ()
-        told_at = reminded_at = looked_at = 0.0
-        while not self._closing:
-            with self._changed:
-                self._changed.wait(self._pause(looked_at))
-                now = clock.now()
-                self._core.handle_timer(now)
-                self._perform()
-                news = self._report(now)
-            self._hold.look(well=self._core.phase not in ("fault", "done") and not self._core.hangs(now))
-            self._look_for_hang(now)
-            if now - reminded_at >= REMIND:
-                reminded_at = now
-                self._overlays.remind()
-            if now - looked_at < TICK:
-                continue
-            looked_at = now
-            repeat = now - told_at >= EVERY
-            self._show(repeat)
-            changed = news != told
-            if repeat or changed:
-                told, told_at = news, now
-                self._count()
-                # A handler that does not end is a fault; waiting for others is none.
-                if not self._core.hangs(now):
-                    self._service.watchdog()
-                progress = self._progress()
-                if self._recorder is not None and changed:
-                    self._recorder.progress(progress)
-                self._publish("progress", progress)
+    def _well(self) -> bool:
+        return self._core.phase not in ("fault", "done") and not self._hung
 
     def _look_for_hang(self, now: float) -> None:
         if self._core.hangs(now) == self._hung:
             return
         self._hung = not self._hung
+        self._claims.look()
         if self._hung:
-            self._service.log.error("%s", self._hanging())
-            self._service.degraded(self._hanging())
+            self._runtime.log.error("%s", self._hanging())
+            self._runtime.degraded(self._hanging())
         elif not self._core.failure:
-            self._service.ready()
+            self._runtime.ready()
 
-    def _pause(self, looked_at: float) -> float:
-        now = clock.now()
-        due = [looked_at + TICK]
-        due += [at for at in (self._core.next_deadline(), self._devices.next_deadline()) if at is not None]
-        return max(0.0, min(due) - now)
+    def _hanging(self) -> str:
+        call = self._core.running
+        return "" if call is None else self.runner.hangs(place_of(call, self._core.k), self._worker.thread, HANG)
 
-    def _show(self, repeat: bool) -> None:
-        """Publish the state where it may be new and no handler is running (else the next look will find it)."""
-        state = self._state
-        old = state is not None and state.t == self._changed_at
-        if self._core.phase in ("starting", "fault") or (old and not repeat):
-            return
-        if self._app_lock.acquire(blocking=False):
-            try:
-                runner = self._runner
-                state = AppState(self._changed_at, self._core.k, runner.state(), runner.result())
-            except AppError as error:
-                with self._changed:
-                    self._fail(str(error))
-                return
-            finally:
-                self._app_lock.release()
-            self._state = state
-            self._publish("state", state)
-            self._slow.publish(state, clock.now(), news=repeat)
+    def _look_at_state(self) -> AppState | None:
+        if self._core.phase in ("starting", "fault") or self._worker.busy:
+            return None
+        try:
+            return AppState(self._changed_at, self._core.k, self.runner.state(), self.runner.result())
+        except SwarmError as error:
+            self._app_failed(error)
+            return None
 
-    def _count(self) -> None:
-        for name, count in {**self._core.counters, "unreadable": self._runner.unreadable}.items():
-            self._service.counters[f"latest_{name}"] = count
-
-    def _report(self, now: float) -> tuple[str, tuple[str, ...], str]:
+    def _report(self) -> tuple[str, tuple[str, ...], str]:
         """Phase, robots waited for, reason."""
         core = self._core
         if core.failure:
             return "fault", (), core.failure
-        if core.hangs(now):
+        if core.hangs(self._runtime.now):
             return "fault", (), self._hanging()
         reason = ""
         if core.strangers:
             reason = f"{' '.join(core.strangers)} runs another version of this app: its state is not used"
-        elif self._channels is not None and self._channels.faults:
-            reason = "; ".join(f"channel {name}: {why}" for name, why in self._channels.faults.items())
+        elif self.channels is not None and self.channels.faults:
+            reason = "; ".join(f"channel {name}: {why}" for name, why in self.channels.faults.items())
         elif core.phase == "done":
-            reason = self._runner.app.finished or ""
+            reason = self.runner.app.finished or ""
         return core.phase, core.missing, reason
 
-    def _hanging(self) -> str:
-        call = self._core.running
-        return "" if call is None else self._runner.hangs(place_of(call, self._core.k), self._threads[0].ident, HANG)
 
-    def _progress(self) -> AppProgress:
-        now = clock.now()
-        with self._changed:
-            phase, peers, reason = self._report(now)
-            return AppProgress(now, phase, self._core.k, peers, reason)
-
-    def _answer(self, *_: object) -> bytes | None:
-        return None if (state := self._state) is None else encode(state)
-
-    # Everywhere, with the core's lock held
-
-    def _perform(self) -> None:
-        """Carry out what the core wants, in its order."""
-        for action in self._core.actions():
-            match action:
-                case Publish(data):
-                    self._service.bus.publish(self._latest, data, urgent=True)
-                case Call():
-                    self._todo.put(action)
-
-    def _fail(self, reason: str) -> None:
-        """Call the app no more, say why, and stay: the reason can be read."""
-        if not self._core.failure:
-            self._core.fail(reason)
-            self._service.log.error("%s", reason)
-            self._service.degraded(reason)
-
-    def _publish(self, topic: str, message: object) -> None:
-        self._service.bus.publish(key(self._service.robot, f"app/{self._name}", topic), message)
-
-    def _guarded(self, loop: Callable[[], None]) -> None:
-        """Run a thread's loop; what the app's code raises is a fault of the app. Anything else ends the process."""
-        try:
-            loop()
-        except SwarmError as error:
-            with self._changed:
-                self._fail(str(error))
+def _equip(inner: Robot, outer: Robot) -> None:
+    """Give the robot of a channel's app what the app's own robot has."""
+    inner.bus, inner.overlays, inner.devices = outer.bus, outer.overlays, outer.devices
+    inner.mesh_clock, inner.ranging, inner.recording = outer.mesh_clock, outer.ranging, outer.recording
+    inner.log, inner.time = outer.log, outer.time

@@ -1,259 +1,239 @@
-"""The process around one app: one bus, one ticker and one lock file for all its lockstep channels.
-
-Threads. Each strand has a worker thread for its steps, so that a slow channel holds up no other. Zenoh's thread feeds
-the strands and may send what that gives, but it never runs a step: an author's step may take its time, and a blocked
-callback would hold up every key of the process. A ticker thread runs the timers and publishes states and progress.
-"""
+"""The shell around all locksteps of one app on one robot: whom a frame is for, and what the mesh says of the links."""
 
 import hashlib
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
 
-from services.apps import topology
 from services.apps.changes import Changes
-from services.apps.claim import Claim
 from services.apps.core.terms import Terms
-from services.apps.hold import Hold
+from services.apps.device_claims import DeviceClaims
+from services.apps.lockstep_driver import LockstepDriver, Place
 from services.apps.measurements import Measurements
-from services.apps.recorder import Recorder
+from services.apps.observer import Observer
 from services.apps.runner import Runner
-from services.apps.worker import CLOSE_WITHIN, Latest, Worker
-from swarm import clock
-from swarm.app.run_options import Conduct
-from swarm.app.sync_app import SyncApp
-from swarm.core.lockstep import WANT_AFTER, Channel
+from services.apps.storage import Storage
+from services.apps.topology import Watch
+from swarm.core.epoch_actions import Order
+from swarm.core.lockstep import Advanced, Channel
 from swarm.core.lockstep_actions import address_of
-from swarm.errors import FrameError, PayloadError
-from swarm.frozen import frozen
+from swarm.errors import FrameError
 from swarm.messages import Links, SetAppEpoch, Topology
-from swarm.messages.codec import Value, decode
+from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.process.service import Service
+from swarm.process.runtime import Runtime, listen
 
-TICK = 0.1
-"""s between two looks of the ticker while there is something to see: state goes out at 10 Hz at most, for people and
-programs that watch. At 25 Hz the ticker and what it published took a fifth of the app's CPU time."""
-
-SELDOM = WANT_AFTER
-"""s between two looks while nobody hears the states. The lockstep's timers are never late for it: they are set to at
-least as far away, or by a look itself, or the ticker is woken (`nudge`)."""
+_MOST_KEYS = 1024
+"""Keys of frames that are remembered, so that each is taken apart once."""
 
 
-@frozen
-class Part:
+class Part(NamedTuple):
     """One lockstep of an app."""
 
     channel: str
     """Its name within the app; empty for an app that is one lockstep."""
-    app: SyncApp
+    runner: Runner
     measurements: Measurements | None = None
     """Where the app's measurements come from, if it wants some."""
 
 
-class Host:
-    """The lockstep channels of one app on one robot: from their first states, or the snapshots of an earlier process,
-    to the last iteration."""
+class _Sender(NamedTuple):
+    """What the key of a frame says."""
+
+    driver: LockstepDriver
+    robot: str
+    channel: Channel | None
+    """None for a note about the members."""
+    around: bool
+    """Whether the frame has not come over the link with its sender."""
+
+
+class LockstepHost:
+    """The locksteps of one app on one robot: from their first states, or the snapshots of an earlier process, to the
+    last iteration."""
 
     def __init__(
         self,
-        service: Service,
-        name: str,
+        runtime: Runtime,
+        app: str,
         parts: Sequence[Part],
-        code: tuple[str, bytes],
-        run: int,
-        links: topology.Links,
-        conduct: Conduct,
-        recorder: Recorder | None,
-        claim: Claim | None = None,
+        place: Place,
+        storage: Storage,
+        observer: Observer | None,
+        *,
+        links_change: bool = True,
+        whole: bool = True,
     ) -> None:
-        """`code`: path and digest of the app's source. `conduct`: how long it runs, and what becomes of robots that are
-        away. `claim`: the app's lock where somebody else holds it, for the
-        channels of an event-driven app. Raises `LocalError` where lock or snapshots cannot be had."""
-        self._service = service
-        self._run = run
-        source, digest = code
-        self._own_claim = Claim(service.runtime, name) if claim is None else None
-        held = claim or self._own_claim
-        assert held is not None
-        if not links.kept:
-            topology.save(service.runtime, name, run, links)
-        self._closing = False
-        self._hurry = threading.Event()
+        """`links_change`: whether the mesh may put other
+        links in force meanwhile. `whole`: whether these locksteps are the whole app; those of an event-driven app are
+        not. Raises `LocalError` where their files cannot be had."""
+        self.app = app
+        self.robot = runtime.robot
+        self.drivers: dict[str, LockstepDriver] = {}
+        """By the name of the channel."""
+        self._runtime = runtime
+        self._run = place.run
+        self._by_schema: dict[int, LockstepDriver] = {}
+        self._by_notes: dict[str, LockstepDriver] = {}
+        self._senders: dict[str, _Sender | None] = {}
         self._connections: dict[str, int] = {}
-        self._workers: dict[str, Worker] = {}
-        self._by_schema: dict[int, Worker] = {}
-        self._notes: dict[str, Worker] = {}
         self._orders: deque[str] = deque(maxlen=100)
-        for part in parts:
-            runner = Runner(part.app, source, conduct.tolerance)
-            schema = schema_of(runner, part.channel, digest)
-            terms = Terms(run, schema, conduct.last, conduct.rule, conduct.drop, conduct.after)
-            birth, measurements = held.incarnation, part.measurements
-            worker = Worker(service, name, part.channel, runner, terms, birth, links, measurements, recorder)
-            self._notes[terms.notes] = worker
-            if not part.channel:
-                self._let_change(name, runner, run, recorder)
-            self._workers[part.channel] = self._by_schema[schema] = worker
+        self._ready = False
+        self._claims: DeviceClaims | None = None
+        run, options = place.run, place.options
+        neighbours = place.graph.neighbours(self.robot)
+        for channel, runner, measurements in parts:
+            schema = schema_of(runner, channel, place.digest)
+            terms = Terms(run, schema, options.last, options.rule, options.drop, options.after)
+            watch = Watch(neighbours, partial(runtime.log.warning, "%s"))
+            driver = LockstepDriver(
+                *(runtime, app, channel, runner, terms, place, storage, watch, measurements, observer, self._changed)
+            )
+            self.drivers[channel] = self._by_schema[schema] = self._by_notes[terms.notes] = driver
+        if whole:
+            runner = parts[0].runner
+            self._let_change(runner, run, storage, observer)
+            if runner.app.robot.devices is not None:
+                self._claims = DeviceClaims(runtime, runner.app.robot.devices, self._well)
         # Of neighbours, and of another process of this app on this robot: there must not be one.
-        service.bus.subscribe(key("*", f"app/{name}", "sync", "**"), self._on_sync)
-        service.bus.subscribe(key(service.robot, f"app/{name}", "set", "epoch"), self._on_order)
-        service.bus.subscribe(key(service.robot, "mesh", "links"), self._on_links)
-        service.bus.subscribe(key(service.robot, "mesh", "topology"), self._on_topology)
-        self._hold = Hold(parts[0].app.robot.devices if claim is None else None)
-        self._ticks = threading.Thread(target=self._ticker, name="ticker", daemon=True)
-        for worker in self._workers.values():
-            worker.start()
-        self._ticks.start()
+        runtime.bus.subscribe(key("*", f"app/{app}", "sync", "**"), self._on_sync)
+        listen(runtime, key(self.robot, f"app/{app}", "set", "epoch"), SetAppEpoch, self._on_order)
+        listen(runtime, key(self.robot, "mesh", "links"), Links, self._on_links)
+        if links_change:
+            listen(runtime, key(self.robot, "mesh", "topology"), Topology, self._on_topology)
 
     @property
     def failed(self) -> bool:
-        """Whether a channel has stopped for a fault."""
-        return any(worker.failed for worker in self._workers.values())
+        """Whether a lockstep has stopped for a fault."""
+        return any(driver.failed for driver in self.drivers.values())
 
     @property
     def faults(self) -> dict[str, str]:
-        """Why channels have stopped, by name."""
-        return {channel: worker.reason for channel, worker in self._workers.items() if worker.failed}
+        """Why locksteps have stopped, by the name of the channel."""
+        return {channel: driver.run.reason for channel, driver in self.drivers.items() if driver.failed}
 
-    def latest(self, channel: str) -> Latest | None:
-        """The newest state of a channel, whole; None before the first one."""
-        return self._workers[channel].latest
+    def start(self) -> None:
+        """Begin all locksteps."""
+        for driver in self.drivers.values():
+            driver.start()
+
+    def latest(self, channel: str) -> Advanced | None:
+        """The newest iteration of a channel; None before the first one."""
+        return self.drivers[channel].latest
 
     def change(self, channel: str, changed: Callable[[], None], values: Mapping[str, Value]) -> None:
         """Other values for live parameters of a channel, from its next step on; then `changed()` is called."""
-        self._workers[channel].change(changed, values)
+        self.drivers[channel].change(changed, values)
 
     def nudge(self) -> None:
         """The bus or a link came up: ask now for what is missing."""
-        for worker in self._workers.values():
-            worker.nudge()
-        self._hurry.set()
+        for driver in self.drivers.values():
+            driver.nudge()
 
     def close(self) -> None:
-        """End the threads and let go of the files. A step that runs is waited for, but not for ever."""
-        for worker in self._workers.values():
-            worker.stop()
-        self._closing = True
-        self._hurry.set()
-        self._ticks.join(CLOSE_WITHIN)
-        closed = [worker.close() for worker in self._workers.values()]
-        self._hold.close()
-        if all(closed) and self._own_claim is not None:
-            self._own_claim.close()
+        """Let go of the files. A step that runs is waited for, but not for ever."""
+        for driver in self.drivers.values():
+            driver.close()
+        if self._claims is not None:
+            self._claims.close()
 
-    # On Zenoh's thread
-
-    def _on_sync(self, name: str, payload: bytes) -> None:
-        """Give a frame to the worker that it is for."""
-        if (address := address_of(name)) is None:
-            self._refuse_key(name, "not the key of a frame")
-            return
-        sender, _, text, to, around = address
-        if to is not None and to != self._service.robot:
-            return
-        if (told := self._notes.get(text)) is not None:
-            if sender != self._service.robot:
-                told.receive_note(sender, payload)
-            return
-        try:
-            channel = Channel.parse(text)
-        except FrameError as error:
-            self._refuse_key(name, str(error))
-            return
-        worker = self._by_schema.get(channel.schema)
-        if worker is not None and channel.run == self._run:
-            worker.receive(sender, channel, payload, around=around)
-            return
-        self._service.counters["sync_other_run" if channel.run != self._run else "sync_other_version"] += 1
-        for worker in self._workers.values():
-            worker.stranger(sender, channel)
-
-    def _on_links(self, name: str, payload: bytes) -> None:
-        try:
-            links = decode(Links, payload, name).links
-        except PayloadError as error:
-            self._refuse(error)
-            return
-        up = {link.peer: link.connection for link in links if link.state == "up"}
-        # The median: after a cut the smoothed one is for seconds as long as the cut was.
-        rtts = [link.rtt_median for link in links if link.rtt_median is not None]
-        renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
-        self._connections.update(up)
-        for worker in self._workers.values():
-            if rtts:
-                worker.take_rtt(max(rtts))
-        if renewed:
-            self.nudge()
-
-    def _on_order(self, name: str, payload: bytes) -> None:
-        try:
-            order = decode(SetAppEpoch, payload, name)
-        except PayloadError as error:
-            self._refuse(error)
-            return
-        if order.ticket not in self._orders:
-            self._orders.append(order.ticket)
-            for worker in self._workers.values():
-                worker.order(order)
-
-    def _on_topology(self, name: str, payload: bytes) -> None:
-        try:
-            in_force = decode(Topology, payload, name)
-        except PayloadError as error:
-            self._refuse(error)
-            return
-        for worker in self._workers.values():
-            worker.take(in_force)
-
-    def _let_change(self, name: str, runner: Runner, run: int, recorder: Recorder | None) -> None:
+    def _let_change(self, runner: Runner, run: int, storage: Storage, observer: Observer | None) -> None:
         """Take other parameters while it runs, as far as the app has declared some that are live."""
-        service = self._service
-        kept = (service.runtime / f"app.{name}.parameters", run)
-        record = None if recorder is None else recorder.parameters
-        bus, robot, change = service.bus, service.robot, runner.change
-        changes = Changes(bus, robot, name, runner.app, change, self._refuse, kept=kept, record=record)
-        change(changes.kept())
+        record = None if observer is None else partial(observer.parameters, self.robot)
+        path = storage.parameters(self.app)
+        changes = Changes(self._runtime, self.app, runner.app, runner.change, path, run, record)
+        runner.change(changes.kept())
         runner.changed = changes.tell
         changes.tell()
 
-    def _refuse_key(self, name: str, reason: str) -> None:
-        self._service.counters["refused_keys"] += 1
-        self._service.log.debug("%s: %s", name, reason)
+    def _well(self) -> bool:
+        return not self.failed
 
-    def _refuse(self, error: PayloadError) -> None:
-        self._service.counters["refused_payloads"] += 1
-        self._service.log.debug("%s", error)
+    def _changed(self) -> None:
+        """A lockstep has begun, has come to another epoch, or has ended."""
+        self._senders.clear()
+        for driver in self.drivers.values():
+            driver.watch.forget()
+        if self._claims is not None:
+            self._claims.look()
+        if not self._ready and not self.failed and all(driver.run.begun for driver in self.drivers.values()):
+            self._ready = True
+            self._runtime.ready()
 
-    # On the ticker's thread
+    # What the bus brings
 
-    def _ticker(self) -> None:
-        told_ready = False
-        workers = tuple(self._workers.values())
-        while True:
-            self._hurry.wait(self._pause(SELDOM if told_ready else TICK))
-            self._hurry.clear()
-            if self._closing or self._service.stopping.is_set():
-                return
-            news = [worker.tick() for worker in workers]
-            self._hold.look(well=not self.failed and not any(worker.stuck for worker in workers))
-            if not told_ready and all(worker.begun for worker in workers) and not self.failed:
-                told_ready = True
-                self._service.ready()
-            if any(news) and not any(worker.stuck for worker in workers):
-                self._service.watchdog()
+    def _on_sync(self, name: str, payload: bytes) -> None:
+        """Give a frame to the lockstep that it is for."""
+        try:
+            sender = self._senders[name]
+        except KeyError:
+            if len(self._senders) >= _MOST_KEYS:
+                self._senders.clear()
+            sender = self._senders[name] = self._sender(name)
+        if sender is None:
+            return
+        driver, robot, channel, around = sender
+        if channel is not None:
+            driver.receive(robot, channel, payload, around=around)
+        elif robot != self.robot:
+            driver.receive_note(robot, payload)
 
-    def _pause(self, longest: float) -> float:
-        workers = self._workers.values()
-        if any(worker.watched or worker.busy for worker in workers):
-            longest = TICK
-        deadlines = [worker.next_deadline() for worker in workers]
-        first = min((deadline for deadline in deadlines if deadline is not None), default=None)
-        return longest if first is None else min(longest, max(0.0, first - clock.now()))
+    def _sender(self, name: str) -> _Sender | None:
+        """What the key of a frame says; None where the frame is for another robot, or not of this run and app."""
+        address = address_of(name)
+        if address is None:
+            self._refuse(name, "not the key of a frame")
+            return None
+        robot, _, text, to, around = address
+        if to is not None and to != self.robot:
+            return None
+        if text in self._by_notes:
+            return _Sender(self._by_notes[text], robot, None, around=False)
+        try:
+            channel = Channel.parse(text)
+        except FrameError as error:
+            self._refuse(name, str(error))
+            return None
+        driver = self._by_schema.get(channel.schema) if channel.run == self._run else None
+        for each in self.drivers.values() if driver is None else (driver,):
+            if robot != self.robot:
+                each.watch.heard(robot, channel, each.run.channel)
+        if driver is None:
+            self._runtime.counters["sync_other_run" if channel.run != self._run else "sync_other_version"] += 1
+            return None
+        return _Sender(driver, robot, channel, around)
+
+    def _refuse(self, name: str, reason: str) -> None:
+        self._runtime.counters["refused_keys"] += 1
+        self._runtime.log.debug("%s: %s", name, reason)
+
+    def _on_links(self, links: Links) -> None:
+        up = {link.peer: link.connection for link in links.links if link.state == "up"}
+        # The median: after a cut the smoothed one is for seconds as long as the cut was.
+        rtts = [link.rtt_median for link in links.links if link.rtt_median is not None]
+        renewed = any(self._connections.get(peer) != connection for peer, connection in up.items())
+        self._connections.update(up)
+        for driver in self.drivers.values():
+            if rtts:
+                driver.take_rtt(max(rtts))
+            if renewed:
+                driver.nudge()
+
+    def _on_order(self, order: SetAppEpoch) -> None:
+        if order.ticket not in self._orders:
+            self._orders.append(order.ticket)
+            for driver in self.drivers.values():
+                driver.order(Order(order.drop, order.add, order.force))
+
+    def _on_topology(self, in_force: Topology) -> None:
+        for driver in self.drivers.values():
+            driver.watch.take(in_force)
+            driver.run.epochs.take_links(in_force.edges)
 
 
 def schema_of(runner: Runner, channel: str, digest: bytes) -> int:
-    """32 bits over the app's source, the state's declaration and the channel's name: two strands that differ in one of
-    them never take each other's values."""
+    """32 bits over the app's source, the state's declaration and the channel's name: two locksteps that differ in one
+    of them never take each other's values."""
     text = digest + runner.schema.hash.to_bytes(4, "little") + channel.encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=4).digest(), "little")

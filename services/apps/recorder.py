@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
+from services.apps.observer import Line, Source
 from swarm.messages import AppEpoch, AppParameters, AppProgress, Measurement
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
@@ -26,6 +27,25 @@ class Recorder:
         self._prefix = key(robot, f"app/{app}")
         self._app = app
 
+    def advanced(self, source: Source, line: Line) -> None:
+        """See `Observer`."""
+        if line.measurement is not None:
+            self.measurement(line.k - 1, line.t, line.measurement)
+        self.state(line.k, line.t, line.state, line.result, source.part)
+
+    def progressed(self, source: Source) -> None:
+        """See `Observer`."""
+        self.progress(source.progress, source.part)
+
+    def ended(self, source: Source) -> None:
+        """See `Observer`."""
+        self.progressed(source)
+
+    def switched(self, source: Source, epoch: AppEpoch) -> None:
+        """See `Observer`."""
+        self.epoch(epoch, source.part)
+        self.progressed(source)
+
     def state(
         self, k: int, t: float, state: Mapping[str, Value], result: Mapping[str, Value], channel: str = ""
     ) -> None:
@@ -42,8 +62,8 @@ class Recorder:
         if progress.phase in ("done", "fault"):
             self._sink.flush()
 
-    def parameters(self, parameters: AppParameters) -> None:
-        """Record the parameters that are in force from now on."""
+    def parameters(self, robot: str, parameters: AppParameters) -> None:
+        """See `Observer`."""
         self._sink.write(f"{self._prefix}/parameters", parameters.t, parameters)
 
     def epoch(self, epoch: AppEpoch, channel: str = "") -> None:

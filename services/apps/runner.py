@@ -23,19 +23,19 @@ T = TypeVar("T")
 class AppRunner:
     """What runners of all kinds of apps share: the app's state and result, and its faults in words."""
 
-    __slots__ = ("_columns", "_source", "app", "k", "schema")
+    __slots__ = ("_columns", "app", "k", "schema", "source")
 
     def __init__(self, app: App, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
         self.app = app
         self.schema = type(app).spec.schema
         self.k = 0
-        self._source = source
+        self.source = source
         self._columns: tuple[str, ...] | None = None
 
     def state(self) -> dict[str, Value]:
         """The shared state by name."""
-        return self.schema.plain({name: getattr(self.app, name) for name in self.schema.names})
+        return self.schema.message_values({name: getattr(self.app, name) for name in self.schema.names})
 
     def result(self) -> dict[str, Value]:
         """What the app reports now; its names never change."""
@@ -55,9 +55,9 @@ class AppRunner:
     def hangs(self, where: str, thread: int | None, limit: float) -> str:
         """What is wrong with code of the author that has run for `limit` s in a thread, with the line it is at."""
         frame = None if thread is None else sys._current_frames().get(thread)
-        while frame is not None and frame.f_code.co_filename != self._source:
+        while frame is not None and frame.f_code.co_filename != self.source:
             frame = frame.f_back
-        place = "" if frame is None else f"{self._source}, line {frame.f_lineno}: "
+        place = "" if frame is None else f"{self.source}, line {frame.f_lineno}: "
         return f"{self._where(where)}: {place}it has not ended within {limit:g} s"
 
     def _be_at(self, k: int) -> None:
@@ -80,7 +80,7 @@ class AppRunner:
         except AppError as error:
             raise AppError(f"{self._where(where)}: {error}") from None
         except (Exception, SystemExit) as error:  # an author's sys.exit() would end this thread alone
-            raise AppError(f"{self._where(where)}: {describe(error, self._source)}") from error
+            raise AppError(f"{self._where(where)}: {describe(error, self.source)}") from error
 
     def _where(self, where: str) -> str:
         return f"{type(self.app).__name__} on {self.app.robot.name}, {where}"

@@ -7,6 +7,7 @@ not the machine, so nothing waits for a disk.
 from pathlib import Path
 
 from services.apps.slots import SlotFile
+from swarm.core.lockstep_frames import Snapshot
 from swarm.errors import AppError
 
 _SLOT = 64 * 1024
@@ -28,3 +29,7 @@ class SnapshotFile(SlotFile):
                 f"the private state makes a snapshot of {len(data)} bytes, at most {MAX_SNAPSHOT} can be kept"
             )
         super().write(data)
+
+    def keep(self, snapshot: Snapshot) -> None:
+        """Keep a snapshot in place of the oldest. Raises `SwarmError` where that is impossible."""
+        self.write(snapshot.encode())

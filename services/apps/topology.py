@@ -8,7 +8,7 @@ that is started anew in mid-run goes on with the links that its run began with, 
 import logging
 import threading
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -118,9 +118,10 @@ def save(runtime: Path, app: str, run: int, links: Links) -> None:
 class Watch:
     """What the mesh's topology and other hosts' epochs mean for a run that goes on."""
 
-    def __init__(self, links: Links, robot: str, on_lost: Callable[[str], None]) -> None:
-        """`on_lost(text)` is called when the topology in force takes a link away that the run needs."""
-        self._needed = frozenset(links.neighbours(robot))
+    def __init__(self, neighbours: Iterable[str], on_lost: Callable[[str], None]) -> None:
+        """`neighbours` are those that the run needs; `on_lost(text)` is called when the topology in force takes a link
+        with one away."""
+        self._needed = frozenset(neighbours)
         self._on_lost = on_lost
         self._lost: frozenset[str] = frozenset()
         self._version = ""
@@ -146,6 +147,10 @@ class Watch:
             self._strangers.pop(sender, None)
             return
         self._strangers[sender] = reason
+
+    def forget(self) -> None:
+        """Other members are in force: what was heard of other hosts says nothing any more."""
+        self._strangers.clear()
 
     def reason(self, waiting: tuple[str, ...]) -> str:
         """Why robots are waited for, where that is known; else empty."""

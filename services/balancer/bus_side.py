@@ -37,7 +37,7 @@ from swarm.messages import (
 )
 from swarm.messages.keys import STOP, key
 
-SLOW_STATE_S = 0.2
+THROTTLED_STATE_S = 0.2
 """Seconds between two messages of the state's throttled copy; a change of mode is told at once."""
 
 _LOG_PERIOD_S = 5.0
@@ -116,7 +116,7 @@ class BusSide:
         "_notices_since",
         "_now",
         "_process",
-        "_slow",
+        "_throttle",
     )
 
     def __init__(self, process: Process, now: Clock, loop: Loop) -> None:
@@ -128,7 +128,7 @@ class BusSide:
         self._notices_since = now()
         self._keys: dict[type, str] = {}
         """The keys used so far, by the message's type: the simulations have many robots, which use few of them."""
-        self._slow = Throttle(process.bus, self.key(BalancerState), SLOW_STATE_S)
+        self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
         self._mode = ""
 
     def listen(self, put: Callable[[str, bytes], None]) -> None:
@@ -159,7 +159,7 @@ class BusSide:
                 process.degraded(message.fault)
             elif message.mode not in (STARTING, CALIBRATING):
                 process.ready()
-            self._slow.publish(message, message.t, news=message.mode != self._mode, urgent=True)
+            self._throttle.publish(message, message.t, news=message.mode != self._mode, urgent=True)
             self._mode = message.mode
         # The body's state goes ahead of whatever floods the bus.
         process.bus.publish(self.key(type(message)), message, urgent=True)

@@ -105,7 +105,7 @@ class Balboa:
         self._write(bytes((balboa.LEDS,)) + balboa.encode_leds(red, yellow, green))
 
     def transfer(self, transfer: Transfer) -> bytes:
-        """One transfer of a chore, to whichever device; returns what was read."""
+        """One transfer of a task, to whichever device; returns what was read."""
         if transfer.address != balboa.ADDRESS:
             self._bus.write(transfer.address, transfer.data)
             return self._bus.read(transfer.address, transfer.reads) if transfer.reads else b""

@@ -13,10 +13,9 @@ import signal
 import time
 from collections.abc import Callable
 
-from services.balancer import chores, realtime
+from services.balancer import realtime, slack_tasks
 from services.balancer.balancer import Balancer
 from services.balancer.child import Bridge
-from services.balancer.chores import Chores
 from services.balancer.core import leds
 from services.balancer.core.body import body_model
 from services.balancer.core.gyro import Zero
@@ -25,6 +24,7 @@ from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import I2CBus, open_patiently
 from services.balancer.link import TELEMETRY_S
 from services.balancer.orders import halt, moves, obey
+from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
 from services.balancer.zero_file import ZeroFile
 from swarm import clock
@@ -39,6 +39,8 @@ TELEMETRY_TICKS = round(TELEMETRY_S / PERIOD_S)
 SECOND_TICKS = 100
 PARAMETERS_TICKS = 1000
 """Every 10 s."""
+FEED_S = 1.0
+"""Seconds between two messages to systemd's watchdog; its unit is given 3 s."""
 
 _log = logging.getLogger("balancer")
 
@@ -50,7 +52,7 @@ class Loop:
         self,
         balancer: Balancer,
         telemetry: Telemetry,
-        chores: Chores,
+        tasks: SlackTasks,
         bridge: Bridge,
         keep: Callable[[Zero, float], None] = lambda *_: None,
     ) -> None:
@@ -58,13 +60,14 @@ class Loop:
         self._balancer = balancer
         self._keep = keep
         self._telemetry = telemetry
-        self._chores = chores
+        self._tasks = tasks
         self._bridge = bridge
         self._lateness = Lateness()
         self._stopping = False
         self._announced = False
         self._leds_at = 0.0
         self._stopped_at = -math.inf
+        self._fed_at = -math.inf
         self.ticks = 0
         self.missed = 0
 
@@ -112,7 +115,7 @@ class Loop:
             now = clock.now()
             if heard <= self._stopped_at and moves(message):
                 self._balancer.notices.append(("stop", "refused: a command that was given before the stop is void"))
-            elif not (obey(self._balancer, message, now, _log) or self._chores.obey(message, now)):
+            elif not (obey(self._balancer, message, now, _log) or self._tasks.obey(message, now)):
                 _log.warning("the bridge sent a %s", type(message).__name__)
         self._show_leds(clock.now())
         part = self.ticks % TELEMETRY_TICKS
@@ -125,9 +128,11 @@ class Loop:
             self._bridge.send(news)
         elif part == 1:
             self._each_second(self.ticks % SECOND_TICKS)
+        elif part == 2:
+            self._feed(clock.now())
         due = self._balancer.leds_due
         write_at = leds.moment(due, until)
-        for message in self._chores.run(until if write_at is None else write_at + chores.MARGIN_S):
+        for message in self._tasks.run(until if write_at is None else write_at + slack_tasks.MARGIN_S):
             self._bridge.send(message)
         if write_at is not None:
             self._show_leds_at(due, write_at, until)
@@ -153,8 +158,6 @@ class Loop:
             self._tell_again()
         elif tick == 61:
             self._balancer.watch_battery(clock.now())
-        elif tick == 73:
-            notify("WATCHDOG=1", timeout_s=0.0)
         elif tick == 85:
             self._keep_zero()
         elif not self._announced and self._balancer.ready:
@@ -162,12 +165,19 @@ class Loop:
             self._keep_zero()
             notify("READY=1", timeout_s=0.0)
 
+    def _feed(self, now: float) -> None:
+        """Tell systemd's watchdog each second, by the clock: a loop that is slow, on a bus that times out or a machine
+        that has no time for it, does not hang."""
+        if not self._fed_at <= now < self._fed_at + FEED_S:
+            self._fed_at = now
+            notify("WATCHDOG=1", timeout_s=0.0)
+
     def _keep_zero(self) -> None:
         if (zero := self._balancer.gyro_zero) is not None:
             self._keep(zero, clock.now())
 
     def _state(self) -> BalancerState:
-        errors = self._balancer.bus_errors + self._chores.errors
+        errors = self._balancer.bus_errors + self._tasks.errors
         return self._telemetry.state(self.ticks, self.missed, errors, self._lateness.p99_and_max())
 
     def _tell_again(self) -> None:
@@ -217,7 +227,7 @@ def main(
             bridge = Bridge(clock.now())
             try:
                 telemetry = Telemetry(balancer, settings.controller)
-                loop = Loop(balancer, telemetry, Chores(balancer, clock.now), bridge, zeros.keep)
+                loop = Loop(balancer, telemetry, SlackTasks(balancer, clock.now), bridge, zeros.keep)
                 for number in (signal.SIGTERM, signal.SIGINT):
                     signal.signal(number, lambda *_: loop.stop())
                 realtime.enter(_log)

@@ -44,11 +44,10 @@ def serve(service: Service, recording: Recording) -> None:
 
     def answer(_: str, parameters: dict[str, str]) -> bytes | None:
         nonlocal newest
-        text = parameters.get("sequence", "")
-        if not (text.isascii() and text.isdigit() and len(text) < 10):
+        k = _asked(parameters)
+        if k is None:
             service.counters["wrong_queries"] += 1
             return None
-        k = int(text)
         if k >= recording.steps:
             service.counters["past_end"] += 1
             service.log.warning("row %d was asked for, the recording ends at row %d", k, recording.steps - 1)
@@ -56,7 +55,7 @@ def serve(service: Service, recording: Recording) -> None:
         if k > newest:  # the bus calls us on one thread
             newest = k
             first_asked.put(k)
-        return encode(Row(recording, k).measurement())
+        return row_of(recording, _, parameters)
 
     robot, target = service.robot, service.config.dwm.target or NOBODY
     service.bus.serve(key(robot, "dwm", "measurement"), answer)
@@ -71,3 +70,15 @@ def serve(service: Service, recording: Recording) -> None:
         ranges, pose = Row(recording, k).published(target, clock.now())
         service.bus.publish(key(robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(robot, "dwm", "pose"), pose)
+
+
+def row_of(recording: Recording, key: str, parameters: dict[str, str]) -> bytes | None:
+    """Answer the query for a row; None where there is none."""
+    k = _asked(parameters)
+    return None if k is None or k >= recording.steps else encode(Row(recording, k).measurement())
+
+
+def _asked(parameters: dict[str, str]) -> int | None:
+    """The row that a query asks for; None where it names none."""
+    text = parameters.get("sequence", "")
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else None

@@ -5,18 +5,18 @@ import random
 import time
 from functools import partial
 
-from services.mesh import keep
-from services.mesh.core.link.handshake import Local
+from services.mesh import topology_file
+from services.mesh.bus_interface import BusInterface
+from services.mesh.core.link.calls import Local
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import Start
 from services.mesh.core.wire.frames import NONCE_SIZE
-from services.mesh.door import Door
 from services.mesh.links.pipe import describe
 from services.mesh.locked_runtime import LockedRuntime
 from services.mesh.mesh import Chance, Mesh, dials_of, local_of
 from services.mesh.network import Network
 from services.mesh.sockets import Sockets
-from services.mesh.tell import Tell
+from services.mesh.view_sender import ViewSender
 from swarm.config import Config
 from swarm.config.keyfile import read_keys
 from swarm.process import service
@@ -50,21 +50,21 @@ def incarnation() -> int:
 
 def _save(this: Service, data: bytes) -> None:
     try:
-        keep.save(state_dir(), data)
+        topology_file.save(state_dir(), data)
     except OSError as error:
         this.degraded(f"the topology cannot be kept through a restart: {state_dir()}: {describe(error)}")
 
 
 def main() -> None:
     """Run until SIGTERM."""
-    with Service("mesh") as this:
+    with Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
-        start = Start(ground, local.dials, keep.load(state_dir(), ground))
+        start = Start(ground, local.dials, topology_file.load(state_dir(), ground))
         network = Network(this.config, local, this.runtime)
         runtime = LockedRuntime(this.bus, this.counters, this.log)
         sockets = Sockets(runtime, network.listeners, network.dial)
-        tell = Tell(this.robot, len(this.config.names), this.runtime)
+        view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
         mesh = Mesh(
             this.config,
             local,
@@ -74,17 +74,17 @@ def main() -> None:
             runtime,
             sockets,
             keep=partial(_save, this),
-            heard=tell.heard,
+            heard=view_sender.heard,
         )
-        Door(runtime, mesh)
-        tell.begin(this.bus, runtime.entry(mesh.ask))
+        BusInterface(runtime, mesh)
+        view_sender.begin(this.bus, runtime.entry(mesh.ask))
         sockets.start(mesh)
         this.ready()
         while not this.stopping.wait(_LOOK_S):
-            tell.step()
+            view_sender.step()
             if sockets.turned():
                 this.watchdog()
-        tell.close()
+        view_sender.close()
         sockets.stop()
         network.close()
 

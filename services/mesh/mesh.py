@@ -8,14 +8,12 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
+from services.mesh.core.actions import Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.events import Received
-from services.mesh.core.link.callers import UNKNOWN, Caller
+from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
-from services.mesh.core.link.dialler import can_link, dials
-from services.mesh.core.link.handshake import Local
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.node_actions import Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.routing.wanted_links import Start
@@ -145,7 +143,6 @@ class Mesh:
             start=start,
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
             wanted=wanted,
         )
         self._node = Node(local, relay, overlays, random=chance.random, nonce=chance.nonce, counters=counters)

@@ -4,9 +4,8 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
-from services.mesh import monikers
-from services.mesh.core.link.dialler import has_address
-from services.mesh.core.link.handshake import Local
+from services.mesh import link_address
+from services.mesh.core.link.calls import Local, has_address
 from services.mesh.links import pybluez, rfcomm, sim, supervision, tcp
 from services.mesh.links.pipe import Pipe
 from services.mesh.sockets import Listener
@@ -34,17 +33,19 @@ class Network:
         self._supervise = supervise
         self._dead = config.mesh.dead
         robots = {name: config.robot(name) for name in local.dials}
-        self._addresses = {peer: monikers.of_robot(robots[peer]) for peer, we_dial in local.dials.items() if we_dial}
+        self._addresses = {
+            peer: link_address.of_robot(robots[peer]) for peer, we_dial in local.dials.items() if we_dial
+        }
         callers = [peer for peer, we_dial in local.dials.items() if not we_dial]
         me = config.robot(local.robot)
-        own = monikers.of_robot(me) if callers else None
+        own = link_address.of_robot(me) if callers else None
         listen = config.mesh.listen
-        near = [monikers.of_robot(robots[peer]) for peer in callers if has_address(robots[peer])]
-        hosts = {moniker.host for moniker in near if isinstance(moniker, monikers.Tcp)}
+        near = [link_address.of_robot(robots[peer]) for peer in callers if has_address(robots[peer])]
+        hosts = {address.host for address in near if isinstance(address, link_address.Tcp)}
         # Whom the configuration links with us must be able to call; others may become neighbours one day.
         first = local.dials if config.auto else config.neighbours(local.robot)
         needed = [peer for peer in callers if peer in first]
-        if isinstance(own, monikers.Tcp) and listen is None:
+        if isinstance(own, link_address.Tcp) and listen is None:
             if needed:
                 raise ConfigError(
                     f"{config.path}: [mesh] listen: {', '.join(needed)} will dial {local.robot} over tcp:, "
@@ -58,20 +59,22 @@ class Network:
         self._open_bluetooth = open_bluetooth
         self._radio = rfcomm.Radio(me.bluetooth or ANY_ADAPTER, config.mesh.rfcomm_channel, config.mesh.rfcomm_encrypt)
         self._record: pybluez.Record | None = None
-        self._air = sim.Air(local.robot, directory) if monikers.Sim in kinds else None
+        self._air = sim.Air(local.robot, directory) if link_address.Sim in kinds else None
         self.listeners: list[Listener] = []
         try:
-            if monikers.Rfcomm in required:
+            if link_address.Rfcomm in required:
                 _check_bluetooth(open_bluetooth)
-            if isinstance(own, monikers.Sim) and self._air is not None:
+            if isinstance(own, link_address.Sim) and self._air is not None:
                 self.listeners.append(sim.Listener(own.path, self._air))
-            if isinstance(own, monikers.Rfcomm):
+            if isinstance(own, link_address.Rfcomm):
                 known = {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
                 listener = rfcomm.Listener(self._radio, known, open_socket=open_bluetooth)
                 self.listeners.append(listener)
                 self._record = _advertise(listener)
             if listen is not None:
-                self.listeners.append(tcp.Listener(monikers.parse_address(listen, f"[mesh] listen = {listen}"), hosts))
+                self.listeners.append(
+                    tcp.Listener(link_address.parse_address(listen, f"[mesh] listen = {listen}"), hosts)
+                )
         except Exception:
             self.close()
             raise
@@ -79,9 +82,9 @@ class Network:
     def dial(self, peer: str) -> Pipe:
         """Connect to a neighbour; raises OSError."""
         address = self._addresses[peer]
-        if isinstance(address, monikers.Tcp):
+        if isinstance(address, link_address.Tcp):
             return tcp.dial(address)
-        if isinstance(address, monikers.Rfcomm):
+        if isinstance(address, link_address.Rfcomm):
             try:
                 pipe = rfcomm.dial(self._radio, address.address, open_socket=self._open_bluetooth)
             except LocalError as error:  # no Bluetooth here, and no configured neighbour that needs it

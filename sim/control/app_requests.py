@@ -15,7 +15,7 @@ from swarm.messages.codec import unpack as unpack_value
 from swarm.messages.keys import is_name
 from swarm.process.paths import socket_path
 
-DOOR = "orders.sock"
+SOCKET = "orders.sock"
 ACTS = ("start", "stop")
 MAX_DATAGRAM = 65536
 ANSWER_S = 3.0
@@ -38,7 +38,7 @@ def give(run_dir: Path, act: str, app: str, robots: Sequence[str]) -> str:
         sock.bind("")  # a name that the kernel chooses, for the answer
         sock.settimeout(ANSWER_S)
         try:
-            sock.sendto(order, str(socket_path(run_dir, DOOR)))
+            sock.sendto(order, str(socket_path(run_dir, SOCKET)))
             answer = msgpack.unpackb(sock.recv(MAX_DATAGRAM))
         except TimeoutError:
             raise LocalError(f"the simulation has not answered within {ANSWER_S:g} s; look whether it did it") from None

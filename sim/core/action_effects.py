@@ -1,13 +1,13 @@
 """What a person's acts do to the simulated robot."""
 
 from services.balancer.core import balboa, display, imu
-from sim.core.actions import BUTTONS, Act, Lay, Place, Press, Push, Unplug
+from sim.core.actions import BUTTONS, Lay, Place, Press, Push, SimulationAction, Unplug
 from sim.core.devices import Device, SimulatedRobot
 
 ADDRESSES = {"imu": imu.ADDRESS, "atmega": balboa.ADDRESS, "display": display.ADDRESS}
 
 
-class Hands:
+class ActionEffects:
     """Acts on one robot; `handle_timer` lets buttons go again."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
@@ -15,7 +15,7 @@ class Hands:
         self._until = [0.0] * len(BUTTONS)
         self._unplugged: dict[int, Device] = {}
 
-    def do(self, act: Act, now: float) -> None:
+    def do(self, act: SimulationAction, now: float) -> None:
         """Do it now."""
         body = self._robot.body
         match act:

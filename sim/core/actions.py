@@ -7,7 +7,7 @@ from swarm.errors import LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import decode, encode
 
-DOOR = "body.sock"
+BODY_SOCKET = "body.sock"
 
 BUTTONS = ("A", "B", "C")
 SIDES = ("back", "front")
@@ -65,26 +65,26 @@ class Place:
     """Still in the hand that held it at the start."""
 
 
-Act = Press | Push | Lay | Unplug | Place
-_NAMES: dict[str, type[Act]] = {"press": Press, "push": Push, "lay": Lay, "unplug": Unplug, "place": Place}
-_OF: dict[type[Act], bytes] = {kind: name.encode() for name, kind in _NAMES.items()}
+SimulationAction = Press | Push | Lay | Unplug | Place
+_NAMES: dict[str, type[SimulationAction]] = {"press": Press, "push": Push, "lay": Lay, "unplug": Unplug, "place": Place}
+_OF: dict[type[SimulationAction], bytes] = {kind: name.encode() for name, kind in _NAMES.items()}
 
 
-def pack(act: Act) -> bytes:
+def pack(act: SimulationAction) -> bytes:
     """The datagram: the act's name, a colon, its fields as msgpack."""
     return _OF[type(act)] + b":" + encode(act)
 
 
-def unpack(datagram: bytes) -> Act:
+def unpack(datagram: bytes) -> SimulationAction:
     """The inverse of `pack`; raises `PayloadError` or `LocalError` for what is no act, or out of range."""
     name, _, fields = datagram.partition(b":")
     kind = _NAMES.get(name.decode("ascii", "replace"))
     if kind is None:
         raise LocalError(f"no act {name[:20]!r}, there are {', '.join(_NAMES)}")
-    return check(decode(kind, fields, DOOR))
+    return check(decode(kind, fields, BODY_SOCKET))
 
 
-def check(act: Act) -> Act:
+def check(act: SimulationAction) -> SimulationAction:
     """The same act; raises `LocalError` where it cannot be done."""
     match act:
         case Press(button, seconds):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from typing import Any, Protocol
 
-from sim.sweep.measure import Found, measure
+from sim.sweep.measure import SweptRun, measure
 from sim.sweep.plan import Job
 from swarm.errors import LocalError
 
@@ -17,7 +17,7 @@ ENGINES = ("local", "dask")
 class Engine(Protocol):
     """Computes runs."""
 
-    def __call__(self, jobs: Sequence[Job], done: Callable[[], None]) -> list[Found]:
+    def __call__(self, jobs: Sequence[Job], done: Callable[[], None]) -> list[SweptRun]:
         """All of them, in the order of the jobs; `done()` is called after each."""
 
 
@@ -55,7 +55,7 @@ def dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
         yield lambda jobs, done: _collect(client.map(measure, jobs, pure=False), distributed.as_completed, done)
 
 
-def _collect(futures: Sequence[Any], completed: Callable[[Any], Any], done: Callable[[], None]) -> list[Found]:
+def _collect(futures: Sequence[Any], completed: Callable[[Any], Any], done: Callable[[], None]) -> list[SweptRun]:
     for _ in completed(futures):
         done()
     return [future.result() for future in futures]

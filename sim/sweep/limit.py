@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from sim.sweep.engines import Engine
-from sim.sweep.measure import Found
+from sim.sweep.measure import SweptRun
 from sim.sweep.plan import Point, jobs_of
 
 PRECISION = 0.01
@@ -62,5 +62,5 @@ def search(
         judge(open_)
 
 
-def _settles(run: Found) -> bool:
+def _settles(run: SweptRun) -> bool:
     return not run.problem and run.settled is not None

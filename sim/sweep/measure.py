@@ -16,7 +16,7 @@ LATE = 0.9
 
 
 @frozen
-class Found:
+class SweptRun:
     """Figures of one run."""
 
     point: int
@@ -34,19 +34,19 @@ class Found:
     """Why it failed; empty where it did not."""
 
 
-def measure(job: Job) -> Found:
+def measure(job: Job) -> SweptRun:
     """Run it. What is wrong with a run is a result like any other."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # twenty runs at once would tell the same twenty times
     try:
         report, outcome = simulate(*job.arguments, rows=True)
     except SwarmError as error:
-        return Found(job.point, job.seed, 0, None, None, 0.0, None, 0.0, str(error))
+        return SweptRun(job.point, job.seed, 0, None, None, 0.0, None, 0.0, str(error))
     finally:
         logging.disable(before)
     path_error = report.get("error", report.get("error_cm"))
     iteration = report["iteration_s_median"]
-    return Found(
+    return SweptRun(
         point=job.point,
         seed=job.seed,
         iterations=min((path.last for path in outcome.trajectories.values()), default=0),
@@ -81,7 +81,7 @@ def settled(paths: Sequence[Trajectory], within: float) -> int | None:
 
 @frozen
 class Summary:
-    """The runs of one point together."""
+    """Statistics over the runs of one point of a sweep."""
 
     runs: int
     failed: int
@@ -99,8 +99,8 @@ class Summary:
     """The first."""
 
 
-def together(runs: Sequence[Found]) -> Summary:
-    """What the runs of one point say."""
+def summarize(runs: Sequence[SweptRun]) -> Summary:
+    """Return the statistics over the runs of one point."""
     good = [run for run in runs if not run.problem]
     rounds = [run.settled for run in good if run.settled is not None]
     errors = [run.error for run in good if run.error is not None]

@@ -15,12 +15,12 @@ from services.balancer.core.faults import STOPPED, Fault
 from services.balancer.core.leds import Claim, Shown, shown
 from services.balancer.link import TELEMETRY_S, Command
 from services.balancer.orders import halt, obey
-from sim.core.actions import BUTTONS, Act, Lay, Place, Press, Push
-from sim.core.witness import Witness
-from sim.virtual.beat import Beat
+from sim.core.actions import BUTTONS, Lay, Place, Press, Push, SimulationAction
+from sim.core.scene_record import SceneRecord
 from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
+from sim.virtual.periodic_publisher import PeriodicPublisher
 from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.messages import (
@@ -62,7 +62,7 @@ class VirtualBalancer:
         time: Time,
         bus: VirtualBus,
         seed: object,
-        witness: Witness | None = None,
+        scene_record: SceneRecord | None = None,
     ) -> None:
         numbers = random.Random(f"{seed} {robot} body")
         place = config.simulation.places.get(robot, (0.0, 0.0, 0.0))
@@ -72,7 +72,7 @@ class VirtualBalancer:
         """What the LEDs show."""
         self._time = time
         self.bus = bus
-        self._witness = witness
+        self._scene_record = scene_record
         self._claim = Claim()
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
@@ -83,18 +83,18 @@ class VirtualBalancer:
         phase = numbers.random()
         time.soon(self._show_leds)
         odometry_and_state = self._side.key(Odometry), *self._side.state_keys
-        Beat(time, bus, odometry_and_state, TELEMETRY_S, time.now + TELEMETRY_S * phase, self._tell)
-        Beat(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
+        PeriodicPublisher(time, bus, odometry_and_state, TELEMETRY_S, time.now + TELEMETRY_S * phase, self._tell)
+        PeriodicPublisher(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
-        if witness is not None:
-            time.soon(self._be_seen, witness)
+        if scene_record is not None:
+            time.soon(self._be_seen, scene_record)
 
     def look(self) -> VirtualBody:
         """Its body, as it is now."""
         self.body.advance(self._time.now)
         return self.body
 
-    def act(self, act: Act) -> None:
+    def act(self, act: SimulationAction) -> None:
         """What a person does to it."""
         now = self._time.now
         match act:
@@ -183,8 +183,8 @@ class VirtualBalancer:
         if self.shown == lamps:
             return
         self.shown = lamps
-        if self._witness is not None:
-            self._witness.leds(self.robot, self._time.true, yellow=lamps[1])
+        if self._scene_record is not None:
+            self._scene_record.leds(self.robot, self._time.true, yellow=lamps[1])
         self._side.publish(Leds(now, *lamps))
         self.bus.publish(self._sim_leds_key, LedChange(now, *lamps))
 
@@ -235,11 +235,11 @@ class VirtualBalancer:
         body.advance(now)
         self.bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
 
-    def _be_seen(self, witness: Witness) -> None:
+    def _be_seen(self, scene_record: SceneRecord) -> None:
         now, body = self._time.now, self.body
-        self._time.at(now + TELEMETRY_S, self._be_seen, witness)
+        self._time.at(now + TELEMETRY_S, self._be_seen, scene_record)
         body.advance(now)
-        witness.pose(self.robot, self._time.true, (body.x, body.y), body.tilt)
+        scene_record.pose(self.robot, self._time.true, (body.x, body.y), body.tilt)
 
     def _tell_slowly(self) -> None:
         """What is told once a second."""

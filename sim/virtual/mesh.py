@@ -7,10 +7,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
+from services.mesh.bus_interface import BusInterface
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import Start
 from services.mesh.core.wire.frames import NONCE_SIZE
-from services.mesh.door import Door
 from services.mesh.mesh import Chance, Mesh, dials_of, local_of
 from sim.virtual.air import Air, Station
 from sim.virtual.bus import VirtualBus
@@ -120,7 +120,7 @@ class VirtualMesh(Mesh):
             keep=lambda data: None,
             wanted=bus.wanted,
         )
-        Door(surroundings, self)
+        BusInterface(surroundings, self)
         self._station.start(self)
 
     @property

@@ -10,24 +10,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from services.apps import loader
+from services.apps.event_host import EventHost
+from services.apps.observer import Line, Observer, Source
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions
-from sim.core.witness import Witness
+from sim.core.scene_record import SceneRecord
 from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from sim.options import parse as arguments_of
 from sim.report import Json, Outcome, summary
 from sim.scenario import Scenario, build
-from sim.virtual.event_host import VirtualEventHost
+from sim.virtual.app_records import AppRecords
 from sim.virtual.hang import broken_off
-from sim.virtual.host import VirtualHost
-from sim.virtual.ledger import Ledger
-from sim.virtual.strand import Line, Teller, Told
 from sim.virtual.world import Launch, World
-from swarm.app.run_options import Conduct
+from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.errors import ConfigError, LocalError
-from swarm.messages import AppEpoch
+from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
 
 STALLED = 60.0
@@ -73,7 +72,7 @@ class Run:
         if mesh == DELAY and scenario.config.auto:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
-        self._witness = Witness(names) if scenario.app in scene.WATCHED else None
+        self._scene_record = SceneRecord(names) if scenario.app in scene.WATCHED else None
         self.world = World(
             scenario.config,
             model,
@@ -82,10 +81,10 @@ class Run:
             mesh=mesh,
             lying=scenario.lying,
             skew=options.clock_skew,
-            witness=self._witness,
+            scene_record=self._scene_record,
         )
-        self._ledger = self._ledger_of(scenario.app or "")
-        self._beside = {each.app: self._ledger_of(each.app) for each in scenario.beside}
+        self._records = self._records_of(scenario.app or "")
+        self._beside = {each.app: self._records_of(each.app) for each in scenario.beside}
         self._late = {off.robot: off.seconds for off in options.offs if off.at is None}
         self._running = set(names)
         self._missing_first = set(names) - self._late.keys()
@@ -109,13 +108,14 @@ class Run:
         scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.program is not None:
-            told = Told(self._advanced, self._ended, self._switched, self._ledger.progress)
-            launches = [self._launch(loader.load(scenario.program), "", scenario.conduct, self._ledger, told)]
+            launches = [self._launch(loader.load(scenario.program), "", scenario.run_options, self._records, self)]
             for each in scenario.beside:
-                ledger = self._beside[each.app]
-                told = Told(ledger.advanced, self._ended_beside, ledger.switched, ledger.progress)
+                records = self._beside[each.app]
+                beside = _Beside(records, self._problems)
                 launches.append(
-                    self._launch(loader.load(each.program), f" {each.app}", scenario.conduct_beside, ledger, told)
+                    self._launch(
+                        loader.load(each.program), f" {each.app}", scenario.run_options_beside, records, beside
+                    )
                 )
             for name, seconds in self._late.items():
                 world.switch_off(name, seconds)
@@ -127,15 +127,17 @@ class Run:
             self._first_done()
         self._watch()
         ended_at = world.time.now
-        for ledger in (self._ledger, *self._beside.values()):
-            ledger.close()
+        for records in (self._records, *self._beside.values()):
+            records.close()
         self.computed = real_time.perf_counter() - began
         return self._outcome(ended_at)
 
-    def _ledger_of(self, app: str) -> Ledger:
-        return Ledger(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
+    def _records_of(self, app: str) -> AppRecords:
+        return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
-    def _launch(self, app: loader.App, which: str, conduct: Conduct, ledger: Ledger, told: Told) -> Launch:
+    def _launch(
+        self, app: loader.App, which: str, run_options: RunOptions, records: AppRecords, observer: Observer
+    ) -> Launch:
         """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
         tickets of requests begin with."""
         place, scenario = self._options.record, self._scenario
@@ -145,8 +147,8 @@ class Run:
             if app.name not in loader.BUILT_IN:
                 files[f"{app.name}.py"] = Path(app.source).read_bytes()
             folder.begin(place, folder.describe(app.name, number, self._options.seed, app.digest), files)
-            ledger.record(place, app, number)
-        return Launch(app, number, conduct, None, told)
+            records.record(place, app, number)
+        return Launch(app, number, run_options, None, observer)
 
     def _watch(self) -> None:
         """Let time pass until the run is over, looking now and then whether anything still moves."""
@@ -165,26 +167,36 @@ class Run:
     def _stalled(self) -> None:
         """Nothing has happened for long. For an app that waits for events that is the end; for others, a problem."""
         app = self._scenario.app
-        hosts = [host for robot in self.world.robots.values() for name, host in robot.apps.items() if name == app]
-        strands = [strand for host in hosts if isinstance(host, VirtualHost) for strand in host.strands.values()]
-        tellers: list[Teller] = [*strands, *(host for host in hosts if isinstance(host, VirtualEventHost))]
-        if tellers and all(_has_no_steps(each) for each in tellers):
+        hosts = [robot.apps[app] for robot in self.world.robots.values() if app in robot.apps]
+        sources = [
+            each for host in hosts for each in ([host] if isinstance(host, EventHost) else host.drivers.values())
+        ]
+        if sources and all(_has_no_steps(each) for each in sources):
             return
+        found = [(each.robot, each.progress) for each in sources]
         stuck = [
-            each.obstacle or f"{each.robot} waits for {', '.join(each.waiting)}"
-            for each in tellers
-            if each.obstacle or each.waiting
+            progress.reason or f"{robot} waits for {', '.join(progress.waiting_for)}"
+            for robot, progress in found
+            if progress.phase == "waiting"
         ]
         self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
-    def _advanced(self, teller: Teller, line: Line) -> None:
-        """A robot has done an iteration."""
+    def advanced(self, source: Source, line: Line) -> None:
+        """See `Observer`: a robot has done an iteration."""
         self._last_progress = self.world.time.now
-        self._ledger.advanced(teller, line)
-        if not teller.part and self._started is None and (line.k >= 1 or _has_no_steps(teller)):
-            self._missing_first.discard(teller.robot)
+        self._records.advanced(source, line)
+        if not source.part and self._started is None and (line.k >= 1 or _has_no_steps(source)):
+            self._missing_first.discard(source.robot)
             if not self._missing_first:
                 self._first_done()
+
+    def progressed(self, source: Source) -> None:
+        """See `Observer`."""
+        self._records.progressed(source)
+
+    def parameters(self, robot: str, parameters: AppParameters) -> None:
+        """See `Observer`."""
+        self._records.parameters(robot, parameters)
 
     def _first_done(self) -> None:
         """All robots have done their first iteration: the times of cuts and acts count from here."""
@@ -197,31 +209,26 @@ class Run:
             if off.at is not None:
                 self.world.time.at(now + off.at, self.world.switch_off, off.robot, off.seconds)
 
-    def _ended(self, teller: Teller) -> None:
-        """A robot is at its last iteration, or its app has failed: that ends the run."""
-        self._ledger.ended(teller)
-        if teller.reason:
-            self._problems.append(f"{teller.robot} app {teller.reason}")
-            if not self._scenario.conduct.drop:
+    def ended(self, source: Source) -> None:
+        """See `Observer`: a robot is at its last iteration, or its app has failed. That ends the run."""
+        self._records.progressed(source)
+        progress = source.progress
+        if progress.phase == "fault":
+            self._problems.append(f"{source.robot} app {progress.reason}")
+            if not self._scenario.run_options.drop:
                 self.world.time.stop()
                 return
-        if teller.part:
+        if source.part:
             return
-        self._running.discard(teller.robot)
+        self._running.discard(source.robot)
         self._look_whether_over()
 
-    def _ended_beside(self, teller: Teller) -> None:
-        """An app beside is done, or has failed: the others go on."""
-        self._beside[teller.app].ended(teller)
-        if teller.reason:
-            self._problems.append(f"{teller.robot} {teller.app} {teller.reason}")
-
-    def _switched(self, teller: Teller, epoch: AppEpoch) -> None:
-        """The members have changed."""
-        name = teller.robot
+    def switched(self, source: Source, epoch: AppEpoch) -> None:
+        """See `Observer`: the members have changed."""
+        name = source.robot
         self._last_progress = self.world.time.now
-        self._ledger.switched(teller, epoch)
-        if teller.part:
+        self._records.switched(source, epoch)
+        if source.part:
             return
         if name in epoch.members:
             self._running.add(name)
@@ -247,8 +254,8 @@ class Run:
             seed=self._options.seed,
             started_s=started,
             seconds=0.0 if started is None else ended_at - started,
-            trajectories=self._ledger.trajectories() if self._scenario.app else {},
-            beside={name: ledger.trajectories() for name, ledger in self._beside.items()},
+            trajectories=self._records.trajectories() if self._scenario.app else {},
+            beside={name: records.trajectories() for name, records in self._beside.items()},
             bodies=dict.fromkeys(names),
             messages=frames,
             rss_mib={},
@@ -256,15 +263,32 @@ class Run:
             problems=tuple(self._problems),
             missing=tuple(name for name in names if name not in self._members),
             computed_s=self.computed,
-            witness=self._witness,
+            scene_record=self._scene_record,
             moves_from=math.inf if started is None else started,
-            scene={} if self._witness is None else scene.seen(self._scenario, self._witness, 0.0),
+            scene={} if self._scene_record is None else scene.seen(self._scenario, self._scene_record, 0.0),
         )
 
 
-def _has_no_steps(teller: Teller) -> bool:
+class _Beside:
+    """Observes an app beside the one that the run is about: where it ends, the others go on."""
+
+    def __init__(self, records: AppRecords, problems: list[str]) -> None:
+        self._problems = problems
+        self.advanced = records.advanced
+        self.progressed = self._progressed = records.progressed
+        self.switched = records.switched
+        self.parameters = records.parameters
+
+    def ended(self, source: Source) -> None:
+        self._progressed(source)
+        progress = source.progress
+        if progress.phase == "fault":
+            self._problems.append(f"{source.robot} {source.app} {progress.reason}")
+
+
+def _has_no_steps(source: Source) -> bool:
     """Whether it waits for events alone."""
-    return isinstance(teller, VirtualEventHost) and teller.runner.period is None
+    return isinstance(source, EventHost) and source.runner.period is None
 
 
 def simulate(*arguments: str, rows: bool = False) -> tuple[Json, Outcome]:

@@ -15,9 +15,9 @@ from services.dwm.localizer import Localizer
 from sim.core.uwb import PERIOD, Module, Tag
 from sim.module import module_address
 from sim.virtual.balancer import VirtualBalancer
-from sim.virtual.beat import Beat
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
+from sim.virtual.periodic_publisher import PeriodicPublisher
 from swarm.config import Config, Robot
 from swarm.messages.keys import key
 
@@ -105,7 +105,7 @@ class VirtualDwm:
         self._keys = key(robot, "dwm", "ranges"), key(robot, "dwm", "pose")
         self._localizer: Localizer | None = None
         phase = random.Random(f"{seed} {robot} latency").random()
-        Beat(time, bus, self._keys, PERIOD, time.now + PERIOD * phase, self._measure)
+        PeriodicPublisher(time, bus, self._keys, PERIOD, time.now + PERIOD * phase, self._measure)
 
     def _measure(self) -> None:
         now = self._time.now

@@ -3,42 +3,40 @@
 import logging
 import random
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 from services.apps import loader, topology
+from services.apps.equipment import equip
+from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
+from services.apps.host import LockstepHost, Part
+from services.apps.lockstep_driver import Place
+from services.apps.measurements import Measurements, Replayed, source_of
+from services.apps.observer import Observer
 from services.apps.runner import Runner
+from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import Known
-from services.mesh.core.wire.packets import Advertisement
-from sim.core.actions import Act
-from sim.core.witness import Witness
+from services.mesh.core.routing.topology import Advertisement
+from sim.core.actions import SimulationAction
+from sim.core.scene_record import SceneRecord
 from sim.options import DELAY, FROM_START, SETTLED
 from sim.virtual.air import Air
 from sim.virtual.balancer import VirtualBalancer
 from sim.virtual.body import DIFFERENTIAL
 from sim.virtual.bus import VirtualBus, VirtualRouter
 from sim.virtual.delays import DelayMesh
-from sim.virtual.event_host import VirtualEventHost
 from sim.virtual.events import EventQueue, LocalTime, Time
-from sim.virtual.host import Place, VirtualHost
-from sim.virtual.measurements import Live, Replayed
 from sim.virtual.mesh import FIRST_INCARNATION, Common, VirtualMesh
-from sim.virtual.strand import Measurements, Told
+from sim.virtual.runtime import VirtualRuntime
+from sim.virtual.storage import MemoryStorage
 from sim.virtual.uwb import ModuleField, VirtualDwm
-from swarm.app.devices import Devices
-from swarm.app.event_app import Channel, EventApp, channels_of
-from swarm.app.mesh_clock import MeshClock
-from swarm.app.overlays import Overlays
-from swarm.app.ranging import Ranging
-from swarm.app.robot import Robot
-from swarm.app.run_options import Conduct
+from swarm.app.event_app import EventApp
+from swarm.app.run_options import RunOptions
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.core.epoch_notes import Epoch, Kept, first
-from swarm.core.graph import Graph
-from swarm.errors import AppError
 from swarm.messages import Target
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
@@ -67,7 +65,11 @@ class VirtualRobot:
     dwm: VirtualDwm
     time: Time
     """Its clock."""
-    apps: dict[str, VirtualHost | VirtualEventHost] = field(default_factory=dict)
+    storage: MemoryStorage = field(default_factory=MemoryStorage)
+    """What its apps have kept."""
+    apps: dict[str, LockstepHost | EventHost] = field(default_factory=dict)
+    buses: dict[str, VirtualBus] = field(default_factory=dict)
+    """The session of each app."""
     starts: int = 1
     """How often it was switched on."""
     sent_before: int = 0
@@ -79,15 +81,20 @@ class VirtualRobot:
         return self.sent_before + self.mesh.sent
 
 
+MakeRunner = Callable[[EventApp, str], EventRunner]
+
+
 class Launch(NamedTuple):
     """How an app's hosts are started."""
 
     app: loader.App
     run: int
-    conduct: Conduct
+    run_options: RunOptions
     recording: Recording | None
     """That the app replays."""
-    told: Told
+    observer: Observer | None
+    runner: MakeRunner | None = None
+    """What makes the runner of an event-driven app, in place of `EventRunner`."""
 
 
 class World:
@@ -103,11 +110,11 @@ class World:
         mesh: str = FROM_START,
         lying: str | None = None,
         skew: float = 0.0,
-        witness: Witness | None = None,
+        scene_record: SceneRecord | None = None,
     ) -> None:
         """`body`: which model of `sim.virtual.body`; `mesh`: one of `options.MESHES`; `lying`: the side on
         which robots begin, if they do not stand; `skew`: how far the rates of their clocks err at most, 1e-6 = 1 ppm
-        (then their zeros differ, too); `witness`: who is told what is to be seen."""
+        (then their zeros differ, too); `scene_record`: who is told what is to be seen."""
         self.config = config
         self.seed = seed
         self.time = EventQueue()
@@ -120,10 +127,10 @@ class World:
         self._body = body
         self._lying = lying
         self._skew = skew
-        self._witness = witness
+        self._scene_record = scene_record
         self._names = frozenset(config.names)
         self._launched: dict[tuple[str, str], Launch] = {}
-        self._begin_with: dict[int, tuple[Epoch, Graph]] = {}
+        self._begin_with: dict[tuple[str, int, int], Place] = {}
         self._common = Common(config)
         self.robots = {name: self._robot(name) for name in config.names}
         if mesh == SETTLED:
@@ -142,11 +149,10 @@ class World:
         """Switch a robot off: its mesh and its apps end at once, and with them what they knew, but for its votes. After
         `seconds` they start anew. The body stays as it is."""
         there = self.robots[robot]
-        begun = [
-            (self._launched[robot, app], host.kept) for app, host in there.apps.items() if isinstance(host, VirtualHost)
-        ]
+        begun = [self._launched[robot, app] for app in there.apps]
         for host in there.apps.values():
-            assert isinstance(host, VirtualHost)  # `Run` lets no other app be switched off
+            # Nothing is said any more: that is the end by kill -9.
+            there.buses.pop(host.app).close()
             host.close()
         there.apps.clear()
         if isinstance(there.mesh, VirtualMesh):
@@ -157,7 +163,7 @@ class World:
                 self.air.cut(robot, peer, seconds)
         self.time.at(self.time.now + seconds, self._switch_on, robot, begun)
 
-    def _switch_on(self, robot: str, begun: list[tuple[Launch, Kept | None]]) -> None:
+    def _switch_on(self, robot: str, begun: list[Launch]) -> None:
         there = self.robots[robot]
         there.starts += 1
         if isinstance(there.mesh, VirtualMesh):
@@ -165,10 +171,10 @@ class World:
             there.mesh = VirtualMesh(
                 self._common, robot, there.time, self.air, there.meshes_bus, self.seed, incarnation=there.starts
             )
-        for launch, kept in begun:
-            self._begin(robot, launch, kept)
+        for launch in begun:
+            self._begin(robot, launch)
 
-    def act(self, robot: str, at: float, act: Act) -> None:
+    def act(self, robot: str, at: float, act: SimulationAction) -> None:
         """Let a person do something to a robot."""
         self.time.at(at, self.robots[robot].balancer.act, act)
 
@@ -180,64 +186,52 @@ class World:
         else:
             self.time.soon(self._begin, robot, launch)
 
-    def _begin(self, robot: str, launch: Launch, kept: Kept | None = None) -> None:
-        app, run, conduct, recording, told = launch
-        config, epoch = self.config, topology.CONFIGURED
+    def _begin(self, robot: str, launch: Launch) -> None:
+        app, run, run_options, recording, observer, make_runner = launch
+        config, epoch, there = self.config, topology.CONFIGURED, self.robots[robot]
         if config.auto:
-            mesh = self.robots[robot].mesh
-            assert isinstance(mesh, VirtualMesh)  # an automatic topology is found by meshes
-            in_force = mesh.look(lambda overlays, now: overlays.topology(now))
-            if topology.lacking(config, in_force, self.robots[robot].time.now):
-                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, launch, kept)
+            assert isinstance(there.mesh, VirtualMesh)  # an automatic topology is found by meshes
+            in_force = there.mesh.look(lambda overlays, now: overlays.topology(now))
+            if topology.lacking(config, in_force, there.time.now):
+                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, launch)
                 return
             links = topology.of_edges(config, in_force.edges)
             config, epoch = links.config, links.epoch
         instance = app.make(config, robot, self.seed)
-        bus = VirtualBus(self.robots[robot].router)
-        if epoch not in self._begin_with:
-            self._begin_with[epoch] = first(config.names, config.edges, epoch), config.graph
-        there = self.robots[robot]
-        begin = self._begin_with[epoch]
-        place = Place(robot, self._names, *begin, run, conduct, there.time, bus, there.starts, kept)
-        self._equip(instance.robot, bus, place.prefix)
-        host: VirtualHost | VirtualEventHost
+        bus = VirtualBus(there.router)
+        runtime = VirtualRuntime(robot, there.time, bus)
+        begin = app.name, run, epoch
+        if begin not in self._begin_with:
+            self._begin_with[begin] = Place.of(run, app.digest, run_options, config, epoch, 1)
+        place = self._begin_with[begin]._replace(incarnation=there.starts)
+        # Tickets of requests: others in each run, and after each start.
+        tickets = f"{run & 0xFFFFFFFFFFFF:012x}" + (f"-{there.starts}" if there.starts > 1 else "")
+        overlays = equip(instance.robot, bus, logging.getLogger(robot), partial(getattr, there.time, "now"), tickets)
+        instance.robot.recording = self.records.get((robot, app.name))
+        host: LockstepHost | EventHost
         if isinstance(instance, EventApp):
-            host = self._event_host(app, instance, place, told)
+            events = (make_runner or EventRunner)(instance, app.source)
+            host = EventHost(
+                *(runtime, app.name, events, place, self.config, there.storage, observer), links_change=config.auto
+            )
         else:
             assert isinstance(instance, SyncApp)
-            measurements: Measurements | None = None
-            if instance.measured:
-                measurements = Replayed(recording) if recording is not None else self._live(robot, bus)
-            assert instance.robot.overlays is not None
-            instance.robot.overlays.collect()
-            host = VirtualHost(
-                app.name, {"": Runner(instance, app.source, conduct.tolerance)}, app.digest, place, measurements, told
+            overlays.collect()
+            measurements = self._measurements(runtime, recording, run_options.last) if instance.measured else None
+            parts = [Part("", Runner(instance, app.source, run_options.tolerance), measurements)]
+            host = LockstepHost(
+                *(runtime, app.name, parts, place, there.storage, observer),
+                links_change=run_options.drop,  # else nobody asks which links are in force
             )
-        there.apps[app.name] = host
+        there.apps[app.name], there.buses[app.name] = host, bus
         host.start()
 
-    def _event_host(self, app: loader.App, instance: EventApp, place: Place, told: Told) -> VirtualEventHost:
-        names = channels_of(type(instance))
-        channels: dict[str, Channel] = {name: getattr(instance, name) for name in names}
-        inner: VirtualHost | None = None
-        if channels:
-            for each in channels.values():
-                self._equip(each.app.robot, place.bus, place.prefix)
-            runners = {name: Runner(each.app, app.source, place.conduct.tolerance) for name, each in channels.items()}
-            latest = {name: _taking(each) for name, each in channels.items()}
-            endless = place._replace(conduct=replace(place.conduct, last=None, rule=None))
-            inner = VirtualHost(
-                app.name,
-                runners,
-                app.digest,
-                endless,
-                None,
-                told,
-                latest,
-            )
-        return VirtualEventHost(
-            app.name, EventRunner(instance, app.source), app.digest, place, self.config, inner, told
-        )
+    def _measurements(self, runtime: VirtualRuntime, recording: Recording | None, last: int | None) -> Measurements:
+        if recording is None:
+            return source_of(runtime, self.config, last)
+        bus = VirtualBus(self.robots[runtime.robot].router)
+        bus.serve(key(runtime.robot, "dwm", "measurement"), partial(row_of, recording))
+        return Replayed(runtime, last)
 
     def _tell_target(self) -> None:
         """Where a target that moves is, for recordings."""
@@ -246,28 +240,6 @@ class World:
         place = Target(now, *self.config.simulation.target_after(now - self.modules.moves_from))
         for name, robot in self.robots.items():
             robot.dwm.bus.publish(key(name, "sim", "target"), place)
-
-    def _live(self, robot: str, bus: VirtualBus) -> Live:
-        if self.config.dwm.target is None:
-            raise AppError("[dwm] target: expected the address of the target's module, this app needs it")
-        return Live(bus, robot, self.config.dwm.target)
-
-    def _equip(self, robot: Robot, bus: VirtualBus, prefix: str) -> None:
-        """Put in what an app on a bus has: the clients that run on robots, told the virtual time."""
-
-        time = self.robots[robot.name].time
-
-        def now() -> float:
-            return time.now
-
-        robot.log = logging.getLogger(robot.name)
-        robot.time = now
-        robot.bus = bus
-        robot.overlays = Overlays(bus, robot.name, robot.app, now=now, prefix=prefix)
-        robot.mesh_clock = MeshClock(bus, robot.name, now)
-        robot.ranging = Ranging(bus, robot.name, now)
-        robot.devices = Devices(bus, robot.name, now)
-        robot.recording = self.records.get((robot.name, robot.app))
 
     def _settle(self, latency: float) -> None:
         times = round(max(latency * 1e4, 1.0))
@@ -289,20 +261,10 @@ class World:
             mesh = DelayMesh(self.config, name, self._common.near[name], self._model, self.time, meshes_bus)
         else:
             mesh = VirtualMesh(self._common, name, time, self.air, meshes_bus, self.seed)
-        balancer = VirtualBalancer(self.config, name, self._body, time, bus, self.seed, self._witness)
+        balancer = VirtualBalancer(self.config, name, self._body, time, bus, self.seed, self._scene_record)
         if self._lying is not None:
             balancer.body.lay(self._lying, time.now)
         dwm = VirtualDwm(
             self.config, self._common.robots[name], self.modules, balancer, time, VirtualBus(router), self.seed
         )
         return VirtualRobot(name, router, mesh, meshes_bus, balancer, dwm, time)
-
-
-def _taking(channel: Channel) -> Callable[[int, bytes], None]:
-    """Hands a channel's new states to the app that it belongs to."""
-    schema = type(channel.app).spec.schema
-
-    def take(k: int, state: bytes) -> None:
-        channel.take(k, dict(zip(schema.names, schema.unpack(state), strict=True)))
-
-    return take

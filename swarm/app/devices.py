@@ -88,6 +88,8 @@ class Devices:
         self._text: str | None = None
         self._velocity: tuple[float, float] | None = None
         self._leds_at = self._display_at = self._drive_at = math.inf
+        self.on_claim: Callable[[], None] | None = None
+        """Called when there may be another `next_deadline`, on the thread of who takes something."""
 
     # -- looking
 
@@ -147,6 +149,7 @@ class Devices:
             self._command("leds", SetLeds(*leds, LED_CLAIM, at))
             # Claimed again when the last order's time has come: that would void the orders for later times.
             self._leds_at = self._leds_from + LED_REPEAT
+        self._claimed()
 
     def display(self, lines: Iterable[object]) -> None:
         """Show text; none shows the app's values again."""
@@ -156,6 +159,7 @@ class Devices:
                 return
             self._text, self._display_at = text, self._now()
         self.handle_timer()
+        self._claimed()
 
     def drive(self, speed: float, turn: float) -> None:
         """Go on with this speed (m/s, forward) and turn rate (rad/s, left) until told otherwise."""
@@ -167,6 +171,7 @@ class Devices:
                 return  # it is claimed again and again
             self._velocity, self._drive_at = velocity, self._now()
         self.handle_timer()
+        self._claimed()
 
     def mode(self, mode: str) -> None:
         """`stand` or `lie`."""
@@ -207,6 +212,10 @@ class Devices:
             self._leds_at = self._display_at = self._drive_at = math.inf
 
     # -- inside
+
+    def _claimed(self) -> None:
+        if self.on_claim is not None:
+            self.on_claim()
 
     def _command(self, what: str, message: object) -> None:
         self._bus.publish(key(self._robot, "balancer", "set", what), message, urgent=True)

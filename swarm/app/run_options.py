@@ -1,6 +1,6 @@
-"""How a lockstep run goes, the same on all robots: when it ends, and what becomes of robots that stay away.
+"""The options of a lockstep run, the same on all robots: when it ends, and what happens to absent robots.
 
-The options of `swarm run`, `swarm sim` and of the app host itself, which are handed on from the one to the other.
+`swarm run` and `swarm sim` read them from their command line and pass them on to the app host on each robot.
 """
 
 import argparse
@@ -10,10 +10,10 @@ from swarm.core.stopping import Rule
 from swarm.frozen import frozen
 
 AFTER = 10.0
-"""s after which a robot that is not heard is given up, where robots are."""
+"""Seconds without a message after which a robot is dropped, if the run drops absent robots."""
 
 TOLERANCE = 1e-6
-"""Change of a state within one step up to which an app has converged, in the state's unit."""
+"""The largest change of a state within one step at which an app counts as converged, in the state's unit."""
 
 ROUNDS = 10
 """Iterations for which all robots must have converged."""
@@ -24,23 +24,23 @@ WAIT, DROP = "wait", "drop"
 
 
 @frozen
-class Conduct:
-    """How a run goes."""
+class RunOptions:
+    """When a lockstep run ends, and what it does about absent robots."""
 
     last: int | None = None
-    """The last iteration, if there is one."""
+    """The last iteration; None if the run has no fixed length."""
     rule: Rule | None = None
-    """Another reason to stop."""
+    """Another condition that ends the run."""
     drop: bool = False
-    """Whether robots that stay away are given up (`swarm.core.epochs`); else they are waited for."""
+    """Whether the run drops absent robots (`swarm.core.epochs`); otherwise it waits for them."""
     after: float = AFTER
-    """s after which they are."""
+    """Seconds without a message after which an absent robot is dropped."""
     tolerance: float = TOLERANCE
-    """Change within one step up to which an app has converged, if it does not say so itself."""
+    """The largest change within one step at which an app without a convergence test of its own has converged."""
 
     @property
-    def words(self) -> list[str]:
-        """The options that say the same."""
+    def arguments(self) -> list[str]:
+        """Return the command-line arguments that `of` reads as these options."""
         words = [] if self.last is None else ["--iterations", str(self.last)]
         if self.rule is not None and self.rule.rounds is not None:
             words += ["--until", "converged", "--rounds", str(self.rule.rounds), "--tolerance", repr(self.tolerance)]
@@ -52,7 +52,7 @@ class Conduct:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """All but `--iterations`."""
+    """Add all options but `--iterations`."""
     end = parser.add_argument_group("where a lockstep ends, at the same iteration on all robots")
     end.add_argument("--until", choices=("converged",), help="when all robots have converged")
     end.add_argument(
@@ -68,13 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     away.add_argument("--drop-after", type=_positive, default=AFTER, metavar="S", help=f"s after which ({AFTER:g})")
 
 
-def of(options: argparse.Namespace) -> Conduct:
-    """What the arguments say; they are taken out of `options`."""
+def of(options: argparse.Namespace) -> RunOptions:
+    """Return the run options in `options` and remove their arguments from it."""
     values = vars(options)
     until, rounds, seconds = values.pop("until"), values.pop("rounds"), values.pop("run_for")
     absent, after, tolerance = values.pop("absent"), values.pop("drop_after"), values.pop("tolerance")
     rule = Rule(rounds if until else None, seconds) if until or seconds is not None else None
-    return Conduct(values["iterations"], rule, absent == DROP, after, tolerance)
+    return RunOptions(values["iterations"], rule, absent == DROP, after, tolerance)
 
 
 def _rounds(text: str) -> int:

@@ -82,7 +82,7 @@ class App:
     def result(self) -> Mapping[str, Value]:
         """What the run reports, always under the same names; by default the shared state."""
         schema = type(self).spec.schema
-        return schema.plain({name: getattr(self, name) for name in schema.names})
+        return schema.message_values({name: getattr(self, name) for name in schema.names})
 
     def neighbour_weights(self) -> Mapping[str, float]:
         """The consensus weight w_ij of each neighbour, by name: by the parameter `weights`. Override it for weights of

@@ -44,7 +44,7 @@ MAX_MEMBERS = 256
 
 WIRE_TYPES = "float, float32, int, bool, an enum.Enum, Annotated[Vector, n] or Annotated[Matrix, n, m]"
 
-Plain = float | int | bool | str | tuple[float, ...]
+MessageValue = float | int | bool | str | tuple[float, ...]
 """What a field's value is on the bus and in recordings: enums by name, matrices as one row after the other."""
 
 Item = float | int | bool | enum.Enum | Vector | Matrix
@@ -128,14 +128,14 @@ class Field:
                 return items
         raise AppError(f"expected {self.length} numbers, got {_shown(value)}")
 
-    def plain(self, value: Any) -> Plain:
+    def message_value(self, value: Any) -> MessageValue:
         """A checked value for the bus and for recordings."""
         if self.kind == "enum":
             name: str = value.name
             return name
         if self.kind == "matrix":
             return tuple([number for row in value for number in row])
-        same: Plain = value
+        same: MessageValue = value
         return same
 
     def flat(self, value: Any) -> tuple[object, ...]:
@@ -143,7 +143,7 @@ class Field:
         if self.kind == "enum":
             return (self.members.index(value),)
         if self.kind in ("vector", "matrix"):
-            return self.plain(value)  # type: ignore[return-value]
+            return self.message_value(value)  # type: ignore[return-value]
         return (value,)
 
     def raised(self, numbers: tuple[Any, ...]) -> Item:
@@ -239,11 +239,11 @@ class Schema:
             at += field.length
         return tuple(values)
 
-    def plain(self, values: Mapping[str, Any]) -> dict[str, Plain]:
+    def message_values(self, values: Mapping[str, Any]) -> dict[str, MessageValue]:
         """Checked values for the bus and for recordings, by name."""
         if self._are_floats:
             return {name: values[name] for name in self.names}
-        return {field.name: field.plain(values[field.name]) for field in self.fields}
+        return {field.name: field.message_value(values[field.name]) for field in self.fields}
 
 
 def field_of(name: str, annotation: object) -> Field:

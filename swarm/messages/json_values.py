@@ -6,13 +6,13 @@ DEPTH = 12
 """Levels of nesting; msgpack allows a thousand, which would end in a RecursionError."""
 
 
-def plain(value: object, longest: int | None = None, depth: int = 0) -> object:
+def json_value(value: object, longest: int | None = None, depth: int = 0) -> object:
     """What `json.dumps` takes: no bytes (their hex, of the first `longest` ones), no endless depth, no NaN (which is no
     JSON)."""
     if isinstance(value, dict):
-        return {str(name): plain(item, longest, depth + 1) for name, item in cut(value, depth)}
+        return {str(name): json_value(item, longest, depth + 1) for name, item in cut(value, depth)}
     if isinstance(value, list | tuple):
-        return [plain(item, longest, depth + 1) for _, item in cut(value, depth)]
+        return [json_value(item, longest, depth + 1) for _, item in cut(value, depth)]
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     if isinstance(value, bytes):

@@ -10,7 +10,7 @@ from swarm.core.lockstep_frames import STEP, WANT
 from swarm.errors import PayloadError
 from swarm.messages import read, type_of
 from swarm.messages.codec import unpack
-from swarm.messages.json_values import cut, plain
+from swarm.messages.json_values import cut, json_value
 from swarm.messages.keys import parse
 from swarm.process.text import printable
 
@@ -45,7 +45,7 @@ def as_json(sample: Sample) -> str:
         data |= {"frame": frame[0], frame[1]: frame[2], "bytes": len(sample.payload), "hex": sample.payload.hex()}
     else:
         try:
-            data["value"] = plain(unpack(sample.payload))
+            data["value"] = json_value(unpack(sample.payload))
         except PayloadError as error:
             data |= {"error": str(error), "bytes": len(sample.payload), "hex": sample.payload.hex()}
         else:

@@ -1,4 +1,4 @@
-"""What a shell runs on: a clock, calls at a later time, and threads for work that takes long.
+"""What a shell runs on: a clock, calls at a later time, and workers for what takes long.
 
 A shell is the code around a core that does the core's input and output. It is written once, for one thread: at any
 moment at most one of its calls runs. A robot gives it a `ThreadedRuntime` (`swarm.process.threads`), virtual time gives
@@ -11,14 +11,20 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from swarm.bus.protocol import BusLike
-from swarm.errors import SwarmError
+from swarm.errors import PayloadError, SwarmError
+from swarm.messages.codec import decode
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
+M = TypeVar("M")
 
 
 class Worker(Protocol):
     """Runs jobs that may take long, such as an author's step: one after the other, beside the shell's own calls."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job was given to it of which nobody has heard the end yet."""
 
     @property
     def running_since(self) -> float | None:
@@ -45,7 +51,7 @@ class Runtime(Protocol):
 
     @property
     def bus(self) -> BusLike:
-        """The robot's bus. What it is to call is wrapped by `entry` first."""
+        """The robot's bus. What it calls is an `entry`."""
 
     @property
     def counters(self) -> Counter[str]:
@@ -81,3 +87,18 @@ class Runtime(Protocol):
 
     def degraded(self, reason: str) -> None:
         """Tell that the service cannot do all of its work, and why."""
+
+
+def listen(runtime: Runtime, key: str, kind: type[M], take: Callable[[M], None]) -> None:
+    """Let `take(message)` be called for each message of type `kind` under a key. What is none is counted and logged."""
+
+    def handle(name: str, payload: bytes) -> None:
+        try:
+            message = decode(kind, payload, name)
+        except PayloadError as error:
+            runtime.counters["refused_payloads"] += 1
+            runtime.log.debug("%s", error)
+            return
+        take(message)
+
+    runtime.bus.subscribe(key, handle)

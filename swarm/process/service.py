@@ -29,6 +29,9 @@ from swarm.process.text import printable
 
 __all__ = ["Service", "die_with_parent", "notify", "run"]
 
+FEED_S = 0.5
+"""Seconds between two messages to systemd's watchdog at least: the shortest time that a unit is given is 3 s."""
+
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -38,11 +41,11 @@ class Service:
     `stopping` is set by SIGTERM, SIGINT or `stop()`; main threads wait on it.
     """
 
-    def __init__(self, name: str, *, on_bus: Callable[[bool], None] | None = None) -> None:
+    def __init__(self, name: str, *, on_bus: Callable[[bool], None] | None = None, direct: bool = False) -> None:
         """Reads the config and who we are; raises `ConfigError`.
 
         `on_bus(connected)` runs on Zenoh's thread, possibly before this returns; where it needs the finished
-        service, use `bus.on_change` afterwards.
+        service, use `bus.on_change` afterwards. `direct`: other such services reach this one without the router.
         """
         die_with_parent()
         self.name = name
@@ -53,9 +56,10 @@ class Service:
         self.stopping = threading.Event()
         self._lock = threading.Lock()
         self._state, self._reason, self._since = "starting", "", clock.now()
+        self._fed_at = float("-inf")
         self._watch_signals()
         self._status_key = key(self.robot, name, "status")
-        self.bus = Bus.of(self.runtime)
+        self.bus = Bus.of(self.runtime, name if direct else None)
         self.counters: Counter[str] = self.bus.counters
         self.bus.announce(key(self.robot, name, "alive"))
         self.bus.serve(self._status_key, lambda *_: encode(self.status()))
@@ -78,8 +82,11 @@ class Service:
         self.stopping.set()
 
     def watchdog(self) -> None:
-        """Tell systemd of real progress; call it where work was done, not from a timer."""
-        notify("WATCHDOG=1")
+        """Tell systemd of real progress, at most each `FEED_S`; call it where work was done, not from a timer."""
+        now = clock.now()
+        if now >= self._fed_at + FEED_S:
+            self._fed_at = now
+            notify("WATCHDOG=1")
 
     def status(self) -> Status:
         """The state as it is now."""

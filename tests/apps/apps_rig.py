@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import nursery
+import fork_server
 import pytest
 
 from swarm.bus.zenoh_bus import Bus, Router
@@ -99,7 +99,7 @@ class Rig:
             "SWARM_PARENT": str(os.getpid()),
         }
         with (self.directory / robot / f"{name}.log").open("ab") as log:
-            process = nursery.start(
+            process = fork_server.start(
                 [sys.executable, *command],
                 env={**os.environ, **own, **environment},
                 stdin=subprocess.DEVNULL,

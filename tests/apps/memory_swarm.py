@@ -78,7 +78,7 @@ class MemorySwarm:
     def states(self) -> dict[str, list[dict[str, Any]]]:
         """`trajectory` by the fields' names."""
         return {
-            name: [schema.plain(dict(zip(schema.names, schema.unpack(each), strict=True))) for each in packed]
+            name: [schema.message_values(dict(zip(schema.names, schema.unpack(each), strict=True))) for each in packed]
             for name, packed in self.trajectory.items()
             for schema in (self.runners[name].schema,)
         }

@@ -176,7 +176,7 @@ def test_golden_bytes_of_an_enum_and_a_matrix() -> None:
     packed = both.pack({"mood": Mood.LOST, "table": [[1, 2, 3], (4.0, 5.0, 6.0)]})
     assert packed == b"\x02" + struct.pack("<6d", 1, 2, 3, 4, 5, 6)
     assert both.unpack(packed) == (Mood.LOST, ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
-    assert both.plain(dict(zip(both.names, both.unpack(packed), strict=True))) == {
+    assert both.message_values(dict(zip(both.names, both.unpack(packed), strict=True))) == {
         "mood": "LOST",
         "table": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
     }

@@ -7,9 +7,9 @@ import pytest
 from balancer_rig import Rig, upright
 
 from services.balancer.balancer import LEDS_AGAIN_S
-from services.balancer.chores import Chores
 from services.balancer.core import balboa, imu
 from services.balancer.drivers import Balboa, Imu
+from services.balancer.slack_tasks import SlackTasks
 
 KINDS = (errno.EREMOTEIO, errno.ETIMEDOUT, errno.EIO)
 
@@ -101,16 +101,16 @@ def test_a_bus_that_cannot_be_freed_is_a_fault_with_the_motors_off(monkeypatch: 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_one_failed_transfer_in_thirty_is_borne(seed: int) -> None:
-    """Of all kinds, in the control step and in the chores."""
+    """Of all kinds, in the control step and in the slack tasks."""
     chance = random.Random(seed)
     rig = upright().run(1.0)
-    chores = Chores(rig.balancer, lambda: rig.now)
+    tasks = SlackTasks(rig.balancer, lambda: rig.now)
     failed = 0
     for _ in range(1000):
         rig.robot.failures = [chance.choice(KINDS) if chance.random() < 1 / 30 else 0 for _ in range(20)]
         rig.run(0.01)
-        chores.run(rig.deadline)
-        failed = rig.balancer.bus_errors + chores.errors
+        tasks.run(rig.deadline)
+        failed = rig.balancer.bus_errors + tasks.errors
     rig.robot.failures = []
     assert failed > 50
     assert (rig.balancer.mode, rig.balancer.fault) == ("balancing", None)

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.balancer import loop as loop_module
-from services.balancer.chores import Chores
 from services.balancer.core.gyro import Zero
 from services.balancer.link import pack, pack_command, unpack, unpack_command
 from services.balancer.loop import Loop
+from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
 from swarm.errors import PayloadError
 from swarm.messages import (
@@ -68,7 +68,7 @@ class VirtualLoop:
         self.rig = rig or Rig()
         self.bridge = Lists()
         balancer = self.rig.balancer
-        self.loop = Loop(balancer, Telemetry(balancer, "lqr"), Chores(balancer, self.rig.clock), self.bridge)
+        self.loop = Loop(balancer, Telemetry(balancer, "lqr"), SlackTasks(balancer, self.rig.clock), self.bridge)
         self.started: list[float] = []
         self.oversleep: dict[int, float] = {}
         self.notified: list[str] = []
@@ -212,6 +212,17 @@ def test_telemetry_is_25_hz_and_odometry_begins_with_the_estimate(monkeypatch: p
 def test_ready_once_and_progress_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = VirtualLoop(monkeypatch).run(500)
     assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
+
+
+def test_a_loop_that_is_ten_times_too_slow_is_no_loop_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """systemd kills it after 3 s without a word."""
+    loop = VirtualLoop(monkeypatch)
+    loop.oversleep = dict.fromkeys(range(1000), 0.09)
+    told: list[float] = []
+    monkeypatch.setattr(loop_module, "notify", lambda text, timeout_s: told.append(loop.rig.now))
+    loop.run(100)
+    assert loop.started[-1] - loop.started[0] > 9.0
+    assert max(b - a for a, b in pairwise([loop.started[0], *told, loop.started[-1]])) < 1.5
 
 
 def test_the_gyros_zero_is_kept_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:

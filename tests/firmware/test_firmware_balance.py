@@ -6,11 +6,11 @@ import pytest
 from elf_robot import ElfRobot
 
 from services.balancer.balancer import Balancer
-from services.balancer.chores import MARGIN_S, Chores
 from services.balancer.core import balboa
 from services.balancer.core.body import body_model
 from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import NOBODY
+from services.balancer.slack_tasks import MARGIN_S, SlackTasks
 from services.dwm.core.tlv import AnchorRange, Location, Position, encode_location
 from swarm.config.types import Body
 from swarm.messages import Uwb
@@ -34,7 +34,7 @@ class Standing:
         self.bench = bench
         self.robot = ElfRobot(bench, MODEL)
         self.balancer = Balancer(self.robot, MODEL, 0.0, self.robot.clock, self.robot.sleep, start_mode="stand")
-        self.chores = Chores(self.balancer, self.robot.clock)
+        self.tasks = SlackTasks(self.balancer, self.robot.clock)
         self.news: list[object] = []
         self.tilts: list[float] = []
         self.longest_tick = self.longest_slack = 0.0
@@ -48,7 +48,7 @@ class Standing:
             self.balancer.step(self.robot.clock())
             self.longest_tick = max(self.longest_tick, self.robot.clock() - deadline)
             self.balancer.show_leds(self.robot.clock())
-            self.news += self.chores.run(deadline + PERIOD_S)
+            self.news += self.tasks.run(deadline + PERIOD_S)
             self.longest_slack = max(self.longest_slack, self.robot.clock() - deadline)
             if self.bench.sent():
                 self.bench.feed(ANSWER)
@@ -93,7 +93,7 @@ def test_it_stands_for_a_minute_with_everything_going_on(bench):
     assert bench.call("interrupts_off") / 16e6 < 50e-6
     assert standing.longest_tick < 0.004, "of the bus for one control step"
     assert standing.longest_slack < PERIOD_S - MARGIN_S, "with what else is done on the bus"
-    assert standing.chores.errors == 0
+    assert standing.tasks.errors == 0
     reports = [news for news in standing.news if isinstance(news, Uwb)]
     assert {report.sequence for report in reports} >= set(range(reports[0].sequence, 590))
     assert reports[-1].lost == 0

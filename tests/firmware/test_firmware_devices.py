@@ -1,4 +1,4 @@
-"""The balancer's drivers and chores against the simulated ATmega and the real firmware: the same tests twice."""
+"""The balancer's drivers and slack tasks against the simulated ATmega and the real firmware: the same tests twice."""
 
 import itertools
 
@@ -26,7 +26,7 @@ CFG = bytes.fromhex("400100 46025010")
 
 
 class Driven:
-    """A robot, its driver, and one chore after the other in ticks of 10 ms."""
+    """A robot, its driver, and one task after the other in ticks of 10 ms."""
 
     def __init__(self, robot) -> None:
         self.robot = robot
@@ -39,17 +39,17 @@ class Driven:
         self._said = b""
         self._due: list[tuple[float, bytes]] = []
 
-    def tick(self, *chores) -> None:
-        for chore in chores:
-            if (transfer := chore.next(self.now())) is not None:
+    def tick(self, *tasks) -> None:
+        for task in tasks:
+            if (transfer := task.next(self.now())) is not None:
                 self.transfers.append(transfer)
                 at = self.now()
                 try:
                     data = self.balboa.transfer(transfer)
                 except OSError as error:
-                    chore.fail(error, at)
+                    task.fail(error, at)
                 else:
-                    chore.take(data, at)
+                    task.take(data, at)
         for _ in range(5):
             self.robot.run(TICK / 5)
             self._module()
@@ -65,12 +65,12 @@ class Driven:
         while self._due and self.now() >= self._due[0][0]:
             self.robot.feed(self._due.pop(0)[1])
 
-    def until_news(self, chore, limit: float = 4.0):
+    def until_news(self, task, limit: float = 4.0):
         end = self.now() + limit
-        while chore.news is None:
+        while task.news is None:
             assert self.now() < end, f"no news within {limit} s"
-            self.tick(chore)
-        news, chore.news = chore.news, None
+            self.tick(task)
+        news, task.news = task.news, None
         return news
 
 

@@ -45,7 +45,7 @@ class Swarm:
         self.buses: dict[str, Bus] = {}
         self.reached: dict[str, int] = dict.fromkeys(names, -1)
         """The latest iteration of each robot."""
-        self.nursery = processes.start(str(Path(__file__).with_name("inside_nursery.py")), program=PYTHON)
+        self.fork_server = processes.start(str(Path(__file__).with_name("inside_fork_server.py")), program=PYTHON)
         for name in self.names:
             directory = processes.runtime / name
             directory.mkdir()
@@ -67,7 +67,7 @@ class Swarm:
         if self.state is not None:
             environment["SWARM_STATE"] = str(self.state)
         order = json.dumps({"environment": environment, "module": module, "words": words})
-        stdin, stdout = self.nursery.stdin, self.nursery.stdout
+        stdin, stdout = self.fork_server.stdin, self.fork_server.stdout
         assert stdin is not None
         assert stdout is not None
         stdin.write(order + "\n")
@@ -122,11 +122,11 @@ class Swarm:
 
     def end(self) -> None:
         """All services end by SIGTERM, and well."""
-        stdin = self.nursery.stdin
+        stdin = self.fork_server.stdin
         assert stdin is not None
         stdin.close()
-        self.wait("all services end after SIGTERM", lambda: self.nursery.poll() is not None, self.stacks)
-        assert self.nursery.returncode == 0, self.logs()
+        self.wait("all services end after SIGTERM", lambda: self.fork_server.poll() is not None, self.stacks)
+        assert self.fork_server.returncode == 0, self.logs()
 
     def stacks(self) -> str:
         """Have each service that still runs write to its log where its threads are; return which ones run."""

@@ -13,20 +13,21 @@ from test_mesh_large import inject, line
 from topology_world import TopologyWorld
 
 from services.mesh.core.bulk import pieces, transfers
+from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import OFFER, Id, Packet
-from services.mesh.core.link import clock, heartbeat
+from services.mesh.core.link import clock, round_trips
 from services.mesh.core.link.clock import Claim, MeshClock, decode_claim, encode_claim
-from services.mesh.core.link.heartbeat import Pulse
+from services.mesh.core.link.flow import Fragment, Reassembly
+from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.overlays import unicast
 from services.mesh.core.overlays.echo import MAX_WAVES
 from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.routing.graph_report import PAGE
-from services.mesh.core.routing.topology import MAX_STEP
+from services.mesh.core.routing import topology
+from services.mesh.core.routing.membership import PAGE
+from services.mesh.core.routing.topology import MAX_STEP, Advertisement
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.fragments import MAX_MESSAGE, Fragment, Reassembly
-from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD, UNICAST, Heartbeat
-from services.mesh.core.wire.packets import Advertisement, Message, Spread
-from services.mesh.core.wire.seen_numbers import Window
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_MESSAGE, MAX_PAYLOAD, UNICAST, Heartbeat
+from services.mesh.core.wire.packets import Message, Spread
 from swarm.errors import FrameError
 from swarm.messages.codec import encode
 
@@ -49,7 +50,7 @@ def say(world: World, robot: str, sender: str, overlay: int, key: str, packet: b
 
 
 def test_a_window_allocates_nothing_for_a_number_far_behind_the_highest() -> None:
-    window = Window(256)
+    window = SeenNumbers(256)
     window.add(2**32 - 1)
     assert allocated(lambda: window.add(2)) < 4096
     assert not window.add(2)
@@ -144,7 +145,7 @@ def test_decoded_link_states_are_remembered_in_little_memory() -> None:
     def flood() -> None:
         for count in range(300):
             names = {f"r{n}": count for n in range(500, 700)}
-            packets.decode_advertisement(packets.encode_advertisement(Advertisement(names)))
+            topology.decode_advertisement(topology.encode_advertisement(Advertisement(names)))
 
     assert allocated(flood) < MIB
 
@@ -152,7 +153,7 @@ def test_decoded_link_states_are_remembered_in_little_memory() -> None:
 def test_a_link_state_with_robots_of_no_configuration_is_refused() -> None:
     world = World(line(3))
     world.settle()
-    lsa = packets.encode_advertisement(Advertisement({f"stranger{n}": 1 for n in range(150)}))
+    lsa = topology.encode_advertisement(Advertisement({f"stranger{n}": 1 for n in range(150)}))
     say(world, "r1", "r0", FLOOD, "swarm/r2/mesh/lsa", packets.encode_spread(Spread(2**60, 1, lsa)), CONTROL)
     assert world.bots["r1"].counters["bad_packets"] == 1
     assert world.bots["r1"].overlays.graph(world.now).robots[2].links.keys() == {"r1"}
@@ -161,7 +162,7 @@ def test_a_link_state_with_robots_of_no_configuration_is_refused() -> None:
 def test_the_graph_fits_the_bus_whatever_links_robots_claim() -> None:
     names = [f"robot-number{n:03}" for n in range(PAGE + 20)]
     overlays = Overlays(names[0], names, incarnation=1, random=lambda: 0.5, counters=Counter())
-    claims = packets.encode_advertisement(Advertisement(dict.fromkeys(names, 65535)))
+    claims = topology.encode_advertisement(Advertisement(dict.fromkeys(names, 65535)))
     for name in names[2:]:
         overlays._map.receive(name, 2**60, claims, 1.0)
     shown: list[str] = []
@@ -179,7 +180,7 @@ def test_a_robot_that_hears_robots_beyond_the_configuration_does_not_end_the_pla
     world.run(20.0)
     neighbours = {"r0": 300, "r1": 300, "r2": 300}
     lsa = Advertisement(neighbours, topology=world.linking("r0").tag, heard=(1 << 2040) - 1)
-    heard = packets.encode_advertisement(lsa)
+    heard = topology.encode_advertisement(lsa)
     world.bots["r0"].overlays._map.receive("r3", 2**60, heard, world.now)
     world.step("r0", lambda each: each.linking and each.linking._plan(world.now))
     world.run(10.0)
@@ -213,9 +214,9 @@ def claim(**fields: object) -> Claim:
 @pytest.mark.parametrize(
     "lie",
     [
-        {"offset": heartbeat.MAX_APART, "rate": 1e-3},
-        {"offset": -heartbeat.MAX_APART, "rate": -1e-3},
-        {"error": heartbeat.MAX_APART},
+        {"offset": round_trips.MAX_APART, "rate": 1e-3},
+        {"offset": -round_trips.MAX_APART, "rate": -1e-3},
+        {"error": round_trips.MAX_APART},
         {"at": (2**64 - 2**12) * 1e-6, "rate": -1e-3},
         {"epoch": 2**32 - 1, "hop": 254},
     ],
@@ -225,7 +226,7 @@ def test_what_a_robot_makes_of_a_claim_is_no_bad_frame_for_the_next_one(lie: dic
     mesh_clock = MeshClock("r1", 2, frozenset(("r0", "r1", "r2")))
     for second in range(30):
         now = 1e6 + second
-        mesh_clock.sample("r0", now, 0.06, heartbeat.MAX_APART)
+        mesh_clock.sample("r0", now, 0.06, round_trips.MAX_APART)
         mesh_clock.hear("r0", claim(**{"epoch": second + 1, **lie}), now)
         told = mesh_clock.claim("r2", now)
         assert decode_claim(encode_claim(told)[3:]).root in ("r0", "r1")

@@ -6,9 +6,9 @@ import pytest
 from conftest import wait_until
 from test_mesh_process import SYNC, Build, Robot, Swarm, build, free_port, log_of
 
-from laptop.cli.mesh import show, tables
 from swarm.config.keyfile import new_key_file
 from swarm.messages import read
+from swarm.onboard.mesh import show, tables
 
 __all__ = ["build"]
 
@@ -65,9 +65,9 @@ def test_a_copy_of_a_robot_takes_no_link_and_is_named_everywhere(swarm: Swarm) -
         wait_until(lambda: swarm["r1"].links["r0"].connection == 1)
     finally:
         copy.close()
-    witness = swarm["r1"].mesh
-    assert witness is not None
-    log = log_of(witness)
+    scene_record = swarm["r1"].mesh
+    assert scene_record is not None
+    log = log_of(scene_record)
     assert log.count("another robot is called r0, too") == 1
     assert log.count("WARNING") <= 2
     assert "Traceback" not in log

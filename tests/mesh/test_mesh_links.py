@@ -12,10 +12,10 @@ import msgpack
 import pytest
 from conftest import wait_until
 
-from services.mesh import monikers
+from services.mesh import link_address
+from services.mesh.link_address import Rfcomm, Sim, Tcp
 from services.mesh.links import sim, tcp
 from services.mesh.links.pipe import Pipe
-from services.mesh.monikers import Rfcomm, Sim, Tcp
 from swarm import clock
 from swarm.config.types import Robot
 from swarm.errors import ConfigError, LocalError, SwarmError
@@ -260,14 +260,14 @@ def test_a_port_in_use_is_named() -> None:
     listener.close()
 
 
-# -- monikers ------------------------------------------------------------------------------------------------
+# -- link addresses ------------------------------------------------------------------------------------------
 
 
-def test_monikers() -> None:
-    assert monikers.parse("sim:/tmp/r0/mesh.sock") == Sim(Path("/tmp/r0/mesh.sock"))
-    assert monikers.parse("tcp:robot.local:7447") == Tcp("robot.local", 7447)
-    assert monikers.parse("rfcomm:b8:27:eb:00:00:01") == Rfcomm("B8:27:EB:00:00:01")
-    assert monikers.parse("tcp:[::1]:7447") == Tcp("::1", 7447)
+def test_link_addresses_are_read() -> None:
+    assert link_address.parse("sim:/tmp/r0/mesh.sock") == Sim(Path("/tmp/r0/mesh.sock"))
+    assert link_address.parse("tcp:robot.local:7447") == Tcp("robot.local", 7447)
+    assert link_address.parse("rfcomm:b8:27:eb:00:00:01") == Rfcomm("B8:27:EB:00:00:01")
+    assert link_address.parse("tcp:[::1]:7447") == Tcp("::1", 7447)
 
 
 @pytest.mark.parametrize(
@@ -283,15 +283,15 @@ def test_monikers() -> None:
         ("tcp:host:port", "expected HOST:PORT"),
     ],
 )
-def test_wrong_monikers_say_what_was_expected(text: str, message: str) -> None:
+def test_a_wrong_link_address_is_refused_with_what_was_expected(text: str, message: str) -> None:
     with pytest.raises(SwarmError, match=message):
-        monikers.parse(text)
+        link_address.parse(text)
 
 
 def test_a_robot_without_a_link_is_reached_by_bluetooth() -> None:
-    assert monikers.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
+    assert link_address.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
     with pytest.raises(ConfigError, match="robot r0: it has neither"):
-        monikers.of_robot(Robot("r0"))
+        link_address.of_robot(Robot("r0"))
 
 
 @pytest.mark.parametrize("model", ["dial=60"])

@@ -18,9 +18,7 @@ import pytest
 from conftest import wait_until
 from rfcomm_air import RfcommAir
 
-from services.mesh.core.link.callers import UNKNOWN, Caller
-from services.mesh.core.link.dialler import dials
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import Start
 from services.mesh.core.wire import frames

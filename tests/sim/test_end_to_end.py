@@ -8,7 +8,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import nursery
+import fork_server
 import pytest
 from conftest import wait_until
 
@@ -17,7 +17,7 @@ from bench.simulation import Simulation, SimulationError, simulate
 from sim.virtual.run import simulate as virtual
 from swarm.process.simulations import pid_of
 
-FORKED = {"program": ("laptop.cli.runs.sim",), "start": nursery.start}
+FORKED = {"program": ("laptop.cli.runs.sim",), "start": fork_server.start}
 """A simulation whose processes need not start as a user's do, which takes much longer."""
 RUN = ("consensus", "--iterations", "120", "--latency", "10ms")
 
@@ -91,7 +91,7 @@ def test_killed_services_and_a_stopped_app_change_no_bit():
 
 def test_robots_that_only_talk_have_the_same_trajectory_and_three_processes_each():
     """What the benchmarks of lockstep run."""
-    with Simulation(*RUN, program=talking_sim.PROGRAM, start=nursery.start) as simulation:
+    with Simulation(*RUN, program=talking_sim.PROGRAM, start=fork_server.start) as simulation:
         simulation.wait_for("r0", 5)
         started = {path.name for path in (simulation.run_dir / "r0").glob("*.log")}
         assert started == {"bus.log", "mesh.log", "app.consensus.log"}

@@ -121,10 +121,10 @@ def test_what_cannot_be_done_is_answered_in_words(simulation, act, app, robots, 
 def test_noise_at_the_door_is_answered_to_who_can_hear_it(simulation) -> None:
     folder, _, ear = simulation
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
-        sock.sendto(b"\xff", str(folder / app_requests.DOOR))
+        sock.sendto(b"\xff", str(folder / app_requests.SOCKET))
         assert ear.look() == []
         sock.bind("")
-        sock.sendto(b"\xff", str(folder / app_requests.DOOR))
+        sock.sendto(b"\xff", str(folder / app_requests.SOCKET))
         ear.look()
         assert "no order" in msgpack.unpackb(sock.recv(1000))["problem"]
 

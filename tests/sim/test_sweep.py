@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from laptop.cli.runs import sweep_results
 from sim.sweep import engines
 from sim.sweep.limit import search
-from sim.sweep.measure import Found, measure, settled, together
+from sim.sweep.measure import SweptRun, measure, settled, summarize
 from sim.sweep.plan import Job, Point, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import LocalError
 from swarm.recording.trajectory import Trajectory
@@ -79,12 +79,12 @@ def test_settled_says_what_it_means(values, within):
 
 
 def found_of(point, problem="", rounds=10, error=0.5):
-    return Found(point, 1, 100, rounds, error, 3.0, 0.03, 0.1, problem)
+    return SweptRun(point, 1, 100, rounds, error, 3.0, 0.03, 0.1, problem)
 
 
 def test_runs_of_a_point_together():
     runs = [found_of(0), found_of(0, rounds=None), found_of(0, "r1 app boom", error=None), found_of(0, rounds=30)]
-    one = together(runs)
+    one = summarize(runs)
     assert (one.runs, one.failed, one.unsettled) == (4, 1, 1)
     assert (one.settled, one.settled_most) == (20, 30)
     assert one.problem == "r1 app boom"

@@ -84,7 +84,7 @@ def test_without_control_there_is_nothing_to_press_and_nothing_is_done(page: Any
     expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
     expect(page.locator("#stop")).to_be_hidden()
     row(page, "r0").click()
-    expect(page.locator("#hands")).to_be_hidden()
+    expect(page.locator("#controls")).to_be_hidden()
 
 
 @pytest.mark.parametrize("page", [("--control",)], indirect=True)

@@ -23,7 +23,7 @@ from test_server import Bus  # noqa: E402
 from laptop.view import server  # noqa: E402
 from laptop.view.control import Control  # noqa: E402
 from laptop.view.feed import Simulation  # noqa: E402
-from laptop.view.simulated import SimulatedHands  # noqa: E402
+from laptop.view.simulated_actions import SimulatedActions  # noqa: E402
 from swarm.config import parse  # noqa: E402
 from swarm.messages import topics  # noqa: E402
 from swarm.process.simulations import claim  # noqa: E402
@@ -50,7 +50,9 @@ class Server:
             self.address = address
             self._ready.set()
 
-        await server.serve(self._feed, Control(self._feed, SimulatedHands(self._feed)), self._port, ready, self._ended)
+        await server.serve(
+            self._feed, Control(self._feed, SimulatedActions(self._feed)), self._port, ready, self._ended
+        )
 
     def close(self) -> None:
         if self._thread.is_alive():

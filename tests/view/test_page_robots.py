@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from browsing import PATIENCE_MS, chromium, row, shown, until
 from conftest import Processes, wait_until
-from far_swarm import Swarm, real_page
+from remote_swarm import Swarm, real_page
 
 from swarm.messages import Pose
 
@@ -46,7 +46,7 @@ def swarm(processes: Processes, tmp_path: Path) -> Iterator[Swarm]:
 
 
 def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
-    options = ("--robot", "r0", "--config", swarm.far.config, "--ssh-config", swarm.far.ssh_config, "--control")
+    options = ("--robots", "r0", "--config", swarm.far.config, "--ssh-config", swarm.far.ssh_config, "--control")
     with chromium() as browser, shown(browser, *options) as page:
         expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
         for robot, links in (("r0", "1/1"), ("r1 (mesh)", "2/2"), ("r2 (mesh)", "1/1")):
@@ -80,7 +80,7 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
         gain.press("Enter")
         expect(said).to_have_class("bad", timeout=PATIENCE_MS)
         expect(said).to_contain_text("r0: ")
-        assert page.locator("#hands button", has_text=re.compile("press|push|lay")).count() == 0
+        assert page.locator("#controls button", has_text=re.compile("press|push|lay")).count() == 0
 
         page.locator("#stop").click()
         expect(page.locator("#stop")).to_have_text("STOPPED 3/3", timeout=PATIENCE_MS)
@@ -92,7 +92,7 @@ def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
         expect(row(page, "r2")).to_contain_text("out of reach: the mesh has lost it", timeout=PATIENCE_MS)
         expect(page.locator("#events li.warn", has_text="r2 out of reach").first).to_be_visible()
         expect(row(page, "r1")).to_contain_text("waiting", timeout=PATIENCE_MS)
-        expect(page.locator("#front p")).to_contain_text("r1 waits for r2", timeout=PATIENCE_MS)
+        expect(page.locator("#lockstep p")).to_contain_text("r1 waits for r2", timeout=PATIENCE_MS)
 
         # And then nobody is reached: the ssh server refuses.
         swarm.far.close()

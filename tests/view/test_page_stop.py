@@ -19,9 +19,10 @@ from laptop.view import server
 from laptop.view.control import Control
 from laptop.view.feed import Simulation
 from laptop.view.questions import MAX_WAITING, Questions
-from laptop.view.simulated import SimulatedHands
+from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
 from swarm.messages import Stop
+from swarm.messages.codec import encode
 from swarm.process.simulations import claim
 
 LIVE = "/live?token=a-token"
@@ -52,7 +53,7 @@ def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
     feed: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on = threading.Event()
-    monkeypatch.setattr("laptop.view.simulated.app_requests.give", lambda *_: go_on.wait(60.0) and "done")
+    monkeypatch.setattr("laptop.view.simulated_actions.app_requests.give", lambda *_: go_on.wait(60.0) and "done")
 
     async def act(client: TestClient) -> None:
         sockets = [await client.ws_connect(LIVE) for _ in range(40)]  # more than there are threads for acts
@@ -74,12 +75,12 @@ def test_stop_of_a_page_that_reads_nothing_is_given_behind_a_flood_of_questions(
 ) -> None:
     monkeypatch.setattr(server, "RATE", 500.0)
     for t in range(100):
-        feed.picture.put("r0", "app/x/state", {"k": t, "text": "x" * 100_000}, float(t))
+        feed.picture.take("r0", "swarm/r0/app/x/own", encode({"k": t, "text": "x" * 60_000}), float(t))
 
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect(LIVE, max_msg_size=0)
-        for _ in range(3 * MAX_WAITING):  # 10 MB each, which nobody takes
-            await socket.send_json({"history": {"robot": "r0", "topic": "app/x/state"}})
+        for _ in range(3 * MAX_WAITING):  # 1 MB each, which nobody takes
+            await socket.send_json({"history": {"robot": "r0", "topic": "app/x/own"}})
         await socket.send_json({"do": {"act": "stop"}})
         await until(lambda: stops(feed) == [1, 1])
 
@@ -89,7 +90,7 @@ def test_stop_of_a_page_that_reads_nothing_is_given_behind_a_flood_of_questions(
 def test_a_later_stop_holds_though_the_end_of_the_one_before_is_confirmed_meanwhile(
     feed: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     control.do({"act": "arm"})
     for name in feed.buses:
         feed.picture.put(name, "mesh/stopped", {"stopped": False}, 0.0)
@@ -118,7 +119,7 @@ class Narrow(Bus):
 
 def test_a_parameter_that_the_way_does_not_take_ends_no_stop(feed: Simulation) -> None:
     feed.buses = {"r0": Narrow(), "r1": Narrow()}  # type: ignore[dict-item]
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     with pytest.raises(LocalError, match="too large"):
         control.do({"act": "set", "app": "x", "name": "gain", "value": "x" * 2000})
     control.do({"act": "stop"})
@@ -144,7 +145,7 @@ def test_stop_is_repeated_by_the_server_though_something_else_fails_there(
         async def ready(_: str) -> None:
             control.do({"act": "stop"})
 
-        control = Control(feed, SimulatedHands(feed))
+        control = Control(feed, SimulatedActions(feed))
         serving = asyncio.create_task(server.serve(feed, control, 0, ready, ended))
         await until(lambda: min(stops(feed)) >= 3 and len(failed) >= 2)
         ended.set()

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from laptop.fleet.ssh import Host, Ssh
 from laptop.view import robots as module
 from laptop.view.control import Control
-from laptop.view.hands import Act
 from laptop.view.picture import REACH
+from laptop.view.robot_actions import PageAction
 from laptop.view.robots import Robots
 from swarm import clock
 from swarm.config import parse
@@ -50,7 +50,7 @@ class Tunnel:
 class Nothing:
     """Hands that lie still."""
 
-    acts: Mapping[str, Act] = {}
+    acts: Mapping[str, PageAction] = {}
 
     def give(self, robots: Sequence[str], app: str, values: Mapping[str, Value]) -> list[str]:
         return list(robots)

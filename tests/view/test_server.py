@@ -19,7 +19,7 @@ from laptop.view import server
 from laptop.view.control import ANSWER_S, Control
 from laptop.view.feed import Simulation
 from laptop.view.server import application
-from laptop.view.simulated import SimulatedHands
+from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
 from swarm.messages import Status
 from swarm.messages.codec import encode
@@ -59,7 +59,7 @@ def talk(feed: Simulation, act: Any, *, allowed: bool = False) -> None:
     async def main() -> None:
         async with TestClient(
             TestServer(
-                application(feed, Control(feed, SimulatedHands(feed) if allowed else None), TOKEN), host="127.0.0.1"
+                application(feed, Control(feed, SimulatedActions(feed) if allowed else None), TOKEN), host="127.0.0.1"
             )
         ) as client:
             await act(client)
@@ -126,7 +126,7 @@ def test_a_page_gets_all_first_and_then_what_changes_and_two_of_them_do_not_dist
 
 def test_a_page_may_ask_for_the_history_of_a_key(feed: Simulation) -> None:
     for t in range(3):
-        feed.picture.put("r0", "balancer/state", {"tilt": 0.1 * t}, float(t))
+        feed.picture.take("r0", "swarm/r0/balancer/state", encode({"tilt": 0.1 * t}), float(t))
 
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
@@ -160,7 +160,7 @@ def test_without_control_every_act_is_refused(feed: Simulation) -> None:
 
 
 def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulation) -> None:
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     control.do({"act": "stop"})
     feed.picture.put("r0", "mesh/stopped", {"stopped": True}, 0.0)
     control.repeat()
@@ -197,11 +197,11 @@ def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulati
 )
 def test_bad_acts_are_refused_in_words(feed: Simulation, act: object, said: str) -> None:
     with pytest.raises(LocalError, match=said):
-        Control(feed, SimulatedHands(feed)).do(act)
+        Control(feed, SimulatedActions(feed)).do(act)
 
 
 def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5, "robot": "r1"})
     assert [len(bus.published) for bus in feed.buses.values()] == [1, 2]
@@ -211,7 +211,7 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
 
 
 def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: Simulation) -> None:
-    control, asked = Control(feed, SimulatedHands(feed)), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
+    control, asked = Control(feed, SimulatedActions(feed)), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
     feed.config = SimpleNamespace(names=("r0", "r1", "r2"))
     assert control.do(asked) == "x: gain=0.5 asked of r0 r1, not of r2: they are not reached"
     feed.buses["r0"].connected = False
@@ -226,7 +226,7 @@ def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
 ) -> None:
     now = [100.0]
     monkeypatch.setattr("laptop.view.control.clock.now", lambda: now[0])
-    control = Control(feed, SimulatedHands(feed))
+    control = Control(feed, SimulatedActions(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.repeat()
     first, again = feed.buses["r0"].published
@@ -297,9 +297,9 @@ def test_the_command_says_that_there_is_nothing_to_see(tmp_path: Path, capsys: p
     for words, said in (
         (["--run-dir", str(tmp_path)], "no simulation is running"),
         ([str(tmp_path)], "no recording"),
-        (["--robot", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
-        (["--robot", "r0", str(tmp_path)], "--robot looks at real robots"),
-        (["--config", "swarm.toml"], "name one with --robot"),
+        (["--robots", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
+        (["--robots", "r0", str(tmp_path)], "--robots looks at real robots"),
+        (["--config", "swarm.toml"], "name one with --robots"),
         ([str(tmp_path), "--control"], "nothing to control"),
     ):
         with pytest.raises(SystemExit) as end:

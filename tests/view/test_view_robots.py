@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from conftest import Processes, wait_until
-from far_swarm import Swarm
 from needs import needs_ssh
+from remote_swarm import Swarm
 
 from laptop.fleet.ssh import HostError
 from laptop.view.picture import REACH

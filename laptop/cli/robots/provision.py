@@ -6,12 +6,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from laptop.fleet import bundle, everyone, transfer
+from laptop.fleet import bundle, everyone
 from laptop.fleet.core.wish import Wish, wish
 from laptop.fleet.everyone import Tell
-from laptop.fleet.install import install, read_files
+from laptop.fleet.install import install, read_files, read_release
 from laptop.fleet.provision import Provisioning, Rig
-from laptop.fleet.ssh import Host, Ssh, hosts
+from laptop.fleet.ssh import Host, Ssh
 from swarm.config import Config, load
 from swarm.config.keyfile import read_keys
 from swarm.errors import ConfigError, LocalError
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
     config, robots, ssh = _chosen(args)
     packages = {} if args.bundle is None else bundle.repositories(args.bundle)
     paths = [] if args.bundle is None else sorted(args.bundle.glob("balboa-swarm-*.tar.gz"))
-    releases = [transfer.read_release(path) for path in paths]
+    releases = [read_release(path) for path in paths]
     if args.key is not None:
         read_keys(args.key)  # a wrong one is better known now than on eight robots
     files = read_files(config.path, args.key)
@@ -67,17 +67,14 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
 
 
 def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
-    if args.which and args.robots:
-        raise LocalError("--robots names robots, and so do the arguments: one of them")
-    if args.timeout <= 0:
-        raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
-    config = load(args.config, addressed=False)
+    """The config, the robots with the addresses that were given for them, and the way to them."""
     addresses = dict(text.partition("=")[::2] for text in args.which)
     if len(addresses) < len(args.which):
         raise LocalError("a robot is named twice")
-    only = ",".join(addresses) if addresses else args.robots
-    found = tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in hosts(config, only))
-    return config, found, Ssh(args.ssh_config)
+    args.which = list(addresses)
+    everyone.named(args)
+    config, robots, ssh = everyone.chosen(args, addressed=False)
+    return config, tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in robots), ssh
 
 
 def _unaddressed(config: Config) -> str | None:

@@ -5,10 +5,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from laptop.plotting import style
-from laptop.plotting.figure import figure
+from laptop.plotting.style import figure
 from sim.sweep.limit import Bracket
-from sim.sweep.measure import Found, Summary, together
+from sim.sweep.measure import Summary, SweptRun, summarize
 from sim.sweep.plan import Point
+from swarm.process.terminal import columns
 
 _NUMBERS = {
     "runs": "runs",
@@ -22,17 +23,17 @@ _NUMBERS = {
 }
 
 
-def by_point(points: Sequence[Point], found: Sequence[Found]) -> list[list[Found]]:
+def by_point(points: Sequence[Point], found: Sequence[SweptRun]) -> list[list[SweptRun]]:
     """The runs of each point."""
-    runs: list[list[Found]] = [[] for _ in points]
+    runs: list[list[SweptRun]] = [[] for _ in points]
     for run in found:
         runs[run.point].append(run)
     return runs
 
 
-def table(points: Sequence[Point], found: Sequence[Found]) -> str:
+def table(points: Sequence[Point], found: Sequence[SweptRun]) -> str:
     """A row for each point, and what failed."""
-    sums = [together(runs) for runs in by_point(points, found)]
+    sums = [summarize(runs) for runs in by_point(points, found)]
     names = [name for name, _ in points[0].choices] if points else []
     rows = [[*names, *_NUMBERS.values()]]
     for point, each in zip(points, sums, strict=True):
@@ -52,17 +53,17 @@ def limits(points: Sequence[Point], name: str, brackets: Sequence[Bracket]) -> s
     return _aligned(rows)
 
 
-def as_json(points: Sequence[Point], found: Sequence[Found]) -> list[dict[str, object]]:
+def as_json(points: Sequence[Point], found: Sequence[SweptRun]) -> list[dict[str, object]]:
     """Each point with its summary and its runs."""
     return [
-        {**dict(point.choices), "summary": asdict(together(runs)), "runs": [_run(run) for run in runs]}
+        {**dict(point.choices), "summary": asdict(summarize(runs)), "runs": [_run(run) for run in runs]}
         for point, runs in zip(points, by_point(points, found), strict=True)
     ]
 
 
-def draw(app: str, points: Sequence[Point], found: Sequence[Found], path: Path) -> None:
+def draw(app: str, points: Sequence[Point], found: Sequence[SweptRun], path: Path) -> None:
     """Iterations to settle and error over the first list of numbers, a line for each combination of the others."""
-    sums = [together(runs) for runs in by_point(points, found)]
+    sums = [summarize(runs) for runs in by_point(points, found)]
     along = _along(points)
     lines: dict[str, list[tuple[float, Summary]]] = {}
     for index, (point, each) in enumerate(zip(points, sums, strict=True)):
@@ -107,7 +108,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _run(run: Found) -> dict[str, object]:
+def _run(run: SweptRun) -> dict[str, object]:
     return {name: value for name, value in asdict(run).items() if name != "point"}
 
 
@@ -120,7 +121,5 @@ def _shown(value: object) -> str:
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    lines.insert(1, "  ".join("-" * width for width in widths))
-    return "\n".join(lines)
+    rule = ["-" * max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    return "\n".join(columns([rows[0], rule, *rows[1:]], right=True))

@@ -10,6 +10,7 @@ from pathlib import Path
 from laptop.fleet.ssh import Ssh, hosts
 from swarm.config import load
 from swarm.errors import LocalError
+from swarm.onboard.arguments import add_robots, add_run_dir
 from swarm.process.simulations import default_run_dir
 
 HELP = "see the running swarm, or a recorded run, in the browser"
@@ -18,10 +19,8 @@ HELP = "see the running swarm, or a recorded run, in the browser"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("recording", nargs="?", type=Path, metavar="RUN", help="a recorded run, not a running one")
-    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
-    parser.add_argument(
-        "--robot", action="append", metavar="NAME", help="real robots, through this one by ssh (several: through each)"
-    )
+    add_run_dir(parser)
+    add_robots(parser, "real robots, through these by ssh")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="of the robots: SWARM_CONFIG or /etc/swarm/swarm.toml"
     )
@@ -31,9 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
     parser.add_argument("--at", type=float, metavar="S", help="of a recording: its instant that is pictured (the last)")
     parser.add_argument(
-        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        "--chart",
+        action="append",
+        default=[],
+        metavar="TOPIC:FIELD",
         help="with a chart in the picture, e.g. app/consensus/state:state.value; several, if you like",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
 
@@ -47,22 +49,22 @@ def announce(address: str, *, browse: bool) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     try:
-        from laptop.view import screenshot, server
+        from laptop.view import film, server
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from laptop.view.control import Control
-    from laptop.view.far import FarHands
     from laptop.view.feed import Simulation
     from laptop.view.recording import Recording
+    from laptop.view.remote_actions import RemoteActions
     from laptop.view.robots import Robots
-    from laptop.view.simulated import SimulatedHands
+    from laptop.view.simulated_actions import SimulatedActions
 
     feed: Simulation | Robots | Recording
     control = None
-    if (args.config or args.ssh_config) and not args.robot:
-        raise LocalError("--config and --ssh-config are for real robots: name one with --robot")
-    if args.robot and (args.recording or args.run_dir):
-        raise LocalError("--robot looks at real robots: leave out the recording, and --run-dir")
+    if (args.config or args.ssh_config) and not args.robots:
+        raise LocalError("--config and --ssh-config are for real robots: name one with --robots")
+    if args.robots and (args.recording or args.run_dir):
+        raise LocalError("--robots looks at real robots: leave out the recording, and --run-dir")
     if (args.at is not None or args.chart) and args.screenshot is None:
         raise LocalError("--at and --chart are for --screenshot")
     if args.recording is not None:
@@ -71,13 +73,13 @@ def run(args: argparse.Namespace) -> int:
         feed = Recording(args.recording)
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
-    elif args.robot:
+    elif args.robots:
         config, ssh = load(args.config), Ssh(args.ssh_config)
-        feed = Robots(config, hosts(config, ",".join(dict.fromkeys(args.robot))), ssh)
-        control = Control(feed, FarHands(feed, ssh) if args.control else None)
+        feed = Robots(config, hosts(config, args.robots), ssh)
+        control = Control(feed, RemoteActions(feed, ssh) if args.control else None)
     else:
         feed = Simulation((args.run_dir or default_run_dir()).absolute())
-        control = Control(feed, SimulatedHands(feed) if args.control else None)
+        control = Control(feed, SimulatedActions(feed) if args.control else None)
 
     at = None
     if isinstance(feed, Recording):
@@ -88,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
         async def ready(address: str) -> None:
             if args.screenshot is not None:
-                await screenshot.take(address, args.screenshot, at, args.chart)
+                await film.take(address, args.screenshot, at, args.chart)
                 print(args.screenshot)
                 ended.set()
                 return

@@ -1,7 +1,6 @@
 """Steps that look whether a machine can be a robot at all, before anything on it is changed."""
 
-from laptop.fleet.core.verdict import Facts, Verdict, change, failed, ok
-from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, Wish
+from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, Facts, Verdict, Wish, change, failed, ok
 
 
 def board(facts: Facts, wish: Wish) -> Verdict:

@@ -1,8 +1,8 @@
-// Joins the page's parts: the connection to the server, the store, map, table, events, keys, charts, hands.
+// Joins the page's parts: the connection to the server, the store, map, table, events, keys, charts, controls.
 
 import { Charts } from "./charts.js";
-import { Front } from "./front.js";
-import { Hands } from "./hands.js";
+import { LockstepChart } from "./lockstep_chart.js";
+import { Controls } from "./controls.js";
 import { SwarmMap } from "./map.js";
 import { Events, Keys, Robots } from "./panels.js";
 import { Pace } from "./pace.js";
@@ -29,12 +29,12 @@ const ask = (question) => {
 };
 const charts = new Charts(find("#charts"), store, ask);
 const map = new SwarmMap(find("#map canvas"), store, select);
-const front = new Front(find("#front"), store, select);
+const lockstepChart = new LockstepChart(find("#lockstep"), store, select);
 const robots = new Robots(find("#robots tbody"), store, select);
 const events = new Events(find("#events ol"));
 const keys = new Keys(find("#keys"), store, (topic, path) => charts.open(topic, path));
 
-const hands = new Hands(find("header"), find("#hands"), store, ask);
+const controls = new Controls(find("header"), find("#controls"), store, ask);
 
 const player = new Player(find("#player"), store, ask);
 const pace = new Pace(find("#pace"), store, ask);
@@ -48,23 +48,23 @@ function select(name) {
 function connect() {
   socket = new WebSocket(`ws://${location.host}/live${location.search}`);
   let first = true;
-  socket.onopen = () => hands.connected();
+  socket.onopen = () => controls.connected();
   socket.onmessage = ({ data }) => {
     heard = performance.now();
     const step = JSON.parse(data);
     if (step.history) return charts.history(step.history);
-    if (step.refused || step.done) return hands.tell(step.refused ?? step.done, Boolean(step.refused));
+    if (step.refused || step.done) return controls.tell(step.refused ?? step.done, Boolean(step.refused));
     const replaced = step.swarm?.recording ? player.begin() : store.swarm?.recording ? player.answered(step) : false;
     if (first || replaced) {
       const swarm = first ? null : store.swarm;
       store.clear();
       store.become(swarm);
       events.clear();
-      front.clear();
+      lockstepChart.clear();
     }
     store.take(step, directed ? step.t * 1000 : heard);
-    front.take(step);
-    if (!first && !replaced) hands.take(step);
+    lockstepChart.take(step);
+    if (!first && !replaced) controls.take(step);
     charts.take(step);
     if (first || replaced) charts.refill();
     first = false;
@@ -80,11 +80,11 @@ function panels(now) {
   if (connection.textContent !== text) [connection.textContent, connection.className] = [text, kind];
   const about = store.swarm ? `${store.swarm.kind}, ${store.names.length} robots${directed && store.swarm.recording ? `, ${store.t.toFixed(2)} s` : ""}` : "";
   if (find("#kind").textContent !== about) find("#kind").textContent = about;
-  front.draw(selected);
+  lockstepChart.draw(selected);
   robots.draw(selected);
   events.draw(store.events);
   keys.draw();
-  hands.draw(selected);
+  controls.draw(selected);
   pace.draw();
   charts.draw(now);
 }
@@ -105,7 +105,7 @@ find("#theme").addEventListener("click", () => {
 });
 
 // For whoever measures or takes pictures.
-window.swarmView = { store, map, front, charts, player, show };
+window.swarmView = { store, map, lockstepChart, charts, player, show };
 connect();
 
 for (const chart of wanted.getAll("chart")) {

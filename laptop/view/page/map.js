@@ -1,7 +1,7 @@
 // The map: metres, anchors, robots, links, targets. Looked at for each frame of the screen as long as something moves,
 // drawn where something that can be seen has changed. What seldom changes (grid, anchors, trails) is a picture of its own below the rest.
 
-import { Pen, reach } from "./ink.js";
+import { Pen, reach } from "./drawing.js";
 import { sharp, theme } from "./theme.js";
 
 const CROWD = 60; // robots above which links are thin, and trails and crowded names are left out

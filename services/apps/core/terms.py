@@ -1,4 +1,4 @@
-"""What a `Strand` is given: the author's app between packed states, and what holds for the whole run."""
+"""What a `LockstepRun` is given: the author's app between packed states, and what holds for the whole run."""
 
 from collections.abc import Mapping
 from typing import Protocol

@@ -74,7 +74,7 @@ def render_large(line: str) -> tuple[bytes, bytes]:
 
 
 class Screen:
-    """A chore: brings the text of `show` to the display, the slices that changed."""
+    """A slack task: brings the text of `show` to the display, the slices that changed."""
 
     def __init__(self, now: float) -> None:
         self.present: bool | None = None
@@ -105,7 +105,7 @@ class Screen:
         self._lines = lines
 
     def next(self, now: float) -> Transfer | None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         if not self.present:
             return Transfer(ADDRESS, SETUP) if now >= self._look_at else None
         if self._slice < 0 and not self.drawn:
@@ -120,7 +120,7 @@ class Screen:
         return Transfer(ADDRESS, bytes((_DATA,)) + self._data)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         del data, now
         if not self.present:
             self.present, self._lit, self.drawn = True, False, False
@@ -142,7 +142,7 @@ class Screen:
             self._slice = -1
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `Chore`. It is set up anew when it is back: it may have been without power."""
+        """See `SlackTask`. It is set up anew when it is back: it may have been without power."""
         del error
         self.present, self.drawn, self._look_at = False, False, now + RETRY_S
 

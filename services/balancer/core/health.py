@@ -11,7 +11,7 @@ _LOOK = read(balboa.BUTTONS, balboa.HOUSEKEEPING_SIZE)
 
 
 class Health:
-    """A chore: reads the housekeeping twice a second."""
+    """A slack task: reads the housekeeping twice a second."""
 
     def __init__(self, now: float) -> None:
         self.news: Battery | None = None
@@ -23,11 +23,11 @@ class Health:
         self._look_at = self._tell_at = now
 
     def next(self, now: float) -> Transfer | None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         return _LOOK if now >= self._look_at else None
 
     def take(self, data: bytes, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         found, before = balboa.decode_housekeeping(data), self.found
         self.found, self._look_at = found, now + LOOK_S
         if now >= self._tell_at:
@@ -43,6 +43,6 @@ class Health:
             )
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         del error  # the control loop meets it too, and names it
         self._look_at = now + LOOK_S

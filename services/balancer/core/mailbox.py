@@ -59,7 +59,7 @@ def check_request(request: ModuleRequest) -> None:
 
 
 class Mailbox:
-    """A chore; `news` has the answer when there is one."""
+    """A slack task; `news` has the answer when there is one."""
 
     def __init__(self) -> None:
         self.news: ModuleAnswer | None = None
@@ -100,7 +100,7 @@ class Mailbox:
             self._end(now, f"no answer within {PATIENCE_S:g} s")
 
     def next(self, now: float) -> Transfer | None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         self.expire(now)
         request = self._request
         if request is None or now < self._look_at:
@@ -117,7 +117,7 @@ class Mailbox:
         return Transfer(balboa.ADDRESS, bytes((balboa.MAILBOX_PAGE, self._page)), 1 + balboa.WINDOW_SIZE)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         assert self._request is not None
         self._failures = 0
         if self._phase == "lay":
@@ -132,7 +132,7 @@ class Mailbox:
             self._read(data, now)
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         self._failures += 1
         self._look_at = now + WAIT_S
         if self._failures >= FAILURES and self._request is not None:

@@ -26,7 +26,7 @@ def check_measurement(request: MeasureI2C) -> None:
 
 
 class RateMeter:
-    """A chore; who runs it says with `timed` how long the transfer took, its pause included, before `take`."""
+    """A slack task; who runs it says with `timed` how long the transfer took, its pause included, before `take`."""
 
     def __init__(self) -> None:
         self.news: I2CRates | None = None
@@ -47,7 +47,7 @@ class RateMeter:
         self._seconds[self._writing].append(seconds)
 
     def next(self, now: float) -> Transfer | None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         del now
         if self._request is None:
             return None
@@ -55,7 +55,7 @@ class RateMeter:
         return write(balboa.MAILBOX_WINDOW, bytes(size)) if self._writing else read(balboa.UWB, size)
 
     def take(self, data: bytes, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         del data
         assert self._request is not None
         self._failures = 0
@@ -64,7 +64,7 @@ class RateMeter:
             self._end(now, "")
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         self._failures += 1
         self._failed += 1
         if self._failures >= FAILURES and self._request is not None:

@@ -1,4 +1,4 @@
-"""One transfer on the I2C bus, and how long it takes: what the chores of the slack are made of.
+"""One transfer on the I2C bus, and how long it takes: what slack tasks are made of.
 
 At 100 kHz a byte and its acknowledge take 90 us. The ATmega holds SCL for a while with each byte, as the bug of the
 Pi's I2C block makes necessary (firmware/twi.cpp).
@@ -37,7 +37,7 @@ def duration(transfer: Transfer) -> float:
     return wire + balboa.PAUSE_S * parts + HOLD_S * size if transfer.address == balboa.ADDRESS else wire
 
 
-class Chore(Protocol):
+class SlackTask(Protocol):
     """Something done in the slack, one transfer after the other. It decides; who runs it does the transfers."""
 
     def next(self, now: float) -> Transfer | None:

@@ -56,7 +56,7 @@ def tunes(notes: SetNotes) -> list[tuple[bytes, float]]:
 
 
 class Player:
-    """A chore: writes the tunes of a melody when each one's turn comes."""
+    """A slack task: writes the tunes of a melody when each one's turn comes."""
 
     def __init__(self) -> None:
         self._tunes: list[tuple[bytes, float]] = []
@@ -68,17 +68,17 @@ class Player:
         self._tunes, self._due, self._failures = tunes(notes), now, 0
 
     def next(self, now: float) -> Transfer | None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         return write(balboa.NOTES, self._tunes[0][0]) if self._tunes and now >= self._due else None
 
     def take(self, data: bytes, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         del data
         self._due = now + self._tunes.pop(0)[1]
         self._failures = 0
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         del error, now
         self._failures += 1
         if self._failures >= TRIES:

@@ -91,7 +91,7 @@ def _name(state: int) -> str:
 
 
 class UwbReader:
-    """A chore: reads each report once, and tells how the line is when there are none.
+    """A slack task: reads each report once, and tells how the line is when there are none.
 
     `progress` serves others too: it is the newest look at what the ATmega is doing.
     """
@@ -114,13 +114,13 @@ class UwbReader:
         self._last = Uwb(now, "silent", 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, 0, ())
 
     def next(self, now: float) -> Transfer | None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         if self._slice >= 0:
             return _SLICES[self._slice]
         return _LOOK if now >= self._look_at else None
 
     def take(self, data: bytes, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         if self._slice < 0:
             self._looked(balboa.decode_progress(data), now)
             return
@@ -135,7 +135,7 @@ class UwbReader:
             self._whole(bytes(self._slices), now)
 
     def fail(self, error: OSError, now: float) -> None:
-        """See `Chore`."""
+        """See `SlackTask`."""
         del error  # the control loop meets it too, and names it
         self._failures += 1
         if self._slice < 0 or self._failures >= FAILURES:

@@ -1,11 +1,18 @@
-"""What the overlays want their node to do. Deliveries to the own bus are `events.Received`."""
+"""What the mesh's cores ask for: `Transmit`, `Connect` and `Disconnect` of the node, the other actions of its shell.
+
+A node also hands `events.Received` on among its actions: a message to be published on the own bus.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+from services.mesh.core.events import Received
+from services.mesh.core.link.session import Session
+from swarm.frozen import frozen
+
 
 class Transmit(NamedTuple):
-    """A packet for one neighbour, on the channel of `key` in `overlay`."""
+    """Send a packet to one neighbour, on the channel of `key` in `overlay`."""
 
     peer: str
     overlay: int
@@ -17,7 +24,7 @@ class Transmit(NamedTuple):
 
 
 class Connect(NamedTuple):
-    """This robot is to have a link with a neighbour from now on, whoever dials."""
+    """Have a link with a neighbour from now on, whoever dials."""
 
     peer: str
     once: bool = False
@@ -25,24 +32,78 @@ class Connect(NamedTuple):
 
 
 class Disconnect(NamedTuple):
-    """This robot is to have no link with a neighbour any more."""
+    """Have no link with a neighbour any more."""
 
     peer: str
     code: int
     """Of BYE: why."""
 
 
-class Keep(NamedTuple):
-    """Another topology holds: what is kept through restarts is to be written anew."""
+@frozen
+class Dial:
+    """Make a connection to this neighbour, then call `dialled` or `dial_failed`."""
+
+    peer: str
 
 
-class Report(NamedTuple):
-    """A line for the log."""
+@frozen
+class Close:
+    """Send what the session still has, as far as that needs no waiting, then close its transport."""
+
+    session: Session
+
+
+@frozen
+class LinksChanged:
+    """Publish `Node.links()`: it has something new."""
+
+
+@frozen
+class Note:
+    """Write a line to the log."""
 
     text: str
     problem: bool
-    """Whether it is worth a warning; such a line is logged once."""
+    """Whether it is worth a warning. A node passes on the first of equal problems."""
+
+
+@frozen
+class Write:
+    """Write `Overlays.topology_file()` anew, which is kept through restarts: another topology holds."""
 
 
 Emit = Callable[[Transmit], None]
-LinkAction = Connect | Disconnect | Keep | Report
+LinkAction = Connect | Disconnect | Write | Note
+"""What a topology asks of its node."""
+Action = Dial | Close | LinksChanged | Note | Write | Received
+"""What a node asks of its shell."""
+
+MAX_NOTED = 256
+"""Different problems logged; later new ones are only counted."""
+
+
+class Actions:
+    """What a node asks of its shell, in the order in which it is to be carried out."""
+
+    def __init__(self) -> None:
+        self._actions: list[Action] = []
+        self._noted: set[str] = set()
+
+    def add(self, *actions: Action) -> None:
+        """Ask for these."""
+        self._actions += actions
+
+    def note(self, problem: str, text: str) -> None:
+        """Log a problem the first time only: neighbours may repeat it as often as they like."""
+        if problem not in self._noted and len(self._noted) < MAX_NOTED:
+            self._noted.add(problem)
+            self._actions.append(Note(text, problem=True))
+
+    def tell(self, text: str) -> None:
+        """Log what has happened to a link, and publish its state."""
+        self._actions += (LinksChanged(), Note(text, problem=False))
+
+    def take(self) -> list[Action]:
+        """Those since the last call."""
+        actions, self._actions = self._actions, []
+        return actions

@@ -4,10 +4,10 @@ import socket
 from collections.abc import Collection
 from typing import Any
 
-from services.mesh.core.link.callers import UNKNOWN, Caller
+from services.mesh.core.link.calls import UNKNOWN, Caller
+from services.mesh.link_address import Tcp
 from services.mesh.links import stream
 from services.mesh.links.pipe import Pipe, describe
-from services.mesh.monikers import Tcp
 from swarm.errors import LocalError
 
 DIAL_TIMEOUT = 5.0

@@ -1,19 +1,28 @@
-"""Which links the swarm is to have: a value that can be changed at run time, and is the same everywhere in the end.
+"""The graph of the swarm: which links it is to have, which links robots tell of, and the shortest ways over them.
 
-Values have a total order, that of their fields: the version first (an operator's sets), then the step (what the
-automatic rule changes within a version), then the issuer's name, then the content. Of two values the greater one holds,
-so two sets at once end alike on every robot. Version 0 is what the configuration says; a value belongs to one
-configuration (`Ground.base`), and another configuration makes it void.
+`Topology` is a value that can be changed at run time, and is the same everywhere in the end. Values have a total
+order, that of their fields: the version first (an operator's sets), then the step (what the automatic rule changes
+within a version), then the issuer's name, then the content. Of two values the greater one holds, so two sets at once
+end alike on every robot. Version 0 is what the configuration says; a value belongs to one configuration
+(`Ground.base`), and another configuration makes it void.
+
+`Advertisement` is what a robot tells of the links that it has, the payload of a link-state advertisement. `routes` are
+the shortest paths (Dijkstra 1959; with hops as metric it is the thesis' breadth-first search, algorithm 2).
 """
 
+import heapq
 import struct
 import zlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
-from services.mesh.core.wire.packets import TOPOLOGY
+from services.mesh.core.wire.packets import TOPOLOGY, Reader, packed
 from swarm.core.graph import SHAPES, Edge, Graph
 from swarm.errors import FrameError, LocalError
+
+MAX_TWINS = 16
+"""Names that one LSA tells of as those of two robots."""
 
 MAX_LINKS = 7
 """Links of one robot: a Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6)."""
@@ -22,6 +31,13 @@ AUTO = "auto"
 """In place of a shape: the robots find their neighbours themselves."""
 
 MAX_VERSION = MAX_STEP = (1 << 32) - 1
+
+_LSA = struct.Struct("<BB")
+_COUNT = struct.Struct("<B")
+_METRIC = struct.Struct("<H")
+_U32 = struct.Struct("<I")
+_SMALL = 256
+"""Bytes of an LSA whose decoded form is remembered: 1024 of them take 2 MB, whatever peers send."""
 
 _HEAD = struct.Struct("<BBIII")
 _INDEX = struct.Struct("<H")
@@ -168,3 +184,136 @@ def _check(graph: Graph) -> None:
 def shapes() -> str:
     """What can be set, for messages."""
     return ", ".join((*SHAPES, AUTO))
+
+
+# -- which links there are ------------------------------------------------------------------------------------
+
+
+class Advertisement(NamedTuple):
+    """What a robot says of its own links (LSA)."""
+
+    neighbours: dict[str, int]
+    """One-way time to each, in units of 0.1 ms."""
+    leaving: bool = False
+    topology: int = 0
+    """Which topology holds there (its tag, u32); 0 = the configuration's own."""
+    heard: int = 0
+    """The robots it has reached by calling them, with the automatic topology: bit i = robot i of the configuration."""
+    process: int = 0
+    """Number of the mesh process that tells this, u32: the low half of the incarnation in its HELLO. 0: not told."""
+    twins: tuple[str, ...] = ()
+    """Names that two robots have, as far as this robot has seen it itself; at most `MAX_TWINS`, sorted."""
+
+
+def encode_advertisement(packet: Advertisement) -> bytes:
+    """The payload of a flooded LSA."""
+    names = b"".join(packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
+    heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
+    twins = packet.twins[:MAX_TWINS]
+    flags = (
+        packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2 | bool(packet.process) << 3 | bool(twins) << 4
+    )
+    tail = (_U32.pack(packet.topology) if packet.topology else b"") + (bytes((len(heard),)) + heard if heard else b"")
+    tail += _U32.pack(packet.process) if packet.process else b""
+    tail += bytes((len(twins),)) + b"".join(map(packed, twins)) if twins else b""
+    return _LSA.pack(flags, len(packet.neighbours)) + names + tail
+
+
+def decode_advertisement(data: bytes) -> Advertisement:
+    """The payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
+    return _decode_small_advertisement(data) if len(data) <= _SMALL else _decode_advertisement(data)
+
+
+def _decode_advertisement(data: bytes) -> Advertisement:
+    if len(data) < _LSA.size:
+        raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
+    flags, count = _LSA.unpack_from(data)
+    if flags > 31:
+        raise FrameError(f"LSA flags {flags:#x}: bits 0 to 4 are known")
+    reader = Reader(data, _LSA.size)
+    neighbours: dict[str, int] = {}
+    for _ in range(count):
+        name = reader.name()
+        (neighbours[name],) = reader.unpack(_METRIC)
+    topology = reader.unpack(_U32)[0] if flags & 2 else 0
+    heard = int.from_bytes(reader.octets(), "little") if flags & 4 else 0
+    process = reader.unpack(_U32)[0] if flags & 8 else 0
+    count = reader.unpack(_COUNT)[0] if flags & 16 else 0
+    if count > MAX_TWINS:
+        raise FrameError(f"LSA with {count} names of two robots: at most {MAX_TWINS}")
+    twins = tuple(reader.name() for _ in range(count))
+    reader.end()
+    return Advertisement(neighbours, bool(flags & 1), topology, heard, process, twins)
+
+
+_decode_small_advertisement = lru_cache(maxsize=1024)(_decode_advertisement)
+
+
+# -- ways -----------------------------------------------------------------------------------------------------
+
+
+class Route(NamedTuple):
+    """The way from this robot to another one."""
+
+    next_hop: str
+    hops: int
+    cost: int
+    """Sum of the edges' metric."""
+    time: int
+    """Sum of the edges' one-way times, units of 0.1 ms."""
+
+
+class Weight(NamedTuple):
+    """One direction of a link."""
+
+    cost: int
+    time: int
+
+
+def routes(me: str, graph: Mapping[str, Mapping[str, Weight]]) -> dict[str, Route]:
+    """The best route to every robot that can be reached; `graph[a][b]` is the edge from a to b.
+
+    Of ways that cost the same the one with fewer hops wins, then the one whose first robot has the lower name: the
+    same graph gives the same routes everywhere and every time.
+    """
+    found: dict[str, Route] = {}
+    # Every name at most once for each edge that leads to it.
+    heap = [(edge.cost, 1, peer, peer, edge.time) for peer, edge in graph.get(me, {}).items()]
+    heapq.heapify(heap)
+    while heap:
+        cost, hops, first, name, time = heapq.heappop(heap)
+        if name in found or name == me:
+            continue
+        found[name] = Route(first, hops, cost, time)
+        for peer, edge in graph.get(name, {}).items():
+            if peer not in found and peer != me:
+                heapq.heappush(heap, (cost + edge.cost, hops + 1, first, peer, time + edge.time))
+    return found
+
+
+def routes_by_hops(me: str, own: Mapping[str, int], told: Mapping[str, Mapping[str, int]]) -> dict[str, Route]:
+    """The same where every edge costs 1, level by level. `own`: times of this robot's edges; `told[a][b]`: the time
+    that a tells of its edge to b, which counts where b tells of it, too."""
+    found: dict[str, Route] = {}
+    nothing: Mapping[str, int] = {}
+    level = {peer: (peer, time) for peer, time in own.items()}
+    hops = 0
+    while level:
+        hops += 1
+        # In the order in which `routes` finds them.
+        for first, name, time in sorted([(first, name, time) for name, (first, time) in level.items()]):
+            found[name] = Route(first, hops, hops, time)
+        further: dict[str, tuple[str, int]] = {}
+        for name, (first, time) in level.items():
+            for peer, there in told.get(name, nothing).items():
+                if peer in found or peer == me:
+                    continue
+                back = told.get(peer, nothing).get(name)
+                if back is None:
+                    continue
+                way = (first, time + (there if there > back else back))
+                best = further.get(peer)
+                if best is None or way < best:
+                    further[peer] = way
+        level = further
+    return found

@@ -1,0 +1,403 @@
+"""One lockstep of an app on one robot: the author's steps, the lockstep core, its epochs, and when to stop.
+
+An app has one, or one for each of its channels. It has no IO, no clock and no thread: `services.apps.lockstep_driver`
+has these. Two things happen to it, perhaps in two threads: messages and timers, which take no time, and the app's code,
+which may take long. So `start`, `compute` and `renew` alone run the author's steps, beside whatever else happens.
+"""
+
+import struct
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from services.apps.core.terms import Program, Terms
+from swarm.core import epoch_actions, lockstep
+from swarm.core.epoch_actions import Keep, Order, Switch
+from swarm.core.epoch_notes import Epoch, Kept
+from swarm.core.epoch_roster import FRESH
+from swarm.core.epochs import Epochs
+from swarm.core.graph import Graph
+from swarm.core.lockstep import Channel, Compute, Fault, Finished, Lockstep, Save, Waiting
+from swarm.core.lockstep_frames import Snapshot
+from swarm.core.stopping import Stopping
+from swarm.frozen import frozen
+from swarm.messages import Measurement
+
+ALONE = 0.03
+"""s of an iteration of a robot without neighbours, who has nobody to wait for."""
+
+_STAMP = struct.Struct("<dd")  # before the private fields in a snapshot: when its state was computed, and the first one
+
+
+@frozen
+class Renew:
+    """Let the app go over to the newest epoch (`LockstepRun.renew`), when no step runs."""
+
+    epoch: Epoch
+
+
+class State(NamedTuple):
+    """What the app was at one iteration."""
+
+    k: int
+    own: bytes
+    private: bytes
+    at: float
+
+
+Action = lockstep.Action | epoch_actions.Action | Renew
+
+
+class LockstepRun:
+    """What a driver asks, tells and carries out; see the module's text for its two sides."""
+
+    __slots__ = (
+        "_began_at",
+        "_channel",
+        "_first_save",
+        "_graph",
+        "_heard",
+        "_history",
+        "_lockstep",
+        "_me",
+        "_new",
+        "_program",
+        "_progress_at",
+        "_stopping",
+        "computed_at",
+        "epochs",
+        "lost",
+        "phase",
+        "reason",
+        "rtt",
+        "terms",
+        "waiting",
+    )
+
+    def __init__(
+        self,
+        me: str,
+        names: frozenset[str],
+        terms: Terms,
+        begin: Epoch,
+        graph: Graph,
+        incarnation: int,
+        program: Program,
+        kept: Kept | None = None,
+        vote_lost: int = 0,
+    ) -> None:
+        """`names`: all robots there may be; `begin`: the epoch of a run of which nothing was `kept`; `graph`: its
+        links. Of thousands of robots in one process, all may be given the same ones. `vote_lost`: a random number where
+        what was kept is damaged."""
+        self.phase = "starting"
+        """starting, running, done or fault."""
+        self.reason = ""
+        """Of a fault."""
+        self.waiting: tuple[str, ...] = ()
+        """Robots whose value has been missing for a while."""
+        self.computed_at = 0.0
+        """When the newest state was computed."""
+        self.lost = False
+        """Whether this robot has been in the run and its state is gone, as after a reboot."""
+        of = terms.run, terms.schema
+        self.epochs = Epochs(me, names, of, incarnation, begin, kept, auto=terms.drop, lost=vote_lost)
+        self.rtt = lockstep.RTT
+        self._me = me
+        self.terms = terms
+        self._program = program
+        self._new = not vote_lost and (kept is None or (kept.run, kept.schema) != (terms.run, terms.schema))
+        self._stopping: Stopping | None = None
+        self._lockstep: Lockstep | None = None
+        self._channel = self._channel_of(self.epochs.epoch)
+        self._graph = graph if self.epochs.number == begin.number else self.epochs.epoch.graph
+        self._history: deque[State] = deque()
+        self._began_at = 0.0
+        self._progress_at = 0.0
+        self._heard: dict[str, float] = {}
+        """When neighbours were heard last, where those that are not heard are given up."""
+        self._first_save = True
+
+    @property
+    def channel(self) -> Channel:
+        """What the frames travel under."""
+        return self._channel
+
+    @property
+    def k(self) -> int:
+        """The iteration it is at."""
+        return self._history[-1].k if self._history else 0
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a first state."""
+        return self._lockstep is not None
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What was dropped and asked for."""
+        return {**self.epochs.counters, **(self._lockstep.counters if self._lockstep is not None else {})}
+
+    @property
+    def obstacle(self) -> str:
+        """Why it does not go on, as far as membership is the reason; else empty."""
+        if self.lost and self.epochs.member:
+            return f"{self._me} has lost its state and waits for the next epoch"
+        return self.epochs.reason
+
+    # The app's side
+
+    def saved(self, pages: Sequence[bytes]) -> list[Snapshot]:
+        """What an earlier process of this run and version has left behind. Both go from the oldest to the newest."""
+        found = [Snapshot.decode(page) for page in pages]
+        return [one for one in found if (one.run, one.schema) == (self.terms.run, self.terms.schema)]
+
+    @property
+    def new(self) -> bool:
+        """Whether this robot has not been in the run yet, so that it begins with the app's first state."""
+        return self._new
+
+    def start(self, measurement: Measurement | None) -> tuple[bytes, bytes]:
+        """Let the app set its first state, which goes to `begin`."""
+        return self._program.start(measurement)
+
+    def begin(self, saved: Sequence[Snapshot], first: tuple[bytes, bytes] | None, now: float) -> None:
+        """Go on from snapshots, the newest last, or begin with the app's first state where this robot is `new`. What
+        the app raises is `AppError`."""
+        self.phase = "running"
+        self._progress_at = self._began_at = now
+        epoch = self.epochs.epoch
+        if saved:
+            self._history = deque(maxlen=len(saved))
+            for snapshot in saved:
+                if snapshot.epoch == saved[-1].epoch:
+                    computed_at, self._began_at = _STAMP.unpack_from(snapshot.private)
+                    private = snapshot.private[_STAMP.size :]
+                    self._history.append(State(snapshot.k, snapshot.value, private, computed_at))
+            if saved[-1].epoch == epoch.number and self.epochs.member:
+                self._resume(saved[-1], epoch, now)
+            else:
+                self._channel = Channel(self.terms.run, saved[-1].epoch, self.epochs.birth, self.terms.schema)
+                if self.epochs.lost:
+                    self.epochs.lose()
+                else:
+                    self.epochs.resettle()
+        elif first is not None:
+            self._enter(epoch, *first, now)
+        else:
+            self.lost = True
+            self.epochs.lose()
+
+    def compute(self, todo: Compute, measurement: Measurement | None) -> tuple[bytes, bytes]:
+        """Run the app's step; what it gives goes to `computed`."""
+        if self._stopping is None:
+            return self._program.step(todo.k, todo.own, todo.values, measurement)
+        size = self._program.size
+        values = {name: value[:size] for name, value in todo.values.items()}
+        return self._program.step(todo.k, todo.own[:size], values, measurement)
+
+    def renew(self, epoch: Epoch, measurement: Measurement | None) -> tuple[bytes, bytes] | None:
+        """Let the app go over to an epoch; what it gives goes to `renewed`. None: this robot has no part in it."""
+        if self._me not in epoch.members:
+            return None
+        self._graph = epoch.graph
+        state = self._before(epoch)
+        if state is not None:
+            return self._program.renew(epoch.k, state.own, state.private, self._graph)
+        return self._program.renew(epoch.k, *self._program.start(measurement), self._graph)
+
+    # The other side
+
+    def computed(self, todo: Compute, answer: tuple[bytes, bytes], now: float) -> None:
+        """Go on with what `compute` gave."""
+        core = self._lockstep
+        if core is None or self.epochs.frozen or self._changing or core.fault is not None:
+            return
+        own, private = answer
+        last = False
+        if self._stopping is not None:
+            size = self._program.size
+            counts = [value[size:] for value in todo.values.values()]
+            seconds = now - self._began_at
+            count = self._stopping.next(todo.own[size:], counts, content=self._program.content(), seconds=seconds)
+            own += count
+            last = self._stopping.over(count)
+        self._progress_at = self.computed_at = now
+        self._history.append(State(todo.k + 1, own, private, now))
+        core.computed(own, self._stamp(private), now, last=last)
+        self.epochs.k = core.k
+
+    def renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None, now: float) -> None:
+        """Go on with what `renew` gave."""
+        if epoch.number != self.epochs.number:
+            return  # there is a newer one by now
+        if answer is not None:
+            self._enter(epoch, *answer, now)
+        self.epochs.settle()
+
+    def receive(self, sender: str, channel: Channel, payload: bytes, now: float, *, around: bool = False) -> None:
+        """A frame; `around`: over other robots, not the link with its sender. Before the own start there is no slot for
+        it: its sender is asked again."""
+        core = self._lockstep
+        if self.terms.drop:
+            self._heard[sender] = now
+        if channel.epoch != self.epochs.number and sender != self._me:
+            self.epochs.stranger(now)
+        if core is not None and not self._changing:
+            core.receive(sender, channel, payload, now, around=around)
+
+    def receive_note(self, sender: str, payload: bytes, now: float) -> None:
+        """What a robot has to say about the membership, passed on by `sender`."""
+        if self.terms.drop:
+            self._heard[sender] = now
+        self.epochs.receive(payload, now)
+
+    def order(self, order: Order, now: float) -> None:
+        """The operator's."""
+        self.epochs.order(order, now)
+
+    def nudge(self, now: float) -> None:
+        """The bus or a link came up: ask now for what is missing."""
+        if self._lockstep is not None and not self._changing:
+            self._lockstep.nudge(now)
+            self._lockstep.handle_timer(now)
+
+    def handle_timer(self, now: float) -> None:
+        """Do what is due."""
+        if self.phase == "starting":
+            return
+        if self._lockstep is not None and not self._changing:
+            self._lockstep.rtt = self.rtt
+            self._lockstep.handle_timer(now)
+        if self.terms.drop:
+            awaited = self._awaited()
+            self.epochs.stalled = bool(awaited) and now >= self._stalled_at
+            silent = {n for n, at in awaited if now >= at}
+            silent |= {n for n in self.epochs.deaf if now - self._heard.get(n, float("-inf")) > FRESH}
+            self.epochs.suspect(tuple(sorted(silent)), now)
+        self.epochs.handle_timer(now)
+
+    def next_deadline(self, now: float) -> float | None:
+        """When `handle_timer` wants to be called."""
+        if self.phase == "starting":
+            return None
+        # After each message: without lists and generators where nothing is about the members.
+        earliest = self.epochs.next_deadline(now)
+        if self._lockstep is not None and not self._changing:
+            deadline = self._lockstep.next_deadline()
+            if earliest is None or (deadline is not None and deadline < earliest):
+                earliest = deadline
+        if self.terms.drop:
+            times = [at for _, at in self._awaited() if at > now]
+            if self._stalled_at > now:
+                times.append(self._stalled_at)
+            if earliest is not None:
+                times.append(earliest)
+            return min(times, default=None)
+        return earliest
+
+    def actions(self) -> list[Action]:
+        """What the driver is to do now, in this order; Advanced, Fault, Finished, Waiting and Switch are news."""
+        found: list[Action] = []
+        for action in self._lockstep.actions() if self._lockstep is not None else ():
+            # Of each iteration, so by the very type: a match takes three times as long.
+            if type(action) is Compute:
+                if self.epochs.frozen or self._changing:
+                    continue
+            elif type(action) is Waiting:
+                self.waiting = action.peers
+            elif type(action) is Fault:
+                self.fail(action.reason, self._progress_at)
+            elif type(action) is Finished:
+                self.phase = "done"
+            found.append(action)
+            if type(action) is Save and self._first_save:
+                # Not before there is a state: a robot of which this is all there is knows that it has lost its own.
+                self._first_save = False
+                found.append(Keep(self.epochs.kept))
+        for news in self.epochs.actions():
+            found.append(news)
+            if isinstance(news, Switch):
+                found.append(Renew(news.epoch))
+        return found
+
+    def fail(self, reason: str, now: float) -> bool:
+        """Compute no more; neighbours still get answers, and the reason can be read. Whether that is news."""
+        if self.phase == "fault":
+            return False
+        self.phase, self.reason = "fault", reason
+        self.epochs.fail(now)
+        return True
+
+    # How it works
+
+    @property
+    def _changing(self) -> bool:
+        """Whether the lockstep is of an epoch that is over."""
+        return self._channel.epoch != self.epochs.number
+
+    @property
+    def _stalled_at(self) -> float:
+        """When the others are to hear that this robot does not get on."""
+        return self._progress_at + self.terms.after / 2
+
+    def _awaited(self) -> list[tuple[str, float]]:
+        """Neighbours that this robot waits for, and when they are to be given up, sorted."""
+        if self._lockstep is None or self._changing or self.phase != "running":
+            return []
+        # Who has stopped for a ballot waits for all: they repeat what they have to say.
+        frozen = self.epochs.frozen and self.epochs.member
+        waiting = self._graph.neighbours(self._me) if frozen else self._lockstep.waiting_for
+        return [(n, max(self._progress_at, self._heard.get(n, 0.0)) + self.terms.after) for n in waiting]
+
+    def _channel_of(self, epoch: Epoch) -> Channel:
+        return Channel(self.terms.run, epoch.number, self.epochs.birth, self.terms.schema)
+
+    def _before(self, epoch: Epoch) -> State | None:
+        """The state with which this robot goes over to an epoch: that of its first iteration, or the newest one."""
+        if self._me in epoch.carried and self._channel.epoch == epoch.before:
+            for state in self._history:
+                if state.k == epoch.k:
+                    return self._plain(state)
+        return self._plain(self._history[-1]) if self._history else None
+
+    def _plain(self, state: State) -> State:
+        return state._replace(own=state.own[: self._program.size])
+
+    def _lockstep_of(self, epoch: Epoch) -> Lockstep:
+        rule = self.terms.rule
+        self._stopping = Stopping(rule, self._graph) if rule is not None else None
+        self._channel = self._channel_of(epoch)
+        size = self._program.size + (Stopping.size if self._stopping is not None else 0)
+        neighbours = self._graph.neighbours(self._me)
+        # An epoch may begin behind the last iteration where a robot has told a wrong one: there is nothing left to do.
+        last = None if self.terms.last is None else max(self.terms.last, epoch.k)
+        return Lockstep(self._me, neighbours, self._channel, size, last=last, rtt=self.rtt)
+
+    def _enter(self, epoch: Epoch, own: bytes, private: bytes, now: float) -> None:
+        """Begin an epoch."""
+        self._lockstep = self._lockstep_of(epoch)
+        own += Stopping.first() if self._stopping is not None else b""
+        self._progress_at = self.computed_at = now
+        self._heard.clear()
+        # So far back the slowest robot of the epoch can be.
+        self._history = deque([State(epoch.k, own, private, now)], maxlen=self._graph.span + 2)
+        self.lost = False
+        self.waiting = ()
+        if self.phase == "done":
+            self.phase = "running"
+        self._lockstep.start(own, now, self._stamp(private), epoch.k)
+        self.epochs.k = epoch.k
+
+    def _resume(self, snapshot: Snapshot, epoch: Epoch, now: float) -> None:
+        """Go on in the epoch of an earlier process."""
+        self._lockstep = self._lockstep_of(epoch)
+        state = self._history[-1]
+        count = state.own[self._program.size :]
+        self._lockstep.resume(snapshot.encode(), now, last=self._stopping is not None and self._stopping.over(count))
+        self._history = deque(self._history, maxlen=self._graph.span + 2)
+        self._program.restore(state.k, self._plain(state).own, state.private, self._graph)
+        self.computed_at = state.at
+        self.epochs.k = state.k
+
+    def _stamp(self, private: bytes) -> bytes:
+        return _STAMP.pack(self.computed_at, self._began_at) + private

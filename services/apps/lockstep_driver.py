@@ -1,0 +1,391 @@
+"""The shell around one lockstep of an app: its frames on the bus, its steps, its snapshots, state and progress."""
+
+import secrets
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import NamedTuple
+
+from services.apps.app_status import LOOK_EVERY, REPEAT, AppStatus
+from services.apps.ballots import told
+from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
+from services.apps.core.terms import Terms
+from services.apps.measurements import Measurements
+from services.apps.observer import Line, Observer
+from services.apps.runner import Runner
+from services.apps.storage import Storage
+from services.apps.topology import Watch
+from swarm.app.run_options import RunOptions
+from swarm.config import Config
+from swarm.core.epoch_actions import Keep, Order, Switch, Tell
+from swarm.core.epoch_notes import LOST, Epoch, first
+from swarm.core.graph import Graph
+from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
+from swarm.core.lockstep_frames import Snapshot
+from swarm.errors import SwarmError
+from swarm.messages import AppEpoch, AppProgress, AppState, Measurement
+from swarm.messages.codec import Value, encode
+from swarm.messages.keys import key
+from swarm.process.runtime import Runtime
+
+CLOSE_WITHIN = 2.0
+"""s that a running step has when the process is to end."""
+STUCK = 10.0
+"""s after which a step that still runs is a fault."""
+
+_NEVER = float("inf")
+
+
+class Place(NamedTuple):
+    """Where an app runs, and in which run. Of thousands of robots in one process all may have the same objects."""
+
+    run: int
+    """The run's number, the same on all robots."""
+    digest: bytes
+    """A digest of the app's source."""
+    options: RunOptions
+    """How long the app runs, and what becomes of robots that are away."""
+    names: frozenset[str]
+    """All robots that there may be."""
+    begin: Epoch
+    """The members and links with which the run began."""
+    graph: Graph
+    """Those links."""
+    incarnation: int
+    """It goes up with every start of the app's process, or of the robot."""
+
+    @classmethod
+    def of(cls, run: int, digest: bytes, options: RunOptions, config: Config, epoch: int, incarnation: int) -> "Place":
+        """The place in a run that begins with the links of a configuration; `epoch` is the number of these links."""
+        begin = first(config.names, config.edges, epoch)
+        return cls(run, digest, options, frozenset(config.names), begin, config.graph, incarnation)
+
+
+class LockstepDriver:
+    """Drives one lockstep, from the first state or a snapshot to the last iteration."""
+
+    def __init__(
+        self,
+        runtime: Runtime,
+        app: str,
+        part: str,
+        runner: Runner,
+        terms: Terms,
+        place: Place,
+        storage: Storage,
+        watch: Watch,
+        measurements: Measurements | None,
+        observer: Observer | None,
+        on_change: Callable[[], None],
+    ) -> None:
+        """`part` names the channel within the app; it is empty for an app that is one lockstep. `on_change()` is called
+        where the app has begun, has come to another epoch, or has ended. Raises `LocalError` where the lockstep's
+        files cannot be had."""
+        self.robot = runtime.robot
+        self.app = app
+        self.part = part
+        self.runner = runner
+        self.watch = watch
+        self.latest: Advanced | None = None
+        """The newest iteration and its packed state; None before the first one."""
+        self._runtime = runtime
+        self._bus = runtime.bus
+        self._observer = observer
+        self._on_change = on_change
+        file = f"{app}.{part}" if part else app
+        self._snapshots = storage.snapshots(file, len(place.names) + 1)
+        self._votes = storage.votes(file)
+        kept, vote_lost = self._votes.read(), 0
+        if self._votes.lost:
+            vote_lost = 1 + secrets.randbelow(LOST - 1)
+            runtime.log.warning("the file with this robot's votes is damaged: it votes again from the next epoch on")
+        self.run = LockstepRun(
+            self.robot, place.names, terms, place.begin, place.graph, place.incarnation, runner, kept, vote_lost
+        )
+        self._prefix = key(self.robot, f"app/{app}", "sync")
+        self._notes = f"{self._prefix}/{terms.notes}"
+        self._channel = self.run.channel
+        self._sync = f"{self._prefix}/{self._channel.text}"
+        self._measurements = measurements
+        self._measured: Measurement | None = None
+        """What the step that runs computes with."""
+        self._measuring_since: float | None = None
+        self._worker = runtime.worker(f"steps {part}".strip())
+        self._closed = self._muted = False
+        self._performing = False
+        """Whether it is planned to do what the frames of this moment call for."""
+        self._timer = _NEVER
+        topics = f"app/{app}/{part}" if part else f"app/{app}"
+        self._counted = f"{part}_sync" if part else "sync"
+        self._epoch_key = key(self.robot, topics, "epoch")
+        self._status = AppStatus(runtime, topics, lambda: self.progress, self._look_at_state)
+        self._bus.serve(self._epoch_key, lambda *_: encode(self._epoch()))
+
+    @property
+    def failed(self) -> bool:
+        """Whether it has stopped for a fault."""
+        return self.run.phase == "fault"
+
+    @property
+    def progress(self) -> AppProgress:
+        """What it does now, and what keeps it from going on."""
+        return AppProgress(self._runtime.now, *self._report())
+
+    def start(self) -> None:
+        """Go on from a snapshot of this run, or let the app begin, as soon as there is a measurement where it wants
+        one."""
+        pages = self._snapshots.read()
+        saved = self.run.saved(pages)
+        if pages and not saved:
+            self._runtime.log.info("the snapshot is of another run, this one begins anew")
+        if saved:
+            self._begin(saved, None)
+        else:
+            self._measure(0, self._start)
+        self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
+
+    def close(self) -> bool:
+        """Let go of the files. A step that runs is waited for, but not for ever; False if it did not end."""
+        self._closed = True
+        ended = self._worker.close(CLOSE_WITHIN)
+        if not ended:
+            self._runtime.log.warning("the step of iteration %d does not end", self.run.k)
+        else:
+            self._snapshots.close()
+            self._votes.close()
+        return ended
+
+    # What happens
+
+    def receive(self, sender: str, channel: Channel, payload: bytes, *, around: bool) -> None:
+        """A frame of this run and version of the app; `around`: it came over other robots, not over the link with its
+        sender."""
+        self.run.receive(sender, channel, payload, self._runtime.now, around=around)
+        if not self._performing:  # once for all frames that come in one moment
+            self._performing = True
+            self._runtime.soon(self._perform)
+
+    def receive_note(self, sender: str, payload: bytes) -> None:
+        """What a robot has to say about the members, passed on by `sender`."""
+        self.run.receive_note(sender, payload, self._runtime.now)
+        self._perform()
+
+    def order(self, order: Order) -> None:
+        """The operator wants other members."""
+        self.run.order(order, self._runtime.now)
+        self._perform()
+
+    def nudge(self) -> None:
+        """The bus or a link came up: ask now for what is missing."""
+        self.run.nudge(self._runtime.now)
+        self._perform()
+
+    def take_rtt(self, rtt: float) -> None:
+        """The usual round-trip time of the slowest link, s."""
+        self.run.rtt = rtt
+
+    def change(self, changed: Callable[[], None], values: Mapping[str, Value]) -> None:
+        """Other values for live parameters from the next step on; then `changed()` is called."""
+        self.runner.changed = changed
+        self.runner.change(values)
+
+    def look(self) -> None:
+        """Publish state and progress where they are new, or were told a while ago."""
+        run, now = self.run, self._runtime.now
+        since = self._worker.running_since
+        if since is not None and now - since >= STUCK:
+            self._fail(self.runner.hangs(f"iteration {run.k}", self._worker.thread, STUCK))
+        repeated, _ = self._status.look()
+        if repeated:
+            for name, count in run.counters.items():
+                self._runtime.counters[f"{self._counted}_{name.replace(' ', '_')}"] = count
+
+    # The app's steps
+
+    def _measure(self, k: int, ready: Callable[[Measurement | None], None]) -> None:
+        """Call `ready` with the measurement for step k, or with None where the app wants none."""
+        if self._measurements is None:
+            ready(None)
+        else:
+            self._measuring_since = self._runtime.now
+            self._measurements.get(k, partial(self._take_measurement, ready))
+
+    def _take_measurement(self, ready: Callable[[Measurement | None], None], measurement: Measurement) -> None:
+        self._measuring_since = None
+        if not self._closed and not self.failed:
+            ready(measurement)
+
+    def _start(self, measurement: Measurement | None) -> None:
+        if self.run.new:
+            self._worker.run(partial(self.run.start, measurement), partial(self._begin, []), self._app_failed)
+        else:
+            self._begin([], None)
+
+    def _begin(self, saved: list[Snapshot], first: tuple[bytes, bytes] | None) -> None:
+        run, log = self.run, self._runtime.log
+        if self._closed:
+            return
+        try:
+            run.begin(saved, first, self._runtime.now)
+        except SwarmError as error:
+            self._app_failed(error)
+            return
+        if saved:
+            log.info("goes on at iteration %d", run.k)
+        elif run.lost:
+            log.warning("this robot has lost its state of the run and waits for the next epoch")
+        self._perform()
+        self._on_change()
+
+    def _compute(self, todo: Compute) -> None:
+        if todo.values:
+            self._measure(todo.k, partial(self._step, todo))
+        else:
+            self._runtime.at(self._runtime.now + ALONE, self._measure, todo.k, partial(self._step, todo))
+
+    def _step(self, todo: Compute, measurement: Measurement | None) -> None:
+        if not self._closed and not self.failed:
+            self._measured = measurement
+            self._worker.run(
+                partial(self.run.compute, todo, measurement), partial(self._computed, todo), self._app_failed
+            )
+
+    def _computed(self, todo: Compute, answer: tuple[bytes, bytes]) -> None:
+        self.run.computed(todo, answer, self._runtime.now)
+        self._perform()
+
+    def _renew(self, epoch: Epoch, measurement: Measurement | None) -> None:
+        if not self._closed and not self.failed:
+            self._worker.run(
+                partial(self.run.renew, epoch, measurement), partial(self._renewed, epoch), self._app_failed
+            )
+
+    def _renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None) -> None:
+        self.run.renewed(epoch, answer, self._runtime.now)
+        self._perform()
+
+    def _app_failed(self, error: SwarmError) -> None:
+        self._fail(str(error))
+
+    # What the lockstep wants
+
+    def _perform(self) -> None:
+        """Carry out what the lockstep wants, in its order."""
+        run = self.run
+        self._performing = False
+        if self._closed:
+            return
+        for action in run.actions():
+            if self._muted:
+                return
+            if type(action) is Save:
+                self._keep(self._snapshots.keep, action.snapshot)
+            elif type(action) is Send:
+                if self._channel is not run.channel:
+                    self._channel = run.channel
+                    self._sync = f"{self._prefix}/{self._channel.text}"
+                self._bus.publish(action.key(self._sync), action.data, urgent=True)
+            elif type(action) is Advanced:
+                self._advanced(action)
+            elif type(action) is Compute:
+                # Not from within: a robot without neighbours would never come back.
+                self._runtime.soon(self._compute, action)
+            elif type(action) is Keep:
+                self._keep(self._votes.write, action.kept)
+            elif type(action) is Tell:
+                self._bus.publish(self._notes, action.data, urgent=True)
+            elif type(action) is Switch:
+                self._switched(action.epoch)
+            elif type(action) is Renew:
+                self._runtime.soon(self._measure, action.epoch.k, partial(self._renew, action.epoch))
+            elif type(action) is Waiting:
+                if self._observer is not None:
+                    self._observer.progressed(self)
+            elif type(action) is Fault:
+                self._ended(action.reason)
+            elif type(action) is Finished:
+                self._ended("")
+        deadline = run.next_deadline(self._runtime.now)
+        if deadline is not None and deadline < self._timer:
+            self._timer = deadline
+            self._runtime.at(deadline, self._handle_timer, deadline)
+
+    def _handle_timer(self, planned: float) -> None:
+        if planned != self._timer or self._closed:
+            return  # an earlier one came before
+        self._timer = _NEVER
+        now = self._runtime.now
+        deadline = self.run.next_deadline(now)
+        if deadline is not None and deadline <= now:
+            self.run.handle_timer(now)
+        self._perform()
+
+    def _advanced(self, news: Advanced) -> None:
+        begun = self.latest is not None
+        self.latest = news
+        if self._observer is not None:
+            if not begun:
+                self._observer.progressed(self)
+            try:
+                line = Line(news.k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured)
+            except SwarmError as error:
+                self._app_failed(error)
+                return
+            self._observer.advanced(self, line)
+        if self._status.late:
+            self._status.publish_state()
+
+    def _switched(self, epoch: Epoch) -> None:
+        self._runtime.log.info("epoch %d from iteration %d on: %s", epoch.counter, epoch.k, " ".join(epoch.members))
+        message = told(epoch, self._runtime.now)
+        self._bus.publish(self._epoch_key, message)
+        if self._observer is not None:
+            self._observer.switched(self, message)
+        self._on_change()
+
+    def _keep(self, write: Callable[..., None], what: object) -> None:
+        try:
+            write(what)
+        except SwarmError as error:
+            # What was not written must never be sent (R5): the neighbours keep what they had of us.
+            self._muted = True
+            self._fail(str(error))
+
+    def _fail(self, reason: str) -> None:
+        """Compute no more, say why, and stay: neighbours still get answers."""
+        if self.run.fail(reason, self._runtime.now):
+            self._ended(reason)
+
+    def _ended(self, fault: str) -> None:
+        """The lockstep is at its last iteration, or has failed."""
+        if fault:
+            self._runtime.log.error("%s", fault)
+            self._runtime.degraded(fault)
+        if self._observer is not None:
+            self._observer.ended(self)
+        self._on_change()
+
+    # What is told
+
+    def _look_at_state(self) -> AppState | None:
+        run, runner = self.run, self.runner
+        if run.phase not in ("running", "done") or not run.begun or self._worker.busy:
+            return None
+        try:
+            return AppState(run.computed_at, runner.k, runner.state(), runner.result())
+        except SwarmError as error:
+            self._app_failed(error)
+            return None
+
+    def _report(self) -> tuple[str, int, tuple[str, ...], str]:
+        """Phase, iteration, robots waited for, reason."""
+        run, since = self.run, self._measuring_since
+        if run.phase in ("starting", "running") and since is not None and self._runtime.now - since >= REPEAT:
+            return "waiting", run.k, (), "the dwm service gives no measurement"
+        if run.phase == "running" and (reason := run.obstacle):
+            return "waiting", run.k, run.waiting, reason
+        if run.phase == "running" and run.waiting:
+            return "waiting", run.k, run.waiting, self.watch.reason(run.waiting)
+        return run.phase, run.k, (), run.reason
+
+    def _epoch(self) -> AppEpoch:
+        return told(self.run.epochs.epoch, self._runtime.now)

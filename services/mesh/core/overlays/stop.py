@@ -1,0 +1,276 @@
+"""`swarm/stop` in the whole swarm, and taking it back: a register that neighbours merge, not a message that passes.
+
+Every stop has a mark (incarnation and count of the robot it was given on). A re-arm names the marks that it takes
+back: those its robot knew. Each robot keeps the greatest mark of each robot's stops, and of each robot's re-arms; the
+swarm is stopped while there is a stop above its re-arm. Merging takes the greater marks, so it makes no difference
+in which order, how late or how often news arrive: a late copy of a stop is not above its re-arm, and a re-arm takes
+no stop back that it did not know of.
+
+Whatever is new to a robot it sends to its other neighbours at once (control class), everything to a neighbour whose
+link came up, and every 10 s, for full queues may drop anything.
+
+`Register` is that register, `Stops` tells this robot's bus, and the swarm, which robots have stopped the swarm.
+"""
+
+import itertools
+import struct
+from collections.abc import Callable
+from typing import NamedTuple
+
+from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD
+from services.mesh.core.wire.packets import HALT, MAX_INCARNATION, MAX_SEQUENCE, Reader, packed
+from swarm.errors import FrameError
+from swarm.messages import Stop, Stopped
+from swarm.messages.codec import encode
+from swarm.messages.keys import STOP, key
+from swarm.messages.keys import key as key_of
+
+_HALT = struct.Struct("<BBB")
+
+_MARK = struct.Struct("<QI")
+
+MAX_REASON = 64
+"""Bytes of a stop's reason."""
+
+_HALT_ENTRIES = 20
+"""Robots in one HALT packet: at most 1.9 kB."""
+
+
+class Mark(NamedTuple):
+    """A stop of one robot. Later ones are greater."""
+
+    incarnation: int
+    number: int
+
+
+class Halt(NamedTuple):
+    """All that a robot knows of stops and of what re-armed the swarm."""
+
+    stops: dict[str, tuple[Mark, str]]
+    """The newest stop of each robot, and its reason."""
+    arms: dict[str, Mark]
+    """The newest stop of each robot that was taken back."""
+
+
+def encode_halts(halt: Halt) -> list[bytes]:
+    """HALT packets: each may be understood without the others."""
+    stops = [packed(name) + _MARK.pack(*mark) + packed(reason, MAX_REASON)
+             for name, (mark, reason) in sorted(halt.stops.items())]  # fmt: skip
+    arms = [packed(name) + _MARK.pack(*mark) for name, mark in sorted(halt.arms.items())]
+    packets = []
+    # Stops first: should the rest be lost, the swarm rests.
+    for part in _parts(stops):
+        packets.append(_HALT.pack(HALT, len(part), 0) + b"".join(part))
+    for part in _parts(arms):
+        packets.append(_HALT.pack(HALT, 0, len(part)) + b"".join(part))
+    return packets
+
+
+def _parts(entries: list[bytes]) -> list[list[bytes]]:
+    return [entries[at : at + _HALT_ENTRIES] for at in range(0, len(entries), _HALT_ENTRIES)]
+
+
+def decode_halt(data: bytes) -> Halt:
+    """A HALT packet. Each stop that can be read counts, whatever follows it: another release may have more to say. A
+    re-arm counts only in a packet that is understood to its end."""
+    if len(data) < _HALT.size:
+        raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
+    _, stops, arms = _HALT.unpack_from(data)
+    reader = Reader(data, _HALT.size)
+    halt = Halt({}, {})
+    try:
+        for _ in range(stops):
+            name, mark = reader.name(), Mark(*reader.unpack(_MARK))
+            halt.stops[name] = (mark, reader.octets()[:MAX_REASON].decode(errors="ignore"))
+        for _ in range(arms):
+            name = reader.name()
+            halt.arms[name] = Mark(*reader.unpack(_MARK))
+        reader.end()
+    except FrameError:
+        if not halt.stops:
+            raise
+        halt.arms.clear()
+    return halt
+
+
+REPEAT_PERIOD = 10.0
+"""s between two messages to each neighbour once there was a stop."""
+
+SPACING = 0.1
+"""s between two stops of this robot: who publishes `swarm/stop` in a loop must not fill the links."""
+
+_NEVER = float("inf")
+_NONE = Mark(0, 0)
+
+
+class Register:
+    """What this robot knows of stops. Calls with `now` must not go back in time."""
+
+    def __init__(
+        self,
+        me: str,
+        incarnation: Callable[[], int],
+        robots: frozenset[str],
+        *,
+        emit: Emit,
+        changed: Callable[[], None],
+    ) -> None:
+        """`changed()` is called whenever a stop or a re-arm is new."""
+        self._me = me
+        self._incarnation = incarnation
+        self._robots = robots
+        self._emit = emit
+        self._changed = changed
+        self._stops: dict[str, tuple[Mark, str]] = {}
+        self._arms: dict[str, Mark] = {}
+        self._links: dict[str, None] = {}
+        self._repeat_at = _NEVER
+        self._stopped_at = -_NEVER
+        self._waiting: str | None = None
+        self._channel = key_of(me, "mesh", "halt")
+
+    @property
+    def stops(self) -> dict[str, str]:
+        """The robots whose stop holds, with its reason; empty = the swarm is armed."""
+        return {name: reason for name, (mark, reason) in sorted(self._stops.items())
+                if mark > self._arms.get(name, _NONE)}  # fmt: skip
+
+    def stop(self, reason: str, now: float) -> None:
+        """Somebody on this robot stops the swarm."""
+        if now < self._stopped_at + SPACING:
+            self._waiting = reason
+            return
+        self._stopped_at, self._waiting = now, None
+        greatest = max(self._stops.get(self._me, (_NONE, ""))[0], self._arms.get(self._me, _NONE))
+        mark = max(Mark(self._incarnation(), 1), _above(greatest))
+        if mark.incarnation > MAX_INCARNATION:
+            return  # somebody has taken back the greatest mark there is in our name (docs/security.md)
+        self._merge(Halt({self._me: (mark, reason.encode()[:MAX_REASON].decode(errors="ignore"))}, {}), None, now)
+
+    def arm(self, now: float) -> None:
+        """Somebody on this robot takes back every stop that it knows of."""
+        self._waiting = None
+        self._merge(Halt({}, {name: mark for name, (mark, _) in self._stops.items()}), None, now)
+
+    def receive(self, peer: str, data: bytes, now: float) -> None:
+        """News of a neighbour; raises `FrameError`. What it says of robots that are not in our configuration takes no
+        stop of the others away with it, but re-arms count only where all robots are known."""
+        halt = decode_halt(data)
+        stops = {name: stop for name, stop in halt.stops.items() if name in self._robots}
+        strange = len(stops) < len(halt.stops) or not halt.arms.keys() <= self._robots
+        if strange and not stops:
+            raise FrameError("HALT with robots that are not in our configuration")
+        self._merge(Halt(stops, {} if strange else halt.arms), peer, now)
+
+    def link_up(self, peer: str) -> None:
+        """A neighbour is there."""
+        self._links[peer] = None
+        self._send(peer, Halt(self._stops, self._arms))
+
+    def link_down(self, peer: str) -> None:
+        """A neighbour is gone."""
+        self._links.pop(peer, None)
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due."""
+        if self._waiting is not None and now >= self._stopped_at + SPACING:
+            self.stop(self._waiting, now)
+        if now >= self._repeat_at:
+            self._repeat_at = now + REPEAT_PERIOD
+            for peer in self._links:
+                self._send(peer, Halt(self._stops, self._arms))
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called."""
+        return self._repeat_at if self._waiting is None else min(self._repeat_at, self._stopped_at + SPACING)
+
+    def _merge(self, halt: Halt, source: str | None, now: float) -> None:
+        news = Halt({}, {})
+        for name, (mark, reason) in halt.stops.items():
+            if mark > self._stops.get(name, (_NONE, ""))[0]:
+                self._stops[name] = news.stops[name] = (mark, reason)
+        for name, mark in halt.arms.items():
+            if mark > self._arms.get(name, _NONE):
+                self._arms[name] = news.arms[name] = mark
+        if news.stops or news.arms:
+            self._repeat_at = min(self._repeat_at, now + REPEAT_PERIOD)
+            for peer in self._links:
+                if peer != source:
+                    self._send(peer, news)
+            self._changed()
+
+    def _send(self, peer: str, halt: Halt) -> None:
+        for data in encode_halts(halt):
+            self._emit(Transmit(peer, FLOOD, self._channel, data, CONTROL))
+
+
+def _above(mark: Mark) -> Mark:
+    """The next mark."""
+    if mark.number < MAX_SEQUENCE:
+        return Mark(mark.incarnation, mark.number + 1)
+    return Mark(mark.incarnation + 1, 1)
+
+
+STOP_PERIOD = 1.0
+"""s between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts, or a
+message that was lost, must not make an exception."""
+
+CONFIRM_AFTER = 0.05
+"""s from a change of the register until `mesh/stopped` is flooded: stops that are given on many robots at once make one
+flood of each robot."""
+
+MAX_NAMED = 16
+"""Robots that `mesh/stopped` names: with their reasons it stays far below what a flood carries."""
+
+_NEVER = float("inf")
+
+
+class Stops:
+    """Watches the register."""
+
+    def __init__(self, me: str, register: Register, flood: Flood, to_bus: Callable[[str, bytes, int], None]) -> None:
+        """`to_bus(key, payload, class)` publishes on the own bus."""
+        self._register = register
+        self._flood = flood
+        self._to_bus = to_bus
+        self._key = key(me, "mesh", "stopped")
+        self._confirmed: dict[str, str] = {}
+        self._tell_at = _NEVER
+        self._confirm_at = _NEVER
+
+    def changed(self, now: float) -> None:
+        """The register has changed."""
+        self._tell(now)
+        if self._tell_at == _NEVER:
+            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
+        self._confirm_at = min(self._confirm_at, now + CONFIRM_AFTER)
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due."""
+        if now >= self._tell_at:
+            self._tell(now)
+        if now >= self._confirm_at:
+            self._confirm_at = _NEVER
+            if self._confirmed != (stops := self._register.stops):
+                self._confirmed = stops
+                # To all robots, and not in the control class, where the stops themselves are.
+                self._flood.publish(self._key, encode(self.stopped(now)), BULK, now, latest=True)
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called."""
+        return min(self._tell_at, self._confirm_at)
+
+    def stopped(self, now: float) -> Stopped:
+        """For the key `mesh/stopped`."""
+        stops = self._register.stops
+        return Stopped(now, bool(stops), dict(itertools.islice(stops.items(), MAX_NAMED)))
+
+    def _tell(self, now: float) -> None:
+        stops = self._register.stops
+        self._tell_at = now + STOP_PERIOD if stops else _NEVER
+        if stops:
+            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
+        for origin, reason in stops.items():
+            self._to_bus(STOP, encode(Stop(now, origin, reason)), CONTROL)

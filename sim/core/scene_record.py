@@ -1,0 +1,150 @@
+"""What is seen of the simulated robots from outside: LEDs as they shine, who stands when, who comes near whom.
+
+Fed with true poses and changes of the LEDs' registers; no app and no robot knows of it.
+"""
+
+import math
+from array import array
+from bisect import bisect_left
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from services.balancer.core.posture import UPRIGHT
+from sim.core.track import Point, Track
+
+MOST_FLASHES = 20_000
+"""Times of flashes that are kept of a robot: the first ones, three hours at two a second. A flash behind them is
+counted."""
+STANDS_S = 0.5
+"""Upright for so long is standing, not swinging through."""
+
+
+class Closest(NamedTuple):
+    """How near two robots have come to each other."""
+
+    distance: float
+    """m, between axles."""
+    t: float
+    a: str
+    b: str
+
+
+class Phases(NamedTuple):
+    """How far apart LEDs went on, s; 95 % of all differences are at most that."""
+
+    neighbours: float
+    all: float
+    synchronous_at: float | None
+    """From when on no two were more than `SYNCHRONOUS_S` apart, all through `WINDOW_S`; None: never."""
+
+
+SYNCHRONOUS_S = 0.02
+WINDOW_S = 3.0
+"""In this time each LED must go on twice at least."""
+
+
+class SceneRecord:
+    """Keeps what it sees, in bounded memory. Times are of one clock, s."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.names = tuple(names)
+        self.tracks = {name: Track() for name in self.names}
+        """Where each has been."""
+        self.flashes = {name: array("d") for name in self.names}
+        """When each one's yellow LED went on, the first `MOST_FLASHES` times."""
+        self.flashed = dict.fromkeys(self.names, 0)
+        """How often it did."""
+        self.stood_at: dict[str, float] = {}
+        """Since when each has stood; missing where it does not."""
+        self.closest: Closest | None = None
+        self._upright: dict[str, float] = {}
+        self._yellow = dict.fromkeys(self.names, False)
+        self._places: dict[str, Point] = {}
+
+    def pose(self, robot: str, t: float, place: Point, tilt: float) -> None:
+        """Where a robot truly is (m), and how it leans (rad)."""
+        self._places[robot] = place
+        for other, there in self._places.items():
+            if other != robot and (self.closest is None or math.dist(place, there) < self.closest.distance):
+                self.closest = Closest(math.dist(place, there), t, *sorted((robot, other)))
+        self.tracks[robot].add(t, place)
+        if abs(tilt) > UPRIGHT:
+            self._upright.pop(robot, None)
+            self.stood_at.pop(robot, None)
+        elif t - self._upright.setdefault(robot, t) >= STANDS_S:
+            self.stood_at.setdefault(robot, self._upright[robot])
+
+    def leds(self, robot: str, t: float, *, yellow: bool) -> None:
+        """A robot's LEDs have changed."""
+        if yellow and not self._yellow[robot]:
+            self.flashed[robot] += 1
+            if len(self.flashes[robot]) < MOST_FLASHES:
+                self.flashes[robot].append(t)
+        self._yellow[robot] = yellow
+
+    def place(self, robot: str, t: float) -> Point | None:
+        """Where a robot was at a time; None before it was seen."""
+        return self.tracks[robot].at(t)
+
+    def phases(self, edges: Collection[tuple[str, str]], since: float) -> Phases | None:
+        """How far apart the robots' LEDs went on from `since` on; `edges`: which are neighbours. None where one never
+        went on."""
+        if not all(times and times[-1] >= since for times in self.flashes.values()):
+            return None
+        end = min(times[-1] for times in self.flashes.values())
+        near: list[float] = []
+        every: list[float] = []
+        for i, a in enumerate(self.names):
+            for b in self.names[:i]:
+                apart = [_nearest(self.flashes[b], t) for t in self.flashes[a] if since <= t <= end]
+                every += apart
+                if (a, b) in edges or (b, a) in edges:
+                    near += apart
+        return Phases(percentile(near, 0.95), percentile(every, 0.95), self._synchronous(since))
+
+    def _synchronous(self, since: float) -> float | None:
+        """The first flash after which for a while all went on together."""
+        end = min(times[-1] for times in self.flashes.values()) - WINDOW_S
+        for begin in sorted({t for times in self.flashes.values() for t in times if since <= t <= end}):
+            windows = {
+                name: times[bisect_left(times, begin) : bisect_left(times, begin + WINDOW_S)]
+                for name, times in self.flashes.items()
+            }
+            if all(len(times) >= 2 for times in windows.values()) and all(
+                _nearest(self.flashes[b], t) <= SYNCHRONOUS_S
+                for a in self.names
+                for b in self.names
+                for t in windows[a]
+            ):
+                return begin
+        return None
+
+    def misfits(self, offsets: Mapping[str, Point]) -> list[tuple[float, float]]:
+        """Time, and how far the robots are from the shape with these places (root mean square, m, wherever it is)."""
+        if not all(self.tracks.values()):
+            return []
+        begin = max(track.begin for track in self.tracks.values())
+        found = []
+        for t, _ in self.tracks[self.names[0]]:
+            if t < begin:
+                continue
+            origins = [
+                (place[0] - offsets[name][0], place[1] - offsets[name][1])
+                for name in self.names
+                if (place := self.place(name, t)) is not None
+            ]
+            x, y = (math.fsum(axis) / len(origins) for axis in zip(*origins, strict=True))
+            found.append((t, math.sqrt(math.fsum((p - x) ** 2 + (q - y) ** 2 for p, q in origins) / len(origins))))
+        return found
+
+
+def percentile(values: Collection[float], share: float) -> float:
+    """The smallest value that `share` of them do not exceed; nan where there are none."""
+    ordered = sorted(values)
+    return math.nan if not ordered else ordered[max(0, math.ceil(share * len(ordered)) - 1)]
+
+
+def _nearest(times: Sequence[float], t: float) -> float:
+    """How far the nearest of `times` (sorted, at least one) is from `t`."""
+    at = bisect_left(times, t)
+    return min(abs(times[i] - t) for i in (at - 1, at) if 0 <= i < len(times))

@@ -1,0 +1,90 @@
+"""The runtime of one robot's services under virtual time: nothing runs at the same time as anything else, and a job
+takes no time."""
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from typing import TypeVar
+
+from sim.virtual.bus import VirtualBus
+from sim.virtual.events import Time
+from sim.virtual.periodic_publisher import PeriodicPublisher
+from swarm.errors import SwarmError
+
+T = TypeVar("T")
+
+_LOG = logging.getLogger("virtual")
+"""What services tell people in their logs is told in a run's report here."""
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False
+
+
+class VirtualRuntime:
+    """See `swarm.process.runtime.Runtime`. An app's host has one of its own, as it has a process on a robot."""
+
+    __slots__ = ("_time", "at", "bus", "robot", "soon")
+
+    log = _LOG
+
+    def __init__(self, robot: str, time: Time, bus: VirtualBus) -> None:
+        self.robot = robot
+        self.bus = bus
+        self._time = time
+        self.at = time.at
+        self.soon = time.soon
+
+    @property
+    def now(self) -> float:
+        """See `Runtime`."""
+        return self._time.now
+
+    @property
+    def counters(self) -> Counter[str]:
+        """See `Runtime`."""
+        return self.bus.counters
+
+    def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
+        """See `Runtime`."""
+        PeriodicPublisher(self._time, self.bus, keys, period, self._time.now + period, call)
+
+    @staticmethod
+    def entry(call: T) -> T:
+        """See `Runtime`."""
+        return call
+
+    @staticmethod
+    def worker(name: str) -> "InlineWorker":
+        """See `Runtime`."""
+        return _WORKER
+
+    def ready(self) -> None:
+        """See `Runtime`."""
+
+    def degraded(self, reason: str) -> None:
+        """See `Runtime`."""
+
+
+class InlineWorker:
+    """See `swarm.process.runtime.Worker`. A job that does not end is broken off by `sim.virtual.hang`."""
+
+    busy = False
+    running_since = None
+    thread = None
+
+    @staticmethod
+    def run(job: Callable[[], T], done: Callable[[T], None], failed: Callable[[SwarmError], None]) -> None:
+        """See `Worker`."""
+        try:
+            result = job()
+        except SwarmError as error:
+            failed(error)
+            return
+        done(result)
+
+    @staticmethod
+    def close(within: float) -> bool:
+        """See `Worker`."""
+        return True
+
+
+_WORKER = InlineWorker()

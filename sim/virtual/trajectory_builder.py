@@ -1,0 +1,89 @@
+"""What a run under virtual time keeps of one robot's app, without a file."""
+
+from array import array
+from collections.abc import Mapping
+
+from services.apps.observer import Line, Source
+from swarm.messages.codec import Value
+from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
+
+
+class TrajectoryBuilder:
+    """What is kept of one robot's iterations: when each was done, and the states of all or of the last.
+
+    Where not all states are kept, nor are all times of a long run: then those of two windows (`WINDOW`) in four are, of
+    two in eight and so on, so that iterations can still be measured over a window.
+    """
+
+    __slots__ = ("_every", "_keep", "_ks", "_last", "_lines", "_source", "_times")
+
+    def __init__(self, *, keep: bool) -> None:
+        self._keep = keep
+        self._ks, self._times = array("q"), array("d")
+        """Iterations, in order, and when each was done; where not all lines are kept."""
+        self._every = 2
+        """The first two windows of so many are kept."""
+        self._lines: dict[int, Line] = {}
+        """All, where they are kept."""
+        self._last: Line | None = None
+        self._source: Source | None = None
+
+    def write(self, source: Source, line: Line) -> None:
+        """One iteration."""
+        self._source = source
+        self._last = line
+        if self._keep:
+            self._lines[line.k] = line
+            return
+        self._forget(line.k)
+        if len(self._ks) >= MOST_TIMES:
+            self._every *= 2
+            kept = [(k, t) for k, t in zip(self._ks, self._times, strict=True) if is_kept(k, self._every)]
+            self._ks, self._times = array("q", [k for k, _ in kept]), array("d", [t for _, t in kept])
+        if is_kept(line.k, self._every):
+            self._ks.append(line.k)
+            self._times.append(line.t)
+
+    def go_back(self, k: int) -> None:
+        """The members have changed: the iterations from k on are done again."""
+        self._forget(k)
+        for later in [other for other in self._lines if other >= k]:
+            del self._lines[later]
+        if self._last is not None and self._last.k >= k:
+            self._last = None
+
+    def _forget(self, k: int) -> None:
+        """Forget the times from iteration k on."""
+        while self._ks and self._ks[-1] >= k:
+            self._ks.pop()
+            self._times.pop()
+
+    def trajectory(self) -> Trajectory:
+        """As the recorder would have written it."""
+        lines = self._lines
+        if not self._keep and self._last is not None:
+            lines = {self._last.k: self._last}
+        if self._source is None or not lines:
+            return EMPTY
+        shared = [column for field in self._source.runner.schema.fields for column in field.columns]
+        results: list[str] = []
+        for name, value in next(iter(lines.values())).result.items():
+            parts = [f"[{index}]" for index in range(len(value))] if isinstance(value, tuple) else [""]
+            results += [f"result.{name}{part}" for part in parts]
+        rows = {k: tuple(_cells(line.state) + _cells(line.result)) for k, line in lines.items()}
+        times = {k: line.t for k, line in self._lines.items()}
+        if self._last is not None and not self._keep:
+            times = dict(zip(self._ks, self._times, strict=True))
+            times[self._last.k] = self._last.t
+        return Trajectory((*shared, *results), times, rows)
+
+
+def _cells(values: Mapping[str, Value]) -> list[str]:
+    found: list[str] = []
+    for value in values.values():
+        found += [str(each) if isinstance(each, str) else repr(each) for each in _parts(value)]
+    return found
+
+
+def _parts(value: Value) -> tuple[Value, ...]:
+    return value if isinstance(value, tuple) else (value,)
