@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from services.mesh.core.actions import Action, Close, Dial, LinksChanged, Note, Write
+from services.mesh.core.actions import Action, Close, Dial, LinksChanged, Log, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import Session
@@ -269,7 +269,7 @@ class Runner:
                 self._keep()  # before the bus hears of it
             elif type(action) is LinksChanged:
                 changed = True
-            elif type(action) is Note:
+            elif type(action) is Log:
                 _log.log(logging.WARNING if action.problem else logging.INFO, "%s", action.text)
         if received:
             self._deliver(received)
