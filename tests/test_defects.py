@@ -25,13 +25,13 @@ service.run(mesh.main)
 
 APP = """
 from services.apps.__main__ import main
-from services.apps.core.strand import Strand
+from services.apps.core.lockstep_run import LockstepRun
 from swarm.process.service import run
 
 def broken(*arguments):
     raise KeyError("injected")
 
-Strand.{method} = broken
+LockstepRun.{method} = broken
 run(main)
 """
 
@@ -85,7 +85,7 @@ def test_a_mesh_whose_reading_thread_dies_ends_with_the_reason(
 
 
 @pytest.mark.usefixtures("router")
-@pytest.mark.parametrize(("method", "thread"), [("next_deadline", "ticker"), ("begin", "steps")])
+@pytest.mark.parametrize(("method", "thread"), [("handle_timer", "timers"), ("begin", "steps")])
 def test_an_app_host_whose_core_fails_ends_with_the_reason(processes: Processes, method: str, thread: str) -> None:
     """It stayed as a fault of its app for good; started anew it goes on from its snapshot."""
     processes.start_ready("-m", "services.mesh")

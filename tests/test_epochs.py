@@ -1,44 +1,44 @@
 """Changes of a run's members, robot by robot and case by case; the state machine is in test_epochs_machine."""
 
 import pytest
-from strand_world import World, full, line, loop
+from epochs_world import World, full, line, loop
 
 from swarm.core.epoch_actions import Order
 from swarm.core.stopping import Rule
 
 
 def counters(world):
-    return {name: process.strand.epochs.epoch.counter for name, process in world.processes.items()}
+    return {name: process.lockstep.epochs.epoch.counter for name, process in world.processes.items()}
 
 
 def running(edges, **options):
     world = World(edges, **options)
     world.start_all()
     world.run(1.0)
-    assert all(process.strand.k > 5 for process in world.processes.values())
+    assert all(process.lockstep.k > 5 for process in world.processes.values())
     return world
 
 
 def test_nobody_says_anything_about_members_while_all_is_well():
     world = running(loop(4))
     assert set(counters(world).values()) == {0}
-    assert all(process.strand.epochs._mine.version == 0 for process in world.processes.values())
+    assert all(process.lockstep.epochs._mine.version == 0 for process in world.processes.values())
 
 
 def test_a_robot_that_dies_is_dropped_and_taken_in_again_with_its_state():
     world = running(loop(5))
     world.kill("r2")
     assert world.run(6.0, until=lambda: set(counters(world).values()) == {1})
-    epoch = world.processes["r0"].strand.epochs.epoch
+    epoch = world.processes["r0"].lockstep.epochs.epoch
     assert epoch.members == epoch.carried == ("r0", "r1", "r3", "r4")
-    assert world.run(5.0, until=lambda: all(p.strand.k > epoch.k + 10 for p in world.processes.values()))
+    assert world.run(5.0, until=lambda: all(p.lockstep.k > epoch.k + 10 for p in world.processes.values()))
     world.start("r2")
     assert world.run(5.0, until=world.together)
-    assert "r2" not in world.processes["r0"].strand.epochs.epoch.carried
+    assert "r2" not in world.processes["r0"].lockstep.epochs.epoch.carried
     assert world.moving()
-    version = world.processes["r0"].strand.epochs._mine.version
+    version = world.processes["r0"].lockstep.epochs._mine.version
     world.run(10.0)
-    assert world.processes["r0"].strand.epochs._mine.version == version
+    assert world.processes["r0"].lockstep.epochs._mine.version == version
 
 
 def test_a_robot_that_reboots_comes_back_in_a_new_epoch():
@@ -46,7 +46,7 @@ def test_a_robot_that_reboots_comes_back_in_a_new_epoch():
     world.reboot("r1")
     world.start("r1")
     assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
-    assert world.processes["r0"].strand.epochs.epoch.carried == ("r0", "r2", "r3")
+    assert world.processes["r0"].lockstep.epochs.epoch.carried == ("r0", "r2", "r3")
     assert world.moving()
 
 
@@ -56,8 +56,8 @@ def test_where_robots_are_waited_for_one_that_reboots_waits_for_the_operator():
     world.start("r1")
     world.run(20.0)
     assert set(counters(world).values()) == {0}
-    assert world.processes["r1"].strand.obstacle == "r1 has lost its state and waits for the next epoch"
-    world.processes["r3"].take(lambda p: p.strand.order(Order(), world.now))
+    assert world.processes["r1"].lockstep.obstacle == "r1 has lost its state and waits for the next epoch"
+    world.processes["r3"].take(lambda p: p.lockstep.order(Order(), world.now))
     assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
     assert world.moving()
 
@@ -77,8 +77,8 @@ def test_a_minority_never_goes_on():
     assert world.run(8.0, until=lambda: counters(world)["r3"] == 1)
     world.run(20.0)
     assert counters(world) == {"r0": 0, "r1": 0, "r2": 1, "r3": 1, "r4": 1}
-    strand = world.processes["r0"].strand
-    assert strand.obstacle == "the members change: 2 of 5 have answered, more than half are needed"
+    lockstep = world.processes["r0"].lockstep
+    assert lockstep.obstacle == "the members change: 2 of 5 have answered, more than half are needed"
     world.cut.clear()
     assert world.run(8.0, until=world.together)
     assert world.moving()
@@ -89,11 +89,11 @@ def test_two_equal_halves_wait_for_each_other_or_for_the_operator():
     world.cut.add(("r1", "r2"))
     world.run(20.0)
     assert set(counters(world).values()) == {0}
-    world.processes["r0"].take(lambda p: p.strand.order(Order(force=True), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.order(Order(force=True), world.now))
     assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 0, "r3": 0})
-    assert world.processes["r0"].strand.epochs.epoch.forced
+    assert world.processes["r0"].lockstep.epochs.epoch.forced
     world.run(3.0)
-    assert world.processes["r0"].strand.k > world.processes["r3"].strand.k
+    assert world.processes["r0"].lockstep.k > world.processes["r3"].lockstep.k
     world.cut.clear()
     assert world.run(10.0, until=world.together)
     assert world.moving()
@@ -104,24 +104,24 @@ def test_policy_wait_waits_until_the_operator_says_so():
     world.kill("r3")
     world.run(20.0)
     assert set(counters(world).values()) == {0}
-    world.processes["r1"].take(lambda p: p.strand.order(Order(drop=("r3",)), world.now))
+    world.processes["r1"].take(lambda p: p.lockstep.order(Order(drop=("r3",)), world.now))
     assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
     world.start("r3")
     world.run(10.0)
     assert counters(world)["r3"] == 1
-    assert world.processes["r3"].strand.obstacle == "r3 is not in epoch 1: only the operator lets it in again"
-    world.processes["r1"].take(lambda p: p.strand.order(Order(add=("r3",)), world.now))
+    assert world.processes["r3"].lockstep.obstacle == "r3 is not in epoch 1: only the operator lets it in again"
+    world.processes["r1"].take(lambda p: p.lockstep.order(Order(add=("r3",)), world.now))
     assert world.run(3.0, until=world.together)
     assert world.moving()
 
 
 def test_the_operator_sends_a_robot_away_that_is_well():
     world = running(full(4))
-    world.processes["r0"].take(lambda p: p.strand.order(Order(drop=("r2",)), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.order(Order(drop=("r2",)), world.now))
     assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
     world.run(20.0)
     assert set(counters(world).values()) == {1}
-    assert world.processes["r0"].strand.epochs.epoch.members == ("r0", "r1", "r3")
+    assert world.processes["r0"].lockstep.epochs.epoch.members == ("r0", "r1", "r3")
 
 
 def test_a_link_that_stays_cut_is_gone_around():
@@ -138,26 +138,26 @@ def test_a_link_that_stays_cut_and_cannot_be_gone_around_is_left_out():
     world.goes_around = False
     world.cut.add(("r0", "r1"))
     assert world.run(8.0, until=lambda: set(counters(world).values()) == {1})
-    assert world.processes["r0"].strand.epochs.epoch.edges == (("r0", "r3"), ("r1", "r2"), ("r2", "r3"))
+    assert world.processes["r0"].lockstep.epochs.epoch.edges == (("r0", "r3"), ("r1", "r2"), ("r2", "r3"))
     assert world.moving()
 
 
 def test_a_run_is_carried_over_to_other_links():
     world = running(full(4))
     for process in list(world.processes.values()):
-        process.take(lambda p: p.strand.epochs.take_links(tuple(loop(4))))
+        process.take(lambda p: p.lockstep.epochs.take_links(tuple(loop(4))))
     assert world.run(5.0, until=lambda: set(counters(world).values()) == {1})
-    assert len(world.processes["r0"].strand.epochs.epoch.edges) == 4
+    assert len(world.processes["r0"].lockstep.epochs.epoch.edges) == 4
     assert world.moving()
 
 
 def test_an_app_in_fault_is_dropped_and_the_others_go_on():
     world = running(loop(4))
-    world.processes["r2"].take(lambda p: p.strand.fail("it raises", world.now))
+    world.processes["r2"].take(lambda p: p.lockstep.fail("it raises", world.now))
     assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
-    assert world.processes["r0"].strand.epochs.epoch.members == ("r0", "r1", "r3")
-    before = world.processes["r0"].strand.k
-    assert world.run(3.0, until=lambda: world.processes["r0"].strand.k > before + 5)
+    assert world.processes["r0"].lockstep.epochs.epoch.members == ("r0", "r1", "r3")
+    before = world.processes["r0"].lockstep.k
+    assert world.run(3.0, until=lambda: world.processes["r0"].lockstep.k > before + 5)
 
 
 def test_robots_that_come_late_to_a_run_that_has_begun_without_them():
@@ -202,7 +202,7 @@ def test_a_killed_robot_remembers_that_it_has_stopped():
     world.start("r1")
     world.run(1.0)
     assert world.processes["r1"].finished == k is not None
-    assert world.processes["r1"].strand.phase == "done"
+    assert world.processes["r1"].lockstep.phase == "done"
 
 
 def damaged(world, robot, *, reboots=False):
@@ -218,25 +218,25 @@ def test_a_robot_whose_votes_are_damaged_goes_on_and_votes_again_from_the_next_e
     world = running(loop(4))
     damaged(world, "r1")
     process = world.processes["r1"]
-    assert process.strand.epochs.lost
-    assert process.strand.begun  # its snapshots are of the epoch that it knows
+    assert process.lockstep.epochs.lost
+    assert process.lockstep.begun  # its snapshots are of the epoch that it knows
     assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
-    assert not process.strand.epochs.lost
-    epoch = process.strand.epochs.epoch
+    assert not process.lockstep.epochs.lost
+    epoch = process.lockstep.epochs.epoch
     assert len(epoch.restored) == 1
     assert epoch.carried == ("r0", "r2", "r3")
     assert world.moving()
     world.kill("r3")
     assert world.run(8.0, until=lambda: counters(world) == {"r0": 2, "r1": 2, "r2": 2})
-    assert world.processes["r1"].strand.epochs.epoch.restored == ()
+    assert world.processes["r1"].lockstep.epochs.epoch.restored == ()
 
 
 def test_a_robot_that_reboots_and_finds_its_votes_damaged_does_not_begin_the_epoch_anew():
     world = running(loop(4))
     damaged(world, "r1", reboots=True)
-    strand = world.processes["r1"].strand
-    assert not strand.begun
-    assert strand.obstacle == "r1 has lost its state and waits for the next epoch"
+    lockstep = world.processes["r1"].lockstep
+    assert not lockstep.begun
+    assert lockstep.obstacle == "r1 has lost its state and waits for the next epoch"
     assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
     assert world.moving()
 
@@ -245,13 +245,13 @@ def test_a_robot_without_its_votes_does_not_answer_a_ballot_that_it_may_have_ans
     """r1 votes with r0 for an epoch without r2, and loses that vote. r2 and r1 must not make another one."""
     world = running(full(3), drop=False)
     world.cut |= {("r0", "r2"), ("r1", "r2")}
-    world.processes["r0"].take(lambda p: p.strand.order(Order(drop=("r2",)), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.order(Order(drop=("r2",)), world.now))
     assert world.run(5.0, until=lambda: counters(world)["r0"] == 1)
     world.kill("r0")
     damaged(world, "r1", reboots=True)
     world.cut.clear()
     world.cut |= {("r0", "r1"), ("r0", "r2")}
-    world.processes["r2"].take(lambda p: p.strand.order(Order(drop=("r0",)), world.now))
+    world.processes["r2"].take(lambda p: p.lockstep.order(Order(drop=("r0",)), world.now))
     world.run(20.0)
     assert counters(world) == {"r1": 0, "r2": 0}
     world.cut.clear()
@@ -263,17 +263,17 @@ def test_a_robot_without_its_votes_enters_no_epoch_that_it_may_have_been_in():
     """What it sent in that epoch it does not know any more, so it waits for the one after it."""
     world = running(full(4), drop=False)
     world.kill("r3")
-    world.processes["r0"].take(lambda p: p.strand.order(Order(drop=("r3",)), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.order(Order(drop=("r3",)), world.now))
     assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 1})
     world.run(2.0)
     damaged(world, "r1", reboots=True)
     world.run(20.0)
-    strand = world.processes["r1"].strand
+    lockstep = world.processes["r1"].lockstep
     assert counters(world)["r1"] == 1
-    assert not strand.begun
-    world.processes["r0"].take(lambda p: p.strand.order(Order(), world.now))
+    assert not lockstep.begun
+    world.processes["r0"].take(lambda p: p.lockstep.order(Order(), world.now))
     assert world.run(6.0, until=lambda: counters(world) == {"r0": 2, "r1": 2, "r2": 2})
-    assert not strand.epochs.lost
+    assert not lockstep.epochs.lost
     assert world.moving_of("r0", "r1", "r2")
 
 
@@ -283,9 +283,9 @@ def test_where_too_few_have_their_votes_the_operator_goes_on():
     world.run(20.0)
     assert set(counters(world).values()) == {0}
     assert world.moving()  # nobody stops for an election that cannot be won
-    world.processes["r0"].take(lambda p: p.strand.order(Order(force=True), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.order(Order(force=True), world.now))
     assert world.run(6.0, until=lambda: set(counters(world).values()) == {1})
-    assert not world.processes["r1"].strand.epochs.lost
+    assert not world.processes["r1"].lockstep.epochs.lost
     assert world.moving()
 
 
@@ -293,7 +293,7 @@ def test_a_lost_vote_stays_lost_through_further_restarts():
     world = running(loop(4), drop=False)
     damaged(world, "r1")
     world.run(2.0)
-    number = world.processes["r1"].strand.epochs.kept.note.lost
+    number = world.processes["r1"].lockstep.epochs.kept.note.lost
     world.kill("r1")
     world.start("r1")
-    assert world.processes["r1"].strand.epochs.kept.note.lost == number != 0
+    assert world.processes["r1"].lockstep.epochs.kept.note.lost == number != 0

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 from conftest import costly
+from epochs_world import World as EpochsWorld
 from hypothesis import given
 from hypothesis import strategies as st
-from strand_world import World as StrandWorld
 
 from swarm.core.epoch_actions import Keep, Tell
 from swarm.core.epoch_notes import (
@@ -51,7 +51,7 @@ def told(epochs: Epochs) -> list[Note]:
     return [Note.decode(action.data) for action in actions if isinstance(action, Tell)]
 
 
-class World(StrandWorld):
+class World(EpochsWorld):
     """A run in which a robot lies: which epochs there are and what comes of them is no longer what its model says."""
 
     def decided(self, epoch: Epoch) -> None:
@@ -69,17 +69,17 @@ class World(StrandWorld):
 
 def test_a_robot_whose_count_of_starts_was_forged_to_the_greatest_number_goes_on() -> None:
     """It could not pack the next one, and stopped for good with a fault."""
-    world = StrandWorld(LINE)
+    world = EpochsWorld(LINE)
     world.start_all()
     world.run(1.0)
     forged = dataclasses.replace(note("r1"), birth=MAX_COUNT)
     for robot in NAMES:
-        world.processes[robot].take(lambda other: other.strand.receive_note("r0", forged.encode(), world.now))
+        world.processes[robot].take(lambda other: other.lockstep.receive_note("r0", forged.encode(), world.now))
     before = world.progress["r1"]
     world.run(5.0)
     assert world.progress["r1"] > before
-    assert all(process.strand.phase == "running" for process in world.processes.values())
-    assert world.processes["r1"].strand.counters["impossible birth"] >= 1
+    assert all(process.lockstep.phase == "running" for process in world.processes.values())
+    assert world.processes["r1"].lockstep.counters["impossible birth"] >= 1
 
 
 @pytest.mark.parametrize("birth", [MAX_COUNT + 1, (1 << 64) - 1, -1])
@@ -154,9 +154,9 @@ def test_an_epoch_that_begins_behind_the_last_iteration_ends_the_run() -> None:
     late = following(BEGIN, "r2", MAX_ITERATION, NAMES, (), LINE, (), (), forced=True)
     forged = note("r2", epoch=late, birth=9)
     for robot in NAMES:
-        world.processes[robot].take(lambda other: other.strand.receive_note("r2", forged.encode(), world.now))
+        world.processes[robot].take(lambda other: other.lockstep.receive_note("r2", forged.encode(), world.now))
     world.run(5.0)
-    assert {process.strand.phase for process in world.processes.values()} == {"done"}
+    assert {process.lockstep.phase for process in world.processes.values()} == {"done"}
 
 
 counts = st.sampled_from((0, 1, 2, 1 << 31, (1 << 32) - 1, MAX_FOUND - 1, MAX_COUNT - 1, MAX_COUNT)) | st.integers(0, 5)
@@ -210,10 +210,12 @@ def test_whatever_notes_say_no_robot_ends_and_all_that_it_tells_can_be_read(
     for lie, robot, pause in lies:
         world.run(pause)
         if robot in world.processes:
-            world.processes[robot].take(lambda other, lie=lie: other.strand.receive_note("r1", lie.encode(), world.now))
+            world.processes[robot].take(
+                lambda other, lie=lie: other.lockstep.receive_note("r1", lie.encode(), world.now)
+            )
     world.run(3.0)
     for process in world.processes.values():
-        note = process.strand.epochs._mine
+        note = process.lockstep.epochs._mine
         assert Note.decode(note.encode()) == note
-        assert decode(Kept, encode(process.strand.epochs.kept), "") == process.strand.epochs.kept
-        assert not any(count for name, count in process.strand.counters.items() if name == "malformed note")
+        assert decode(Kept, encode(process.lockstep.epochs.kept), "") == process.lockstep.epochs.kept
+        assert not any(count for name, count in process.lockstep.counters.items() if name == "malformed note")

@@ -5,10 +5,10 @@ one after the other, each a plain synchronous run. In the end, mended, all robot
 """
 
 import pytest
+from epochs_world import World
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
-from strand_world import World
 
 from swarm.core.epoch_actions import Order
 
@@ -106,25 +106,25 @@ class Swarm(RuleBasedStateMachine):
     def operator_renews(self, pick, pause):
         process = self.world.processes.get(self.robot(pick))
         if process is not None:
-            process.take(lambda process: process.strand.order(Order(), self.world.now))
+            process.take(lambda process: process.lockstep.order(Order(), self.world.now))
         self.world.run(pause)
 
     def teardown(self):
         if self.world is None:
             return
         self.world.heal()
-        if not self.gets_on() and any(process.strand.epochs.lost for process in self.world.processes.values()):
+        if not self.gets_on() and any(process.lockstep.epochs.lost for process in self.world.processes.values()):
             # Too few robots have their vote: the operator answers for the next epoch.
-            members = [process for process in self.world.processes.values() if process.strand.epochs.member]
-            newest = max(members, key=lambda process: process.strand.epochs.epoch.counter)
-            newest.take(lambda process: process.strand.order(Order(force=True), self.world.now))
+            members = [process for process in self.world.processes.values() if process.lockstep.epochs.member]
+            newest = max(members, key=lambda process: process.lockstep.epochs.epoch.counter)
+            newest.take(lambda process: process.lockstep.order(Order(force=True), self.world.now))
         assert self.gets_on()
 
     def gets_on(self):
         """Whether all robots come together, and are done or move."""
         if not self.world.run(60.0, until=self.world.together):
             return False
-        done = all(process.strand.k == 2000 for process in self.world.processes.values())
+        done = all(process.lockstep.k == 2000 for process in self.world.processes.values())
         return done or self.world.moving()
 
 

@@ -12,16 +12,29 @@ __all__ = ["make_rig"]
 PAIR = """
 import sys
 from services.apps import loader, topology
-from services.apps.host import Host, Part
+from services.apps.claim import Claim
+from services.apps.host import LockstepHost, Part
+from services.apps.lockstep_driver import Place
+from services.apps.runner import Runner
+from services.apps.storage import FileStorage
 from swarm.app.run_options import RunOptions
 from swarm.process.service import Service, run
+from swarm.process.threads import ThreadedRuntime
 
 def main():
     fast, slow = (loader.load(path) for path in sys.argv[1:])
     with Service("app/pair") as service:
         links = topology.of_run(service, "pair", 7)
-        parts = [Part(name, app.make(service.config, service.robot)) for name, app in (("a", fast), ("b", slow))]
-        host = Host(service, "pair", parts, ("pair.py", b"1"), 7, links, RunOptions(50), None)
+        topology.save(service.runtime, "pair", 7, links)
+        parts = [
+            Part(name, Runner(app.make(service.config, service.robot), app.source))
+            for name, app in (("a", fast), ("b", slow))
+        ]
+        claim = Claim(service.runtime, "pair")
+        place = Place.of(7, b"1", RunOptions(50), links.config, links.epoch, claim.incarnation)
+        runtime = ThreadedRuntime(service)
+        host = LockstepHost(runtime, "pair", parts, place, FileStorage(service.runtime), None)
+        runtime.entry(host.start)()
         service.stopping.wait()
         host.close()
         return 3 if host.failed else 0

@@ -11,7 +11,7 @@ from sim.virtual.trajectory_builder import TrajectoryBuilder
 from swarm.recording.trajectory import iteration_times, median, percentile
 
 FIELD = SimpleNamespace(columns=("value",))
-TELLER = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,))))
+SOURCE = SimpleNamespace(runner=SimpleNamespace(schema=SimpleNamespace(fields=(FIELD,))))
 
 
 def written(count, *, keep):
@@ -20,7 +20,7 @@ def written(count, *, keep):
     builder, t = TrajectoryBuilder(keep=keep), 0.0
     for k in range(count):
         t += numbers.uniform(0.05, 0.15)
-        builder.write(TELLER, Line(k, t, {"value": float(k)}, {}))
+        builder.write(SOURCE, Line(k, t, {"value": float(k)}, {}))
     return builder
 
 
@@ -49,6 +49,6 @@ def test_a_run_that_goes_back_forgets_the_iterations_that_are_done_again(monkeyp
     builder = written(1000, keep=False)
     builder.go_back(600)
     assert max(builder._ks) < 600
-    builder.write(TELLER, Line(600, 500.0, {"value": 0.0}, {}))
+    builder.write(SOURCE, Line(600, 500.0, {"value": 0.0}, {}))
     found = builder.trajectory()
     assert (found.last, found.newest) == (600, 500.0)

@@ -1,7 +1,7 @@
-"""Strands joined in memory under a virtual clock: what the tests of epochs and of stop rules play on.
+"""Locksteps joined in memory under a virtual clock: what the tests of epochs and of stop rules play on.
 
 Robots keep pages (snapshots) in a directory that a reboot empties, and their vote where it does not. Every state that
-a strand reaches is compared with a model: each epoch a plain synchronous run from the states its members entered with.
+a robot reaches is compared with a model: each epoch a plain synchronous run from the states its members entered with.
 """
 
 import heapq
@@ -11,8 +11,8 @@ from itertools import count
 from random import Random
 
 from lockstep_world import way_around
-from services.apps.core.strand import Renew, Strand
 
+from services.apps.core.lockstep_run import LockstepRun, Renew
 from services.apps.core.terms import Terms
 from swarm.core.epoch_actions import Keep, Switch, Tell
 from swarm.core.epoch_notes import LOST, first
@@ -78,19 +78,20 @@ class Process:
         names, kept = frozenset(world.names), world.kept.get(robot)
         births = world.births[robot]
         lost = world.random.randrange(1, LOST) if robot in world.damaged else 0
-        self.strand = Strand(robot, names, world.terms, begin, begin.graph, births, self.program, kept, lost)
-        self.strand.epochs.take_links(world.in_force)
+        self.lockstep = LockstepRun(robot, names, world.terms, begin, begin.graph, births, self.program, kept, lost)
+        self.lockstep.epochs.take_links(world.in_force)
         self.alive = True
         self.deadline = None
         self.dies_after = None
         self.finished = None
         self.computing = False
-        saved = self.strand.saved(list(world.pages[robot].values()))
-        self.strand.begin(saved, None, world.now)
+        saved = self.lockstep.saved(list(world.pages[robot].values()))
+        first_one = self.lockstep.start(None) if self.lockstep.new and not saved else None
+        self.lockstep.begin(saved, first_one, world.now)
         self.pump()
 
     def pump(self):
-        todo = deque(self.strand.actions())
+        todo = deque(self.lockstep.actions())
         while todo and self.alive:
             if self.dies_after is not None:
                 self.dies_after -= 1
@@ -98,37 +99,37 @@ class Process:
                     self.die()
                     return
             self._do(todo.popleft())
-            todo += self.strand.actions()
-        self.deadline = self.strand.next_deadline(self.world.now)
+            todo += self.lockstep.actions()
+        self.deadline = self.lockstep.next_deadline(self.world.now)
 
     def _do(self, action):
-        world, robot, strand = self.world, self.robot, self.strand
+        world, robot, lockstep = self.world, self.robot, self.lockstep
         match action:
             case Save(snapshot):
                 pages = world.pages[robot]
                 k = max(pages, default=-1) + 1
                 pages[k] = snapshot.encode()
                 pages.pop(k - len(world.names) - 1, None)
-                world.enters(robot, strand.channel.epoch, strand._history[-1])
+                world.enters(robot, lockstep.channel.epoch, lockstep._history[-1])
             case Keep(kept):
                 world.kept[robot] = kept
                 world.damaged.discard(robot)
             case Tell(data):
-                world.broadcast(robot, lambda other: other.strand.receive_note(robot, data, world.now))
+                world.broadcast(robot, lambda other: other.lockstep.receive_note(robot, data, world.now))
             case Send(data, to, around):
-                channel = Channel.parse(strand.channel.text)
+                channel = Channel.parse(lockstep.channel.text)
 
                 def deliver(other):
-                    other.strand.receive(robot, channel, data, world.now, around=around)
+                    other.lockstep.receive(robot, channel, data, world.now, around=around)
 
                 if not around:
                     world.broadcast(robot, deliver, to)
                 elif world.goes_around and (way := way_around(world.in_force, robot, to)) is not None:
                     world.pass_on(way, deliver)
             case Advanced(k, _):
-                state = strand._history[-1]
+                state = lockstep._history[-1]
                 assert state.k == k
-                world.reached(robot, strand.channel.epoch, k, (state.own[: STATE.size], state.private))
+                world.reached(robot, lockstep.channel.epoch, k, (state.own[: STATE.size], state.private))
             case Compute():
                 world.later(self, lambda: self._compute(action))
             case Renew(epoch):
@@ -145,11 +146,11 @@ class Process:
                 raise AssertionError(action)
 
     def _compute(self, todo):
-        answer = self.strand.compute(todo, None)
-        self.strand.computed(todo, answer, self.world.now)
+        answer = self.lockstep.compute(todo, None)
+        self.lockstep.computed(todo, answer, self.world.now)
 
     def _renew(self, epoch):
-        self.strand.renewed(epoch, self.strand.renew(epoch, None), self.world.now)
+        self.lockstep.renewed(epoch, self.lockstep.renew(epoch, None), self.world.now)
 
     def take(self, action):
         if self.alive:
@@ -219,7 +220,7 @@ class World:
             else:
                 deadline, process = timer
                 self.now = max(self.now, deadline)
-                process.strand.handle_timer(self.now)
+                process.lockstep.handle_timer(self.now)
                 process.pump()
                 later = process.deadline if process.alive else None
                 assert later is None or later > self.now, "a timer that fires for ever"
@@ -348,12 +349,12 @@ class World:
 
     def together(self):
         """Whether all robots are in one epoch, the newest that any of them knows, with all robots in it."""
-        known = [process.strand.epochs.epoch for process in self.processes.values()]
+        known = [process.lockstep.epochs.epoch for process in self.processes.values()]
         newest = max(known, key=lambda epoch: (epoch.counter, epoch.number), default=self.epochs[0])
         return newest.members == tuple(self.names) and all(
             name in self.processes
-            and self.processes[name].strand.channel.epoch == newest.number
-            and self.processes[name].strand.begun
+            and self.processes[name].lockstep.channel.epoch == newest.number
+            and self.processes[name].lockstep.begun
             for name in self.names
         )
 
@@ -363,8 +364,8 @@ class World:
 
     def moving_of(self, *names, rounds=5):
         """Whether these robots get on, within some seconds."""
-        before = {name: self.processes[name].strand.k for name in names}
-        return self.run(10.0, until=lambda: all(self.processes[n].strand.k >= before[n] + rounds for n in names))
+        before = {name: self.processes[name].lockstep.k for name in names}
+        return self.run(10.0, until=lambda: all(self.processes[n].lockstep.k >= before[n] + rounds for n in names))
 
 
 def line(n):
