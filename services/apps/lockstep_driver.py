@@ -16,7 +16,7 @@ from services.apps.topology import Watch
 from swarm.app.run_options import RunOptions
 from swarm.bus.throttle import APP_STATE_S, THROTTLED, Throttle
 from swarm.config import Config
-from swarm.core.epoch_actions import Keep, Order, Switch, Tell
+from swarm.core.epoch_actions import MembershipOrder, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epoch_notes import LOST, Epoch, first
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
@@ -221,7 +221,7 @@ class LockstepDriver:
         self.run.receive_note(sender, payload, self._runtime.now)
         self._perform()
 
-    def order(self, order: Order) -> None:
+    def order(self, order: MembershipOrder) -> None:
         """The operator wants other members."""
         self.run.order(order, self._runtime.now)
         self._perform()
@@ -347,11 +347,11 @@ class LockstepDriver:
             elif type(action) is Compute:
                 # Not from within: a robot without neighbours would never come back.
                 self._runtime.soon(self._compute, action)
-            elif type(action) is Keep:
+            elif type(action) is SaveEpochs:
                 self._keep(self._votes.write, action.kept)
-            elif type(action) is Tell:
+            elif type(action) is SendToNeighbours:
                 self._bus.publish(self._notes, action.data, urgent=True)
-            elif type(action) is Switch:
+            elif type(action) is SwitchEpoch:
                 self._switched(action.epoch)
             elif type(action) is Renew:
                 self._runtime.soon(self._measure, action.epoch.k, partial(self._renew, action.epoch))

@@ -13,7 +13,7 @@ from swarm.app.devices import Devices
 from swarm.app.event_app import EventApp
 from swarm.app.overlays import Message
 from swarm.config import Config
-from swarm.core.asynchronous import Asynchronous, Call, Publish
+from swarm.core.asynchronous import Asynchronous, HandlerCall, Publish
 from swarm.core.lockstep_frames import Channel
 from swarm.errors import AppError
 from swarm.messages import Buttons
@@ -58,7 +58,9 @@ class FakeBus:
 class Unit:
     """One robot."""
 
-    def __init__(self, world: "EventRehearsal", app: loader.App, config: Config, name: str, last: int | None) -> None:
+    def __init__(
+        self, world: "EventRehearsal", app: loader.LoadedApp, config: Config, name: str, last: int | None
+    ) -> None:
         """`last`: the step after which the app ends."""
         self.world = world
         self.name = name
@@ -133,7 +135,7 @@ class Unit:
         if due:
             world.at(max(world.now, min(due)), self._tick)
 
-    def call(self, call: Call) -> bytes:
+    def call(self, call: HandlerCall) -> bytes:
         """Let the app handle an event; its state, packed."""
         return self.runner.call(call, self.core.k, self.core.known(self.world.now))
 
@@ -164,10 +166,10 @@ class EventRehearsal:
 
     def __init__(
         self,
-        app: loader.App,
+        app: loader.LoadedApp,
         config: Config,
         last: int | None = None,
-        call: Callable[[Unit, Call], bytes] | None = None,
+        call: Callable[[Unit, HandlerCall], bytes] | None = None,
     ) -> None:
         """`last`: the step after which a periodic app ends. `call` takes the place of the plain call of a handler."""
         self.now = 0.0

@@ -26,10 +26,10 @@ from sim.rehearsal.sync import SyncRehearsal
 from swarm.app import settings
 from swarm.app.event_app import PeriodicApp, channels_of
 from swarm.app.settings import Setting
-from swarm.app.sync_app import App as AnyApp
+from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.core.asynchronous import Call
+from swarm.core.asynchronous import HandlerCall
 from swarm.errors import AppError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -72,7 +72,7 @@ class Hang(BaseException):
 class Task:
     """What is to be examined."""
 
-    app: loader.App
+    app: loader.LoadedApp
     robots: int = 6
     iterations: int = 300
     settings: Sequence[Setting] = ()
@@ -206,7 +206,7 @@ def _sync(task: Task, finding: Finding) -> None:
 
 
 def _one_step(
-    app: loader.App,
+    app: loader.LoadedApp,
     swarm: SyncRehearsal,
     name: str,
     finding: Finding,
@@ -275,7 +275,7 @@ def _events(task: Task, finding: Finding) -> None:
     times: list[float] = []
     histories: dict[str, list[Any]] = {}
 
-    def call(unit: Unit, what: Call) -> bytes:
+    def call(unit: Unit, what: HandlerCall) -> bytes:
         begin = time.process_time()
         try:
             own = _limited(app.source, lambda: Unit.call(unit, what))

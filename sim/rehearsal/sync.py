@@ -20,7 +20,7 @@ Measure = Callable[[str, int], Measurement]
 class SyncRehearsal:
     """`results[name][k]` is what a robot reports at iteration k, `states[name][k]` its packed shared state."""
 
-    def __init__(self, app: loader.App, config: Config, *, seed: int = 1, measure: Measure = measurement) -> None:
+    def __init__(self, app: loader.LoadedApp, config: Config, *, seed: int = 1, measure: Measure = measurement) -> None:
         """`measure(robot, k)` gives the measurement of step k to an app that wants one."""
         self.k = 0
         self.names = config.names

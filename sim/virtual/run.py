@@ -136,7 +136,7 @@ class Run:
         return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
     def _launch(
-        self, app: loader.App, which: str, run_options: RunOptions, records: AppRecords, observer: Observer
+        self, app: loader.LoadedApp, which: str, run_options: RunOptions, records: AppRecords, observer: Observer
     ) -> Launch:
         """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
         tickets of requests begin with."""

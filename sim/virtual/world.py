@@ -40,7 +40,7 @@ from swarm.config import Config
 from swarm.messages import Target
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.recording.thesis_ranges import Recording
+from swarm.recording.thesis_ranges import ThesisRecording
 
 ASK_EVERY = 0.2
 """s between two looks whether an automatic topology links all robots yet, as the real host has it."""
@@ -84,10 +84,10 @@ class VirtualRobot:
 class Launch(NamedTuple):
     """How an app's hosts are started."""
 
-    app: loader.App
+    app: loader.LoadedApp
     run: int
     run_options: RunOptions
-    recording: Recording | None
+    recording: ThesisRecording | None
     """That the app replays."""
     observer: Observer
 
@@ -221,7 +221,9 @@ class World:
         there.apps[app.name], there.buses[app.name] = host, bus
         host.start()
 
-    def _measurements(self, runtime: VirtualRuntime, recording: Recording | None, last: int | None) -> Measurements:
+    def _measurements(
+        self, runtime: VirtualRuntime, recording: ThesisRecording | None, last: int | None
+    ) -> Measurements:
         if recording is None:
             return source_of(runtime, self.config, last)
         bus = VirtualBus(self.robots[runtime.robot].router)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from laptop.fleet.core.pairing import Bond, Schedule, check, edges, ordered, plan, with_addresses
 from swarm.config import parse
 from swarm.onboard.bootstrap import dbus_wire as wire
-from swarm.onboard.bootstrap.dbus_wire import Message, WireError
+from swarm.onboard.bootstrap.dbus_wire import DbusMessage, WireError
 
 bonds = st.none() | st.builds(Bond, st.booleans(), st.booleans())
 
@@ -127,16 +127,16 @@ def test_what_is_written_is_read(case: tuple[list[str], tuple[Any, ...]]) -> Non
     assert wire.split(signature) == types
     assert wire.unmarshal(signature, bytes(wire.marshal(signature, list(body)))) == list(body)
     fields = {"path": "/", "member": "M"} | ({"signature": signature} if signature else {})
-    data = wire.encode(Message(wire.CALL, 7, fields, list(body)))
+    data = wire.encode(DbusMessage(wire.CALL, 7, fields, list(body)))
     assert wire.size(data) == len(data)
-    assert wire.decode(data) == Message(wire.CALL, 7, fields, list(body))
+    assert wire.decode(data) == DbusMessage(wire.CALL, 7, fields, list(body))
 
 
 def test_a_call_is_these_bytes() -> None:
     """Hello, as libdbus writes it but for the flag and the order of the header's fields (any order is allowed)."""
     name = "org.freedesktop.DBus"
     fields = {"path": "/org/freedesktop/DBus", "destination": name, "interface": name, "member": "Hello"}
-    assert wire.encode(Message(wire.CALL, 1, fields)).hex(" ", 8) == (
+    assert wire.encode(DbusMessage(wire.CALL, 1, fields)).hex(" ", 8) == (
         "6c01020100000000 010000006e000000 01016f0015000000 2f6f72672f667265 656465736b746f70 2f44427573000000"
         " 0601730014000000 6f72672e66726565 6465736b746f702e 4442757300000000 0201730014000000 6f72672e66726565"
         " 6465736b746f702e 4442757300000000 0301730005000000 48656c6c6f000000"
@@ -151,7 +151,7 @@ def test_any_bytes_are_read_or_refused(data: bytes, signature: str, little: bool
 
 @given(st.binary(max_size=40), st.integers(0, 60))
 def test_any_message_is_read_or_refused(data: bytes, at: int) -> None:
-    good = wire.encode(Message(wire.CALL, 1, {"path": "/", "member": "M", "signature": "s"}, ["x"]))
+    good = wire.encode(DbusMessage(wire.CALL, 1, {"path": "/", "member": "M", "signature": "s"}, ["x"]))
     for bad in (data, good[:at] + data + good[at:], good[:at] + data):
         try:
             wire.size(bad)

@@ -22,7 +22,7 @@ from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.relay import Relay
 from services.mesh.core.routing.topology import Ground, Topology
 from services.mesh.core.routing.wanted_links import Start
-from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
+from swarm.config.types import DEFAULT_RELAY, RelayRule, RobotConfig
 from swarm.messages import LinkState
 
 SOCKET = 50_000
@@ -123,7 +123,7 @@ class World:
 
     def start(self, name: str) -> None:
         """Start a robot's mesh, anew if it was there."""
-        robots = {each: Robot(each) for each in self.network}
+        robots = {each: RobotConfig(each) for each in self.network}
         peers = sorted({peer for edge in self.edges if name in edge for peer in edge if peer != name})
         settings: dict[str, object] = {
             "robot": name,

@@ -17,7 +17,7 @@ from services.mesh.link_address import Rfcomm, Sim, Tcp
 from services.mesh.links import sim, tcp
 from services.mesh.links.pipe import Pipe
 from swarm import clock
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.errors import ConfigError, LocalError, SwarmError
 
 
@@ -289,9 +289,9 @@ def test_a_wrong_link_address_is_refused_with_what_was_expected(text: str, messa
 
 
 def test_a_robot_without_a_link_is_reached_by_bluetooth() -> None:
-    assert link_address.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
+    assert link_address.of_robot(RobotConfig("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
     with pytest.raises(ConfigError, match="robot r0: it has neither"):
-        link_address.of_robot(Robot("r0"))
+        link_address.of_robot(RobotConfig("r0"))
 
 
 @pytest.mark.parametrize("model", ["dial=60"])

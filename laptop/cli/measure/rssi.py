@@ -16,7 +16,7 @@ from laptop.plotting.figure import figure
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter, check
 from swarm.config import load
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.errors import LocalError
 from swarm.process.simulations import CONFIG, is_live
 
@@ -36,7 +36,7 @@ class Signal:
         """One reading, dB; `LocalError` where there is no connection, or no answer."""
         handle = self._adapter.handle(self._peer)
 
-        def answer(packet: bytes) -> hci.Reading | None:
+        def answer(packet: bytes) -> hci.RssiReading | None:
             found = hci.reading(packet)
             return None if found is not None and found.status == 0 and found.handle != handle else found
 
@@ -89,7 +89,7 @@ def show(args: argparse.Namespace, robot: str, peer: str, readings: list[int]) -
             axes.set(xlabel="time / s", ylabel="RSSI / dB", title=f"{robot} - {peer}")
 
 
-def _radio(config: Robot, robot: str, peer: str) -> str:
+def _radio(config: RobotConfig, robot: str, peer: str) -> str:
     if config.link is not None and not config.link.startswith("rfcomm:"):
         raise LocalError(f"{robot} - {peer}: this link has no radio: {config.name} is reached by {config.link}")
     address = (config.link or "").removeprefix("rfcomm:") or config.bluetooth

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from services.apps.core.terms import Program, Terms
 from swarm.core import epoch_actions, lockstep
-from swarm.core.epoch_actions import Keep, Order, Switch
-from swarm.core.epoch_notes import Epoch, Kept
+from swarm.core.epoch_actions import MembershipOrder, SaveEpochs, SwitchEpoch
+from swarm.core.epoch_notes import Epoch, SavedEpochs
 from swarm.core.epoch_roster import FRESH
 from swarm.core.epochs import Epochs
 from swarm.core.graph import Graph
@@ -83,7 +83,7 @@ class LockstepRun:
         graph: Graph,
         incarnation: int,
         program: Program,
-        kept: Kept | None = None,
+        kept: SavedEpochs | None = None,
         vote_lost: int = 0,
     ) -> None:
         """`names`: all robots there may be; `begin`: the epoch of a run of which nothing was `kept`; `graph`: its
@@ -251,7 +251,7 @@ class LockstepRun:
             self._heard[sender] = now
         self.epochs.receive(payload, now)
 
-    def order(self, order: Order, now: float) -> None:
+    def order(self, order: MembershipOrder, now: float) -> None:
         """The operator's."""
         self.epochs.order(order, now)
 
@@ -313,10 +313,10 @@ class LockstepRun:
             if type(action) is Save and self._first_save:
                 # Not before there is a state: a robot of which this is all there is knows that it has lost its own.
                 self._first_save = False
-                found.append(Keep(self.epochs.kept))
+                found.append(SaveEpochs(self.epochs.kept))
         for news in self.epochs.actions():
             found.append(news)
-            if isinstance(news, Switch):
+            if isinstance(news, SwitchEpoch):
                 found.append(Renew(news.epoch))
         return found
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from services.dwm.core.filters import Place, inliers, inlying_places, mean
 from swarm.errors import RecordingError
-from swarm.recording.thesis_ranges import Recording
+from swarm.recording.thesis_ranges import ThesisRecording
 
 HEADER = "place,x,y,heading,t,module,distance,px,py"
 
@@ -152,7 +152,7 @@ def spots(samples: Sequence[Sample]) -> list[Spot]:
     return result
 
 
-def of_recording(recording: Recording, place: Place, module: str = TARGET) -> list[Sample]:
+def of_recording(recording: ThesisRecording, place: Place, module: str = TARGET) -> list[Sample]:
     """What a robot of a localization run measured to the target, called `module`, from its true place (x, y in m)."""
     return [
         Sample(0, *place, None, t, module, row.distance, row.x, row.y)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from swarm.onboard.bootstrap import dbus_wire as wire
-from swarm.onboard.bootstrap.dbus_wire import Message
+from swarm.onboard.bootstrap.dbus_wire import DbusMessage
 
 SYSTEM_BUS = "unix:path=/run/dbus/system_bus_socket"
 AGENT = "/org/balboa_swarm/agent"
@@ -150,7 +150,7 @@ class Bluez:
         fields = {"path": path, "interface": interface, "member": member, "destination": to}
         if signature:
             fields["signature"] = signature
-        self._send(Message(wire.CALL, serial, fields, body or []))
+        self._send(DbusMessage(wire.CALL, serial, fields, body or []))
         end = time.monotonic() + seconds
         while True:
             for message in self._messages():
@@ -187,7 +187,7 @@ class Bluez:
         self._sock.sendall(b"BEGIN\r\n")
         self.call("/org/freedesktop/DBus", "org.freedesktop.DBus", "Hello", to="org.freedesktop.DBus")
 
-    def _send(self, message: Message) -> None:
+    def _send(self, message: DbusMessage) -> None:
         self._sock.sendall(wire.encode(message))
 
     def _read(self) -> None:
@@ -196,7 +196,7 @@ class Bluez:
             raise BluezError("no-bus", "D-Bus has closed the connection")
         self._data += data
 
-    def _messages(self) -> list[Message]:
+    def _messages(self) -> list[DbusMessage]:
         found = []
         while (length := wire.size(self._data)) is not None and length <= len(self._data):
             found.append(wire.decode(self._data[:length]))
@@ -207,7 +207,7 @@ class Bluez:
         for message in self._messages():
             self._answer(message)
 
-    def _answer(self, message: Message) -> None:
+    def _answer(self, message: DbusMessage) -> None:
         """Answer a call to our agent; signals, and answers that nobody waits for any more, are dropped."""
         if message.kind != wire.CALL:
             return
@@ -217,12 +217,12 @@ class Bluez:
         about = message.body[0] if message.body else None
         asks = member in ("RequestAuthorization", "RequestConfirmation", "AuthorizeService")
         if member in ("Release", "Cancel") or (asks and about == self._peer):
-            self._send(Message(wire.RETURN, self._serial, fields))
+            self._send(DbusMessage(wire.RETURN, self._serial, fields))
         elif message.fields.get("path") == AGENT and member.startswith(("Request", "Authorize", "Display")):
-            self._send(Message(wire.ERROR, self._serial, {**fields, "error": "org.bluez.Error.Rejected"}))
+            self._send(DbusMessage(wire.ERROR, self._serial, {**fields, "error": "org.bluez.Error.Rejected"}))
         else:
             unknown = "org.freedesktop.DBus.Error.UnknownMethod"
-            self._send(Message(wire.ERROR, self._serial, {**fields, "error": unknown}))
+            self._send(DbusMessage(wire.ERROR, self._serial, {**fields, "error": unknown}))
 
 
 def _plain(properties: dict[str, Any]) -> dict[str, Any]:

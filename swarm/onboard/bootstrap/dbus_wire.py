@@ -33,7 +33,7 @@ class WireError(Exception):
 
 
 @dataclass
-class Message:
+class DbusMessage:
     """One message; `body` has a value for each complete type of `signature`."""
 
     kind: int
@@ -210,7 +210,7 @@ def unmarshal(signature: str, data: bytes, *, little: bool = True) -> list[Any]:
     return values
 
 
-def encode(message: Message) -> bytes:
+def encode(message: DbusMessage) -> bytes:
     """A message as bytes; its `signature` must be that of its body."""
     body = marshal(message.fields.get("signature", ""), message.body)
     flags = NO_AUTO_START if message.kind == CALL else 0
@@ -235,7 +235,7 @@ def size(data: bytes) -> int | None:
     return int(total)
 
 
-def decode(data: bytes) -> Message:
+def decode(data: bytes) -> DbusMessage:
     """One whole message; raises `WireError`."""
     if size(data) != len(data):
         raise WireError("not one whole message")
@@ -253,4 +253,4 @@ def decode(data: bytes) -> Message:
     body = reader.values(fields.get("signature", ""))
     if reader.at != len(data):
         raise WireError("more bytes than the signature has values")
-    return Message(data[1], serial, fields, body)
+    return DbusMessage(data[1], serial, fields, body)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 
 FIRST_DELAY = 0.2
 """s until the second attempt."""
@@ -20,7 +20,7 @@ GOOD_AFTER = 1.0
 processes of one name, which replace each other's connection, would do so several times a second."""
 
 
-def dials(me: Robot, peer: Robot) -> bool:
+def dials(me: RobotConfig, peer: RobotConfig) -> bool:
     """Whether `me` dials `peer`: the lower Bluetooth address does, or the lower name where one has none.
 
     With both ends dialling, Bluetooth pages collide: both fail after 5 s (measured, docs/frames.md).
@@ -30,12 +30,12 @@ def dials(me: Robot, peer: Robot) -> bool:
     return me.name < peer.name
 
 
-def can_link(a: Robot, b: Robot) -> bool:
+def can_link(a: RobotConfig, b: RobotConfig) -> bool:
     """Whether there can be a link between two robots: the one that is dialled has an address."""
     return has_address(b if dials(a, b) else a)
 
 
-def has_address(robot: Robot) -> bool:
+def has_address(robot: RobotConfig) -> bool:
     """Whether a robot can be called at all."""
     return robot.link is not None or robot.bluetooth is not None
 
