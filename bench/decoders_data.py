@@ -408,7 +408,7 @@ TARGETS = (
     Target("fetch: list of files", (), simple([_LIST], text(collect.parse_list)), (RemoteError,)),
     Target("fetch: stream of files", (), _stream, (RemoteError,)),
     Target("fetch: journal", ("laptop/fleet/journal.py",),
-           simple([_ENTRY, b"123 s=1;i=2\n"], text(journal.entry), text(journal.Mark.of))),
+           simple([_ENTRY, b"123 s=1;i=2\n"], text(journal.entry), text(journal.JournalMark.of))),
     Target("fleet: versions of robots", ("laptop/fleet/versions.py",),
            simple([b'{"value": {"revision": 3, "layout": 2}}'], text(versions.firmware))),
 )  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 
 import swarm
 from laptop.cli import main
-from laptop.cli.commands import COMMANDS, Command, Group, help_of, names
+from laptop.cli.commands import COMMANDS, Command, CommandGroup, help_of, names
 from swarm.config.example import EXAMPLE
 
 
@@ -93,7 +93,7 @@ def test_help_lists_every_command_and_fits_a_screen(capsys):
     assert run() == 2
 
 
-@pytest.mark.parametrize("group", [name for name, each in COMMANDS.items() if isinstance(each, Group)])
+@pytest.mark.parametrize("group", [name for name, each in COMMANDS.items() if isinstance(each, CommandGroup)])
 def test_help_of_a_group_lists_its_commands(group, capsys):
     assert run(group, "--help") == 0
     text = capsys.readouterr().out
@@ -172,7 +172,7 @@ def test_nothing_heavy_is_imported():
 
 def every_command():
     for each in COMMANDS.values():
-        yield from each.commands.values() if isinstance(each, Group) else [each]
+        yield from each.commands.values() if isinstance(each, CommandGroup) else [each]
 
 
 @pytest.mark.parametrize("command", [each for each in every_command() if not each.help], ids=lambda each: each.module)

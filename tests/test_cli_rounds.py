@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from laptop.cli.mesh.epoch import View
-from laptop.cli.mesh.topology import ROUND, Views
+from laptop.cli.mesh.epoch import EpochView
+from laptop.cli.mesh.topology import ROUND, TopologyViews
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import AppEpoch, Topology
 from swarm.messages.codec import encode
@@ -19,8 +19,8 @@ EPOCH = AppEpoch(0.0, 0, 0, ("r0",), (), (), False, 0)
 @pytest.mark.parametrize(
     ("topic", "answer", "asking"),
     [
-        ("mesh/topology", TOPOLOGY, lambda found: Views(found)),
-        ("app/consensus/epoch", EPOCH, lambda found: View(found, "consensus")),
+        ("mesh/topology", TOPOLOGY, lambda found: TopologyViews(found)),
+        ("app/consensus/epoch", EPOCH, lambda found: EpochView(found, "consensus")),
     ],
     ids=["topology", "epoch"],
 )

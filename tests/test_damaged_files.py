@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from laptop.fleet.journal import Mark
+from laptop.fleet.journal import JournalMark
 from services.apps import topology
 from services.apps.changes import Changes
 from services.apps.claim import Claim
@@ -135,9 +135,9 @@ KEPT = [
     ),
     Kept(
         "r0.mark",
-        lambda place: place.write_text(Mark(10, "s=abc").text),
-        lambda p: Mark.of(p.read_text(errors="replace")),
-        Mark(),
+        lambda place: place.write_text(JournalMark(10, "s=abc").text),
+        lambda p: JournalMark.of(p.read_text(errors="replace")),
+        JournalMark(),
     ),
 ]
 UNSEEN = {

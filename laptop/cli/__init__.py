@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from laptop.cli.commands import COMMANDS, Command, Group, help_of, names, usage, usage_of
+from laptop.cli.commands import COMMANDS, Command, CommandGroup, help_of, names, usage, usage_of
 from swarm import __version__
 from swarm.errors import LocalError, SwarmError
 from swarm.process.terminal import guard
@@ -49,7 +49,7 @@ def _main(argv: list[str]) -> int:
     command = COMMANDS.get(name)
     if command is None:
         raise LocalError(f"no command {name!r}; {_hint(name)}")
-    if not isinstance(command, Group):
+    if not isinstance(command, CommandGroup):
         return _call(name, command, rest)
     if rest and (chosen := command.commands.get(rest[0])) is not None:
         return _call(f"{name} {rest[0]}", chosen, rest[1:])

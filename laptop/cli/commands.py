@@ -17,7 +17,7 @@ class Command(NamedTuple):
     """One line; empty where the module has it as `HELP`."""
 
 
-class Group(NamedTuple):
+class CommandGroup(NamedTuple):
     """Commands under one word, as in `swarm hand press`."""
 
     help: str
@@ -26,7 +26,7 @@ class Group(NamedTuple):
     """The command that is meant where none is named; empty: one must be named."""
 
 
-SECTIONS: dict[str, dict[str, Command | Group]] = {
+SECTIONS: dict[str, dict[str, Command | CommandGroup]] = {
     "write an app, simulate it, look at runs": {
         "new": Command("sim.rehearsal.new", help="write a commented app and its test"),
         "check": Command("sim.rehearsal.check", help="examine an app before any robot moves: size, time, convergence"),
@@ -41,11 +41,11 @@ SECTIONS: dict[str, dict[str, Command | Group]] = {
         "import": Command("laptop.cli.runs.import_csv"),
     },
     "a running swarm": {
-        "hand": Group(
+        "hand": CommandGroup(
             "do to simulated robots what a person can do",
             {name: Command(f"laptop.cli.hand.{name}") for name in ("press", "push", "lay", "unplug", "kill", "reboot")},
         ),
-        "mesh": Group(
+        "mesh": CommandGroup(
             "the robots and their links, the topology, the members of runs",
             {
                 "show": Command("laptop.cli.mesh.show"),
@@ -54,7 +54,7 @@ SECTIONS: dict[str, dict[str, Command | Group]] = {
             },
             alone="show",
         ),
-        "measure": Group(
+        "measure": CommandGroup(
             "links, paths and the I2C bus",
             {
                 "rtt": Command("laptop.cli.measure.links", ("rtt",), "round-trip times by payload size and overlay"),
@@ -63,7 +63,7 @@ SECTIONS: dict[str, dict[str, Command | Group]] = {
                 "i2c": Command("laptop.cli.measure.i2c"),
             },
         ),
-        "app": Group(
+        "app": CommandGroup(
             "apps while they run",
             {
                 "start": Command("laptop.cli.app.simulated", ("start",), "start an app beside those that run"),
@@ -89,7 +89,7 @@ SECTIONS: dict[str, dict[str, Command | Group]] = {
         "flash": Command("laptop.fleet.flash", help="put new firmware on the Balboas, over their USB cables"),
         "doctor": Command("laptop.cli.robots.doctor"),
         "command": Command("laptop.cli.robots.command"),
-        "services": Group(
+        "services": CommandGroup(
             "services and apps",
             {
                 "start": Command("laptop.fleet.control", ("start",), "start services or apps of all robots"),
@@ -108,7 +108,9 @@ SECTIONS: dict[str, dict[str, Command | Group]] = {
     },
 }
 
-COMMANDS: dict[str, Command | Group] = {name: each for section in SECTIONS.values() for name, each in section.items()}
+COMMANDS: dict[str, Command | CommandGroup] = {
+    name: each for section in SECTIONS.values() for name, each in section.items()
+}
 
 _ROOT = Path(__file__).parents[2]
 """Where the packages lie."""
@@ -120,11 +122,11 @@ def names() -> list[str]:
     """Return every command as it is typed behind `swarm`, groups with each of their commands."""
     found: list[str] = []
     for name, each in COMMANDS.items():
-        found += [f"{name} {sub}" for sub in each.commands] if isinstance(each, Group) else [name]
+        found += [f"{name} {sub}" for sub in each.commands] if isinstance(each, CommandGroup) else [name]
     return found
 
 
-def help_of(command: Command | Group) -> str:
+def help_of(command: Command | CommandGroup) -> str:
     """Return the one line of help, read from the text of the module: importing all modules takes long."""
     if command.help:
         return command.help
@@ -145,7 +147,7 @@ def usage() -> str:
     return "\n".join([*lines, ""])
 
 
-def usage_of(name: str, group: Group) -> str:
+def usage_of(name: str, group: CommandGroup) -> str:
     """Return what `swarm GROUP --help` prints."""
     lines = [f"usage: swarm {name} COMMAND ...   (swarm {name} COMMAND --help)", "", f"{group.help}:"]
     lines += [_line(sub, each) for sub, each in group.commands.items()]
@@ -154,8 +156,8 @@ def usage_of(name: str, group: Group) -> str:
     return "\n".join([*lines, ""])
 
 
-def _line(name: str, command: Command | Group) -> str:
+def _line(name: str, command: Command | CommandGroup) -> str:
     text = help_of(command)
-    if isinstance(command, Group):
+    if isinstance(command, CommandGroup):
         text = f"{text}: {', '.join(command.commands)}"
     return f"  {name:<10} {text}"

@@ -2,7 +2,7 @@
 
 import argparse
 
-from laptop.cli.commands import COMMANDS, Group
+from laptop.cli.commands import COMMANDS, CommandGroup
 
 HELP = "print a script with which bash or zsh complete commands"
 
@@ -24,7 +24,7 @@ def script() -> str:
     groups = "".join(
         f'        {name}) words="{" ".join(each.commands)}" ;;\n'
         for name, each in COMMANDS.items()
-        if isinstance(each, Group)
+        if isinstance(each, CommandGroup)
     )
     return f"""[ -n "$ZSH_VERSION" ] && autoload -U +X compinit bashcompinit && compinit && bashcompinit
 _swarm() {{

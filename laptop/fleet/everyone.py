@@ -18,7 +18,7 @@ from swarm.process.terminal import write_lines
 
 
 @frozen
-class Outcome:
+class RobotOutcome:
     """What came of it on one robot."""
 
     robot: str
@@ -29,9 +29,9 @@ class Outcome:
     """What was told of it on the way."""
 
 
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 """Says how far a robot has come."""
-Job = Callable[[Host, Tell], Awaitable[str]]
+Job = Callable[[Host, ReportProgress], Awaitable[str]]
 """Does the work on one robot and returns a line about it; raises `HostError`."""
 
 
@@ -52,10 +52,12 @@ def chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
     return config, hosts(config, args.robots), Ssh(args.ssh_config)
 
 
-async def each(robots: Sequence[Host], job: Job, timeout_s: float, tell: Callable[[Host, str], None]) -> list[Outcome]:
+async def each(
+    robots: Sequence[Host], job: Job, timeout_s: float, tell: Callable[[Host, str], None]
+) -> list[RobotOutcome]:
     """Run the job on all robots at once; `timeout_s` for each. What one robot does not do harms no other."""
 
-    async def one(host: Host) -> Outcome:
+    async def one(host: Host) -> RobotOutcome:
         began, lines = time.monotonic(), []
 
         def say(text: str) -> None:
@@ -71,7 +73,7 @@ async def each(robots: Sequence[Host], job: Job, timeout_s: float, tell: Callabl
             text, ok = f"not done within {timeout_s:g} s (--timeout)", False
         except MISUNDERSTOOD as error:
             text, ok = misunderstood(error), False
-        return Outcome(host.robot, ok, text, round(time.monotonic() - began, 3), tuple(lines))
+        return RobotOutcome(host.robot, ok, text, round(time.monotonic() - began, 3), tuple(lines))
 
     return list(await asyncio.gather(*(one(host) for host in robots)))
 
@@ -94,7 +96,7 @@ def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
     return 0 if all(outcome.ok for outcome in outcomes) else 1
 
 
-def table(outcomes: Sequence[Outcome]) -> list[str]:
+def table(outcomes: Sequence[RobotOutcome]) -> list[str]:
     """One row a robot."""
     width = max(len(outcome.robot) for outcome in outcomes)
     return [

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, last_words
 from services.balancer import atmega, usb_port
 from services.balancer.core import avr109, image
@@ -179,7 +179,7 @@ def _systemctl(action: str) -> None:
 def _everywhere(args: argparse.Namespace, text: str, firmware: Image) -> int:
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         command = f"sudo -n env SWARM_ROBOT={host.robot} /opt/swarm/current/bin/swarm flash - --here"
         last = ""
 

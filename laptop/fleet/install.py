@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from laptop.fleet import transfer
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, Ssh
 from laptop.fleet.transfer import Release
 from laptop.fleet.versions import OWN_NAME
@@ -47,7 +47,7 @@ async def check_name(ssh: Ssh, host: Host) -> None:
 
 
 async def install(
-    ssh: Ssh, host: Host, releases: Sequence[Release], files: Mapping[str, bytes], tell: Tell
+    ssh: Ssh, host: Host, releases: Sequence[Release], files: Mapping[str, bytes], tell: ReportProgress
 ) -> tuple[str, int]:
     """Bring and install the release that fits the robot; what `install` said last, and the bytes sent."""
     machine, *pythons = (await ssh.check(host, _WHAT)).split()

@@ -13,9 +13,9 @@ from typing import Any
 from laptop.fleet import remote
 from laptop.fleet.bundle import Package, Repository
 from laptop.fleet.core import packages, steps
-from laptop.fleet.core.verdict import Change, Step, Verdict
-from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, Packages, Wish
-from laptop.fleet.everyone import Tell
+from laptop.fleet.core.verdict import Change, ProvisioningStep, Verdict
+from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, DesiredRobot, Packages
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
 from laptop.fleet.transfer import pack
 from swarm.errors import LocalError
@@ -44,9 +44,9 @@ class Provisioning:
         self,
         ssh: Ssh,
         host: Host,
-        wish: Wish,
+        wish: DesiredRobot,
         bundle: Mapping[tuple[str, str], Repository],
-        tell: Tell,
+        tell: ReportProgress,
         rig: Rig,
     ) -> None:
         """`bundle` by Debian and architecture."""
@@ -154,7 +154,7 @@ class Provisioning:
     async def _stage(
         self,
         facts: dict[str, Any],
-        stage: Sequence[Step],
+        stage: Sequence[ProvisioningStep],
         repository: Repository | None = None,
         files: Sequence[Package] = (),
     ) -> tuple[dict[str, Any], bool]:
@@ -190,7 +190,7 @@ class Provisioning:
             self._tell(f"{said['step']}: failed: {said['problem']}")
             raise HostError(f"{said['step']}: {said['problem']}")
 
-    def _verify(self, step: Step, wanted: Verdict, found: Verdict) -> None:
+    def _verify(self, step: ProvisioningStep, wanted: Verdict, found: Verdict) -> None:
         """A change is done when its step finds nothing more to do, but for a reboot."""
         if found.state == "ok" or (found.state == "change" and found.reboot and wanted.reboot and not found.changes):
             self.changed += 1

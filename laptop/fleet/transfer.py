@@ -10,7 +10,7 @@ import tarfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import LocalError
 from swarm.frozen import frozen
@@ -83,7 +83,7 @@ def fitting(releases: list[Release], machine: str, pythons: list[str]) -> Releas
     raise HostError(f"it is {needs}, the releases are for {have}: deploy/release --machine {machine} --python ...")
 
 
-async def bring(ssh: Ssh, host: Host, release: Release, tell: Tell) -> int:
+async def bring(ssh: Ssh, host: Host, release: Release, tell: ReportProgress) -> int:
     """Bring the release into the robot's folder; the number of bytes sent."""
     lacks = [
         name for name in (await ssh.check(host, _LACKS, feed=[release.sums])).splitlines() if name in release.files

@@ -6,10 +6,10 @@ from pathlib import Path
 from laptop.plotting import simulated_scene, style
 from laptop.plotting.palette import COLOURS
 from sim import report, scene
-from sim.report import Json, Outcome
+from sim.report import Json, RunOutcome
 
 
-def draw(outcome: Outcome, summary: Json, path: Path) -> None:
+def draw(outcome: RunOutcome, summary: Json, path: Path) -> None:
     """Write the picture of `outcome` to `path`; the ending says in which format."""
     if outcome.scene_record is not None and outcome.scenario.app in scene.WATCHED:
         simulated_scene.draw(outcome.scenario, outcome.scene_record, outcome.began, path)
@@ -45,7 +45,7 @@ def _title(summary: Json) -> str:
     return "  ".join(word for word in words if word)
 
 
-def _map(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
+def _map(axes, outcome: RunOutcome) -> None:  # type: ignore[no-untyped-def]
     config = outcome.scenario.config
     for anchor in config.anchors:
         axes.plot(anchor.x, anchor.y, "^", color="0.4", markersize=9)
@@ -78,7 +78,7 @@ def _map(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
     axes.grid(alpha=0.3)
 
 
-def _errors(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
+def _errors(axes, outcome: RunOutcome) -> None:  # type: ignore[no-untyped-def]
     for index, (name, path) in enumerate(outcome.trajectories.items()):
         ks = sorted(path.rows)
         errors = [100 * math.dist(report.estimate(path, k), outcome.target(path.times[k])) for k in ks]
@@ -98,7 +98,7 @@ def _errors(axes, outcome: Outcome) -> None:  # type: ignore[no-untyped-def]
     axes.grid(alpha=0.3, which="both")
 
 
-def _states(axes, outcome: Outcome, *, against_time: bool) -> None:  # type: ignore[no-untyped-def]
+def _states(axes, outcome: RunOutcome, *, against_time: bool) -> None:  # type: ignore[no-untyped-def]
     starts = [min(path.times.values()) for path in outcome.trajectories.values() if path.times]
     origin = min(starts, default=0.0)
     shown: dict[str, None] = {}

@@ -25,14 +25,14 @@ ITERATION = 0.32
 Point = tuple[float, float]
 
 
-class Generator(Protocol):
+class _Generator(Protocol):
     """The part of `random.Random` that is used here."""
 
-    def uniform(self, a: float, b: float) -> float: ...  # noqa: D102
+    def uniform(self, a: float, b: float) -> float: ...
 
 
 def scene(
-    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: Generator
+    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: _Generator
 ) -> dict[str, ThesisRecording]:
     """What robots at `places` measure in `rows` iterations, m, by name. All biases are drawn first: by the same numbers
     two models have the same."""

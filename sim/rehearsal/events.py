@@ -8,7 +8,7 @@ from typing import Any
 from services.apps import loader
 from services.apps.event_runner import EventRunner, version
 from sim.rehearsal.clock import CommonClock, NoRanges
-from sim.rehearsal.messages import Messages
+from sim.rehearsal.messages import RehearsalOverlays
 from swarm.app.devices import Devices
 from swarm.app.event_app import EventApp
 from swarm.app.overlays import Message
@@ -65,7 +65,7 @@ class Unit:
         self.world = world
         self.name = name
         self.bus = FakeBus(lambda: world.now)
-        self.messages = Messages(name, config.names, self._send)
+        self.messages = RehearsalOverlays(name, config.names, self._send)
         instance = app.make(config, name, seed=1)
         if not isinstance(instance, EventApp):
             raise AppError(f"{app.source}: {type(instance).__name__} is no EventApp or PeriodicApp")

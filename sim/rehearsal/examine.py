@@ -94,7 +94,7 @@ class Task:
 
 
 @dataclass
-class Finding:
+class _Finding:
     """What came of one graph."""
 
     graph: str
@@ -158,12 +158,12 @@ def describe(task: Task) -> dict[str, object]:
     }
 
 
-def examine(task: Task) -> Iterator[Finding]:
+def examine(task: Task) -> Iterator[_Finding]:
     """Rehearse the app on each of the standard graphs."""
     one = _sync if issubclass(task.kind, SyncApp) else _events
     for graph in GRAPHS:
         if graph != "thesis-d" or task.robots == 6:
-            finding = Finding(graph)
+            finding = _Finding(graph)
             try:
                 one(task, finding)
             except Hang as hang:
@@ -176,7 +176,7 @@ def examine(task: Task) -> Iterator[Finding]:
 # Synchronous apps
 
 
-def _sync(task: Task, finding: Finding) -> None:
+def _sync(task: Task, finding: _Finding) -> None:
     swarm = SyncRehearsal(task.app, task.scene(finding.graph))
     times: list[float] = []
     orders: set[str] = set()
@@ -209,7 +209,7 @@ def _one_step(
     app: loader.LoadedApp,
     swarm: SyncRehearsal,
     name: str,
-    finding: Finding,
+    finding: _Finding,
     times: list[float],
     orders: set[str],
     sums: set[tuple[str, int]],
@@ -270,7 +270,7 @@ def _near(runner: Runner, done: tuple[bytes, bytes], other: Callable[[], tuple[b
 # Event-driven and periodic apps
 
 
-def _events(task: Task, finding: Finding) -> None:
+def _events(task: Task, finding: _Finding) -> None:
     app = task.app
     times: list[float] = []
     histories: dict[str, list[Any]] = {}

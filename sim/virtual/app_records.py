@@ -8,7 +8,7 @@ from services.apps.observer import Line, Source
 from services.apps.recorder import Recorder
 from sim.virtual.bus import VirtualBus
 from sim.virtual.trajectory_builder import TrajectoryBuilder
-from sim.virtual.world import World
+from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
 from swarm.recording.reader import SUFFIX
@@ -20,7 +20,7 @@ from swarm.recording.virtual_file import DirectRecording
 class AppRecords:
     """Of one app, on all robots."""
 
-    def __init__(self, world: World, app: str, *, keep: bool, skewed: bool) -> None:
+    def __init__(self, world: VirtualWorld, app: str, *, keep: bool, skewed: bool) -> None:
         """`keep`: the states of all iterations, not only the last; `skewed`: each robot has a clock of its own."""
         self.app = app
         self._world = world

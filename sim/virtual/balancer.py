@@ -9,7 +9,7 @@ import random
 from services.balancer.core.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.faults import STOPPED
 from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim, Order, Shown, shown
-from sim.core.actions import BUTTONS, Lay, Place, Press, Push, SimulationAction
+from sim.core.actions import BUTTONS, BodyPlace, Lay, Press, Push, SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
@@ -102,7 +102,7 @@ class VirtualBalancer:
             case Lay(side):
                 self.body.lay(side, now)
                 self._show_leds()
-            case Push() | Place():
+            case Push() | BodyPlace():
                 raise LocalError("under virtual time a body has no physics: it can be laid down, not pushed")
 
     def _obey(self, name: str, payload: bytes) -> None:

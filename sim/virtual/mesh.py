@@ -19,7 +19,7 @@ from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import Start
-from sim.virtual.air import Air, End
+from sim.virtual.air import Air, ConnectionEnd
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from swarm.config import Config
@@ -96,7 +96,7 @@ class VirtualMesh:
         self._time = time
         self._air = air
         self._bus = bus
-        self._ends: dict[Session, End] = {}
+        self._ends: dict[Session, ConnectionEnd] = {}
         self._timer = _NEVER
         self._changed = False
         # The text's hash is not Python's own, which differs from process to process.
@@ -191,13 +191,13 @@ class VirtualMesh:
 
     # -- what the air calls ------------------------------------------------------------------------------------
 
-    def dialled(self, peer: str, end: End) -> None:
+    def dialled(self, peer: str, end: ConnectionEnd) -> None:
         """The connection asked for is there."""
         end.session = self.node.dialled(peer, self._time.now)
         self._ends[end.session] = end
         self._carry_out()
 
-    def accepted(self, end: End) -> None:
+    def accepted(self, end: ConnectionEnd) -> None:
         """Somebody has called."""
         end.session = self.node.accepted(self._time.now)
         if end.session is None:
@@ -211,7 +211,7 @@ class VirtualMesh:
         self.node.dial_failed(peer, reason, self._time.now)
         self._carry_out()
 
-    def receive(self, chunks: Iterable[tuple[End, bytes]]) -> None:
+    def receive(self, chunks: Iterable[tuple[ConnectionEnd, bytes]]) -> None:
         """What has come in this moment; b"" where the other end has closed."""
         node, now = self.node, self._time.now
         for end, data in chunks:

@@ -92,7 +92,7 @@ class Launch(NamedTuple):
     observer: Observer
 
 
-class World:
+class VirtualWorld:
     """Robots and their links."""
 
     def __init__(

@@ -12,7 +12,7 @@ from test_mesh_process import Build, Robot, build
 
 from laptop.cli import main
 from laptop.cli.stop import halt
-from laptop.cli.stop.halt import Row
+from laptop.cli.stop.halt import HaltRow
 from swarm.messages import BalancerState, GraphRobot, Stop, read
 from swarm.process.simulations import LOCK, claim
 
@@ -79,10 +79,10 @@ def test_what_counts_as_obeyed(
 
 def test_the_table_says_who_has_not_obeyed_and_why() -> None:
     rows = [
-        Row("r0", "here", True, "fault", True),
-        Row("r1", "here", True, "balancing", False),
-        Row("r2", "silent", None, None, False),
-        Row("r3", "gone", None, None, False),
+        HaltRow("r0", "here", True, "fault", True),
+        HaltRow("r1", "here", True, "balancing", False),
+        HaltRow("r2", "silent", None, None, False),
+        HaltRow("r3", "gone", None, None, False),
     ]
     text = halt.table(rows, stop=True)
     assert text[1].split() == ["r0", "here", "yes", "fault"]

@@ -10,7 +10,7 @@ import pytest
 
 from sim.options import parse
 from sim.scenario import build
-from sim.virtual.run import PLACE, Run
+from sim.virtual.run import PLACE, VirtualRun
 
 HOUR = 3600.0
 LIMIT_B_H = 0.2e6
@@ -25,7 +25,7 @@ pytestmark = [
 ]
 
 
-def blocks_and_bytes(run: Run, warm_up: float, traced: float, hours: float) -> tuple[float, float]:
+def blocks_and_bytes(run: VirtualRun, warm_up: float, traced: float, hours: float) -> tuple[float, float]:
     """Growth between `warm_up` and `traced`, in Python's blocks, and between the hour after `traced` and the end, in
     bytes of all that Python has asked for; an hour. (To trace is slow, so only the end is.)"""
     found: dict[float, int] = {}
@@ -56,6 +56,6 @@ def test_a_day_of_a_simulation_takes_no_more_memory_than_an_hour(app: str, recor
     words += ["--mesh", "delay"] if app == "consensus" else []
     words += ["--record", str(tmp_path)] if recorded else []
     options = parse(words)
-    blocks, size = blocks_and_bytes(Run(options, build(options, PLACE)), 2.0, 21.0, 24.0)
+    blocks, size = blocks_and_bytes(VirtualRun(options, build(options, PLACE)), 2.0, 21.0, 24.0)
     assert blocks * BLOCK_B <= LIMIT_B_H
     assert size <= LIMIT_B_H

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from laptop.cli.mesh.survey import opened
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, last_words
 from swarm import clock
 from swarm.app.parameters import value_of
@@ -207,7 +207,7 @@ def _chosen(found: dict[str, Path], wanted: str | None) -> dict[str, Path]:
 def _everywhere(args: argparse.Namespace) -> int:
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         mine = [word.removeprefix(f"{host.robot}.") for word in args.settings]
         words = [word for word in mine if "." not in word.partition("=")[0]]
         if args.settings and not words:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from laptop.cli.measure import show
 from laptop.cli.measure.figures import FLOOD, NEIGHBOURS, OVERLAYS, UNICAST, Series
-from laptop.cli.measure.senders import Floods, Messages, Pings, Sender
-from laptop.cli.mesh.collected import Mesh
-from laptop.cli.mesh.survey import PATIENCE, Views, opened
+from laptop.cli.measure.senders import Floods, Pings, Sender, UnicastMessages
+from laptop.cli.mesh.collected import CollectedMesh
+from laptop.cli.mesh.survey import PATIENCE, MeshViews, opened
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError
 from swarm.messages import GraphRobot
@@ -108,9 +108,9 @@ def _ways(
         to = way[0] if overlay == ALL else peer
         ways.append((Pings(bus, robot, to, priority), NEIGHBOURS, to, 1))
     if overlay == ALL:
-        ways += [(Messages(bus, robot, to, priority), UNICAST, to, hops) for hops, to in enumerate(way, 1)]
+        ways += [(UnicastMessages(bus, robot, to, priority), UNICAST, to, hops) for hops, to in enumerate(way, 1)]
     elif overlay == UNICAST or (overlay is None and len(way) > 1):
-        ways.append((Messages(bus, robot, peer, priority), UNICAST, peer, len(way)))
+        ways.append((UnicastMessages(bus, robot, peer, priority), UNICAST, peer, len(way)))
     if overlay in (ALL, FLOOD):
         farthest = max(each.hops or 0 for each in others)
         ways.append((Floods(bus, robot, priority), FLOOD, f"{len(others)} robots", farthest))
@@ -118,7 +118,7 @@ def _ways(
 
 
 def _known(bus: Bus, robot: str) -> Mapping[str, GraphRobot]:
-    views = Views()
+    views = MeshViews()
     views.ask(robot, bus, PATIENCE)
     with views.changed:
         if not views.changed.wait_for(lambda: robot in views.robots, PATIENCE):
@@ -135,7 +135,7 @@ def path(known: Mapping[str, GraphRobot], robot: str, peer: str) -> list[str]:
     if not end.hops:
         what = {"never": "it was never seen", "left": "it has left"}.get(end.state, f"it is {end.state}")
         raise LocalError(f"there is no way from {robot} to {peer}: {what}")
-    graph = Mesh({}, known).graph
+    graph = CollectedMesh({}, known).graph
     if end.via is None or robot not in (distances := graph.distances(peer)):
         raise LocalError(f"the way from {robot} to {peer} has just changed, try again")
     way = [end.via]

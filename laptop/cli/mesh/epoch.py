@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     if not is_name(args.app):
         raise LocalError(f"--app {args.app}: expected the name of an app")
     with opened(buses.find(args)) as found:
-        view = View(found, args.app)
+        view = EpochView(found, args.app)
         if not view.wait(ANSWER, lambda: bool(view.epochs)):
             raise LocalError(f"no robot tells who is in {args.app}: {', '.join(found)} ({ANSWER:g} s)")
         done = True
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if done and len({epoch.frames for epoch in view.epochs.values()}) == 1 else 1
 
 
-class View:
+class EpochView:
     """What the hosts of an app tell of its members."""
 
     def __init__(self, found: Mapping[str, Bus], app: str) -> None:
@@ -106,7 +106,7 @@ class View:
                 self._changed.notify_all()
 
 
-def _order(view: View, args: argparse.Namespace) -> bool:
+def _order(view: EpochView, args: argparse.Namespace) -> bool:
     """Give the order to one robot; whether its app has followed in time."""
     robots = tuple(getattr(args, "robots", ()))
     members = {name for epoch in view.epochs.values() for name in epoch.members}

@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from laptop.cli.mesh.collected import Mesh
+from laptop.cli.mesh.collected import CollectedMesh
 from laptop.cli.mesh.survey import AWAY
 from laptop.cli.mesh.tables import ms
 from laptop.plotting.figure import figure
@@ -15,7 +15,7 @@ ON_A_CIRCLE = 12
 Place = tuple[float, float]
 
 
-def draw(mesh: Mesh, path: Path) -> None:
+def draw(mesh: CollectedMesh, path: Path) -> None:
     """Write the picture; `LocalError` where matplotlib is not there, or the file cannot be written."""
     where = places(mesh.graph)
     with figure(path, figsize=(7, 7), layout="constrained") as picture:

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from laptop.cli.mesh import tables
-from laptop.cli.mesh.collected import Mesh, View
-from laptop.cli.mesh.survey import PATIENCE, Views, opened
+from laptop.cli.mesh.collected import CollectedMesh, MeshView
+from laptop.cli.mesh.survey import PATIENCE, MeshViews, opened
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus, OnSample
 from swarm.errors import LocalError, PayloadError
@@ -43,10 +43,10 @@ def run(args: argparse.Namespace) -> int:
     return 0 if mesh.whole else 1
 
 
-def collect(directories: Mapping[str, Path]) -> Mesh:
+def collect(directories: Mapping[str, Path]) -> CollectedMesh:
     """The newest reports of these robots, waited for; `LocalError` where no mesh reports at all."""
-    views = {name: View() for name in directories}
-    graphs = Views()
+    views = {name: MeshView() for name in directories}
+    graphs = MeshViews()
 
     def take(text: str, payload: bytes) -> None:
         with contextlib.suppress(PayloadError):
@@ -72,16 +72,16 @@ def collect(directories: Mapping[str, Path]) -> Mesh:
                 graphs.changed.wait(max(0.0, end - clock.now()))
     if not any(view.links for view in views.values()) and not graphs.robots:
         raise LocalError(f"no mesh reports its links: {', '.join(directories)} ({PATIENCE:g} s)")
-    return Mesh(views, graphs.best())
+    return CollectedMesh(views, graphs.best())
 
 
-def _ask(name: str, bus: Bus, graphs: Views, take: OnSample) -> None:
+def _ask(name: str, bus: Bus, graphs: MeshViews, take: OnSample) -> None:
     graphs.ask(name, bus, PATIENCE)
     for topic in ("clock", "status"):
         bus.ask(key(name, "mesh", topic), take, timeout_s=PATIENCE)
 
 
-def as_json(mesh: Mesh) -> dict[str, object]:
+def as_json(mesh: CollectedMesh) -> dict[str, object]:
     """For programs."""
     robots: dict[str, dict[str, object]] = {}
     for name in mesh.names:

@@ -17,7 +17,7 @@ PATIENCE = 3.0
 AWAY = ("left", "gone", "never")
 
 
-class Views:
+class MeshViews:
     """The newest answer of each mesh that was asked: who asks calls `ask`, then looks at `robots` when it likes."""
 
     def __init__(self) -> None:

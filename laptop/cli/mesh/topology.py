@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     """Code 1 where a robot is silent, has another version, or lacks a link; a refused wish is a `LocalError`."""
     wish = _wish(args.wanted) if args.verb == "set" else None
     with opened(buses.find(args)) as found:
-        views = Views(found)
+        views = TopologyViews(found)
         if wish is None:
             views.wait(ANSWER, lambda: len(views.answers) == len(found))
         else:
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if done else 1
 
 
-class Views:
+class TopologyViews:
     """What the meshes tell of the topology."""
 
     def __init__(self, found: Mapping[str, Bus]) -> None:

@@ -16,9 +16,9 @@ from typing import Any
 
 from laptop.fleet import everyone, remote
 from laptop.fleet.core import doctor, steps
-from laptop.fleet.core.checkup import Finding, Robot
+from laptop.fleet.core.checkup import ExaminedRobot, Finding
 from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
-from laptop.fleet.everyone import Outcome, Tell
+from laptop.fleet.everyone import ReportProgress, RobotOutcome
 from laptop.fleet.provision import Rig
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts
 from swarm.config import Config, load
@@ -93,7 +93,7 @@ def text(
 # -- simulated robots ------------------------------------------------------------------------------------------------
 
 
-def _simulated(directory: Path, only: str | None) -> dict[str, Robot]:
+def _simulated(directory: Path, only: str | None) -> dict[str, ExaminedRobot]:
     from swarm.onboard.listen import listen
 
     config = load(directory / CONFIG)
@@ -103,7 +103,7 @@ def _simulated(directory: Path, only: str | None) -> dict[str, Robot]:
         raise LocalError(f"no robot {unknown[0]!r} in the simulation, there are {', '.join(there)}")
     said = listen({name: there[name] for name in names})
     return {
-        name: Robot(
+        name: ExaminedRobot(
             name, config, None, said[name], disk=_free(there[name]), key=_key(config), addresses=_addresses(config)
         )
         for name in names
@@ -135,23 +135,23 @@ def _addresses(config: Config) -> dict[str, str]:
 # -- real ones -------------------------------------------------------------------------------------------------------
 
 
-def _real(args: argparse.Namespace, only: str | None, rig: Rig) -> tuple[dict[str, Robot], dict[str, str]]:
+def _real(args: argparse.Namespace, only: str | None, rig: Rig) -> tuple[dict[str, ExaminedRobot], dict[str, str]]:
     config = load(args.config, addressed=False)
     wanted, ssh = hosts(config, only), Ssh(args.ssh_config)
-    found: dict[str, Robot] = {}
-    common = Robot("", config, None, None, digest=hashlib.sha256(config.path.read_bytes()).hexdigest())
+    found: dict[str, ExaminedRobot] = {}
+    common = ExaminedRobot("", config, None, None, digest=hashlib.sha256(config.path.read_bytes()).hexdigest())
     common = replace(common, addresses=_addresses(config))
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         found[host.robot] = await _ask(ssh, host, replace(common, name=host.robot), rig)
         return ""
 
-    outcomes: list[Outcome] = asyncio.run(everyone.each(wanted, job, args.timeout, lambda *_: None))
+    outcomes: list[RobotOutcome] = asyncio.run(everyone.each(wanted, job, args.timeout, lambda *_: None))
     problems = {each.robot: each.text for each in outcomes if not each.ok}
     return {name: found[name] for name in config.names if name in found and name not in problems}, problems
 
 
-async def _ask(ssh: Ssh, host: Host, robot: Robot, rig: Rig) -> Robot:
+async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> ExaminedRobot:
     """All that can be found out about one robot; raises `HostError` where it cannot be reached."""
     request = {
         **steps.LOOK,

@@ -9,7 +9,7 @@ from typing import Any
 
 from laptop.fleet import everyone
 from laptop.fleet.core.pairing import check, edges, with_addresses
-from laptop.fleet.everyone import Outcome, Tell
+from laptop.fleet.everyone import ReportProgress, RobotOutcome
 from laptop.fleet.pair import Pairing, look
 from laptop.fleet.ssh import Host, Ssh, hosts
 from swarm.config import Config, load, parse
@@ -39,7 +39,8 @@ def run(args: argparse.Namespace) -> int:
     found, looks = asyncio.run(_look(ssh, robots, args.timeout))
     wrong = check(config, {name: answer["address"] for name, answer in looks.items()})
     outcomes = [
-        Outcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each for each in found
+        RobotOutcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each
+        for each in found
     ]
     good = {name: answer for name, answer in looks.items() if name not in wrong}
     if not args.check:
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(each.ok for each in outcomes) and not any(links.values()) else 1
 
 
-def _tell(quiet: bool) -> Tell:
+def _tell(quiet: bool) -> ReportProgress:
     def tell(text: str) -> None:
         if not quiet:
             write_lines([text])
@@ -68,11 +69,11 @@ def _tell(quiet: bool) -> Tell:
 
 async def _look(
     ssh: Ssh, robots: tuple[Host, ...], timeout_s: float
-) -> tuple[list[Outcome], dict[str, dict[str, Any]]]:
+) -> tuple[list[RobotOutcome], dict[str, dict[str, Any]]]:
     """Each robot's adapter and what it knows of others."""
     looks = {}
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         looks[host.robot] = await look(ssh, host)
         return ""
 

@@ -5,7 +5,7 @@ import asyncio
 from pathlib import Path
 
 from laptop.fleet import apps, everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, Ssh
 from laptop.fleet.versions import Versions
 from swarm.app import run_options
@@ -39,9 +39,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.force:
         asyncio.run(_check_versions(ssh, robots, config, args.timeout))
     arguments = [] if args.no_record else ["--record"]
-    start = apps.Start(name, source, arguments=[*arguments, *run_options.of(args).arguments], settings=args.settings)
+    start = apps.AppStart(name, source, arguments=[*arguments, *run_options.of(args).arguments], settings=args.settings)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         return await start.on(ssh, host)
 
     return everyone.run(args, robots, job)
@@ -64,7 +64,7 @@ async def _check_versions(ssh: Ssh, robots: tuple[Host, ...], config: Config, ti
     """Raises `LocalError` that names the robots where they differ."""
     found: dict[str, Versions] = {}
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         found[host.robot] = await apps.ask_versions(ssh, host)
         return ""
 

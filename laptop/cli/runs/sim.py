@@ -13,8 +13,8 @@ from laptop.plotting import simulated_run
 from sim import options as arguments
 from sim import report, scenario
 from sim.options import Options
-from sim.report import Outcome
-from sim.run import Run
+from sim.report import RunOutcome
+from sim.run import ProcessRun
 from sim.scenario import Scenario
 from swarm.errors import LocalError
 from swarm.process import log, service
@@ -52,7 +52,7 @@ def _virtual(options: Options) -> int:
     plan = scenario.build(options, virtual.PLACE)
     for note in plan.notes:
         sys.stderr.write(note + "\n")
-    run = virtual.Run(options, plan)
+    run = virtual.VirtualRun(options, plan)
     if options.view:
         from laptop.view import virtual_page  # the server is heavy, and of the extra `lab`
 
@@ -63,12 +63,12 @@ def _virtual(options: Options) -> int:
 def _run(options: Options, run_dir: Path) -> int:
     _clear(run_dir)
     plan = scenario.build(options, run_dir)
-    with Run(options, plan, run_dir, sys.stderr) as run:
+    with ProcessRun(options, plan, run_dir, sys.stderr) as run:
         outcome = run.watch()
     return _tell(options, plan, outcome)
 
 
-def _tell(options: Options, plan: Scenario, outcome: Outcome) -> int:
+def _tell(options: Options, plan: Scenario, outcome: RunOutcome) -> int:
     found = report.summary(outcome)
     print(report.table(found, outcome))
     if options.plot is not None and plan.app is not None:

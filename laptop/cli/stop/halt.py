@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
-from laptop.cli.mesh.survey import AWAY, Views, opened
+from laptop.cli.mesh.survey import AWAY, MeshViews, opened
 from laptop.cli.stop import halt_ssh
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
@@ -37,7 +37,7 @@ MOVING = ("standing_up", "balancing")
 
 
 @frozen
-class Row:
+class HaltRow:
     """One robot."""
 
     robot: str
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace, *, stop: bool, reason: str) -> int:
 
         thread = threading.Thread(target=by_ssh, name="ssh")
         thread.start()
-    rows: list[Row] = []
+    rows: list[HaltRow] = []
     if found:
         with opened(found) as opened_buses:
             rows = _command(opened_buses, stop=stop, reason=reason, timeout=args.timeout)
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace, *, stop: bool, reason: str) -> int:
     return 0 if done else 1
 
 
-def _how(name: str, rows: Mapping[str, Row], answers: halt_ssh.Answers) -> str:
+def _how(name: str, rows: Mapping[str, HaltRow], answers: halt_ssh.Answers) -> str:
     """By which path a robot is confirmed; empty where by none."""
     paths = []
     if name in rows and rows[name].confirmed:
@@ -116,7 +116,7 @@ def _how(name: str, rows: Mapping[str, Row], answers: halt_ssh.Answers) -> str:
     return ", ".join(paths)
 
 
-def ssh_table(rows: Mapping[str, Row], answers: halt_ssh.Answers, *, stop: bool) -> list[str]:
+def ssh_table(rows: Mapping[str, HaltRow], answers: halt_ssh.Answers, *, stop: bool) -> list[str]:
     """What people read of the robots that ssh was to reach."""
     what = "stopped" if stop else "armed"
     lines = [("robot", what, "confirmed by", "ssh says")]
@@ -132,7 +132,7 @@ def ssh_table(rows: Mapping[str, Row], answers: halt_ssh.Answers, *, stop: bool)
 
 def rows_of(
     names: Mapping[str, bool], known: Mapping[str, GraphRobot], modes: Mapping[str, str], *, stop: bool
-) -> list[Row]:
+) -> list[HaltRow]:
     """One row a robot. `names`: robots whose bus was looked for, and whether it is there."""
     rows = []
     for name in sorted({*names, *known}):
@@ -141,16 +141,16 @@ def rows_of(
         if entry is not None and entry.state not in AWAY:
             # Who has said nothing since it was started has heard of no stop.
             confirmed = (entry.stopped is True and still) if stop else not entry.stopped
-            rows.append(Row(name, "here", entry.stopped, mode, confirmed))
+            rows.append(HaltRow(name, "here", entry.stopped, mode, confirmed))
         elif names.get(name):
             # A balancer obeys its bus without a mesh; only, nobody will repeat the stop.
-            rows.append(Row(name, "silent", None, mode, stop and mode is not None and still))
+            rows.append(HaltRow(name, "silent", None, mode, stop and mode is not None and still))
         else:
-            rows.append(Row(name, entry.state if entry is not None else "no bus", None, mode, False))
+            rows.append(HaltRow(name, entry.state if entry is not None else "no bus", None, mode, False))
     return rows
 
 
-def table(rows: list[Row], *, stop: bool) -> list[str]:
+def table(rows: list[HaltRow], *, stop: bool) -> list[str]:
     """What people read."""
     lines = [("robot", "state", "stopped", "balancer", "")]
     for row in rows:
@@ -170,7 +170,7 @@ def table(rows: list[Row], *, stop: bool) -> list[str]:
     return [line.rstrip() for line in text] + ["", summary]
 
 
-def _remark(row: Row, *, stop: bool) -> str:
+def _remark(row: HaltRow, *, stop: bool) -> str:
     if row.confirmed:
         return "its mesh does not answer: nobody repeats the stop" if row.state == "silent" else ""
     if row.state == "silent":
@@ -184,8 +184,8 @@ def _remark(row: Row, *, stop: bool) -> str:
     return "not confirmed"
 
 
-def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeout: float) -> list[Row]:
-    views, modes = Views(), dict[str, str]()
+def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeout: float) -> list[HaltRow]:
+    views, modes = MeshViews(), dict[str, str]()
 
     def take(text: str, payload: bytes) -> None:
         with contextlib.suppress(PayloadError):
@@ -198,7 +198,7 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
     for bus in opened_buses.values():
         bus.subscribe(key("*", "balancer", "state"), take)
     end = clock.now() + timeout
-    rows: list[Row] = []
+    rows: list[HaltRow] = []
     while True:
         confirmed = {row.robot for row in rows if row.confirmed}
         for name, bus in opened_buses.items():
@@ -218,7 +218,7 @@ def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeou
             return rows
 
 
-def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:
+def _is_final(row: HaltRow, opened_buses: Mapping[str, Bus]) -> bool:
     """Whether waiting changes nothing. Whose own bus is asked may only not have answered yet, whatever others say."""
     return (row.confirmed and row.state == "here") or (row.state in AWAY and row.robot not in opened_buses)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
@@ -30,7 +30,7 @@ _SLACK_S = 15.0
 class Answers:
     """What came back."""
 
-    outcomes: dict[str, everyone.Outcome] = field(default_factory=dict)
+    outcomes: dict[str, everyone.RobotOutcome] = field(default_factory=dict)
     """By robot: whether it was reached and has confirmed, and how."""
     seen: dict[str, str] = field(default_factory=dict)
     """Robots that another one has seen confirm, over the mesh: its name."""
@@ -57,7 +57,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> A
     answers = Answers()
     words = [PROGRAM, "estop", reason] if stop else [PROGRAM, "arm"]
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         there = ["sudo", "-n", "env", f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}", *words]
         done = await ssh.run(host, shlex.join([*there, "--json", "--timeout", str(THERE_S)]))
         rows = _rows(done.out)
@@ -75,7 +75,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> A
     try:
         found = asyncio.run(everyone.each(robots, job, THERE_S + _SLACK_S, lambda *_: None))
     except LocalError as error:  # there is no ssh here: nobody was told
-        found = [everyone.Outcome(host.robot, False, str(error), 0.0) for host in robots]
+        found = [everyone.RobotOutcome(host.robot, False, str(error), 0.0) for host in robots]
     answers.outcomes = {outcome.robot: outcome for outcome in found}
     return answers
 

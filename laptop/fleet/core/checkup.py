@@ -9,7 +9,7 @@ from swarm.frozen import frozen
 
 
 @frozen
-class Robot:
+class ExaminedRobot:
     """All that was found out about one robot. What could not be asked is None."""
 
     name: str
@@ -53,7 +53,7 @@ class Check:
     name: str
     question: str
     """The checklist's line: what is so on a robot that is well."""
-    judge: Callable[[Robot], Finding]
+    judge: Callable[[ExaminedRobot], Finding]
 
 
 def ok(text: str) -> Finding:

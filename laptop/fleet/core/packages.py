@@ -2,7 +2,7 @@
 
 from laptop.fleet.core import texts
 from laptop.fleet.core.verdict import Facts, Verdict, change, failed, ok
-from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, MIN_KERNEL, Wish
+from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, MIN_KERNEL, DesiredRobot
 
 FIRMWARE = {
     "/lib/firmware/brcm/BCM43430B0.raspberrypi,model-zero-2-w.hcd": "SYN43430B0.hcd",
@@ -13,7 +13,7 @@ files of bluez-firmware that they must lead to."""
 SYNAPTICS = "/lib/firmware/synaptics"
 
 
-def packages(facts: Facts, wish: Wish) -> Verdict:
+def packages(facts: Facts, wish: DesiredRobot) -> Verdict:
     """Debian's packages, from the bundle: a robot has no internet."""
     missing = wanted_packages(facts, wish)
     if not missing and not facts["broken"]:
@@ -36,7 +36,7 @@ def packages(facts: Facts, wish: Wish) -> Verdict:
     )
 
 
-def wanted_packages(facts: Facts, wish: Wish) -> list[str]:
+def wanted_packages(facts: Facts, wish: DesiredRobot) -> list[str]:
     """Packages that the robot lacks: the ones of all robots, the radio's firmware, a newer kernel."""
     missing = [name for name in wish.packages if name not in facts["packages"]]
     if _firmware_missing(facts, wish) and FIRMWARE_PACKAGE not in facts["packages"] and _offers(wish, FIRMWARE_PACKAGE):
@@ -46,7 +46,7 @@ def wanted_packages(facts: Facts, wish: Wish) -> list[str]:
     return missing
 
 
-def _offers(wish: Wish, package: str) -> bool:
+def _offers(wish: DesiredRobot, package: str) -> bool:
     return wish.bundle is not None and package in wish.bundle.names
 
 
@@ -73,7 +73,7 @@ def apt_get(*words: str) -> list[str]:
     return ["apt-get", "--quiet", "--no-install-recommends", *settings, *words]
 
 
-def kernel(facts: Facts, wish: Wish) -> Verdict:
+def kernel(facts: Facts, wish: DesiredRobot) -> Verdict:
     """A kernel whose RFCOMM bears a call into nothing."""
     least = ".".join(map(str, MIN_KERNEL))
     if texts.kernel_version(facts["kernel"]) >= MIN_KERNEL:
@@ -91,7 +91,7 @@ def kernel(facts: Facts, wish: Wish) -> Verdict:
     )
 
 
-def radio(facts: Facts, wish: Wish) -> Verdict:
+def radio(facts: Facts, wish: DesiredRobot) -> Verdict:
     """The Zero 2 W's Bluetooth firmware under the names that its kernel asks for."""
     if wish.board != "zero2w" or not wish.bluetooth:
         return ok("nothing to do on this board" if wish.bluetooth else "no Bluetooth links")
@@ -108,7 +108,7 @@ def radio(facts: Facts, wish: Wish) -> Verdict:
     return failed(f"there is no {SYNAPTICS}/{next(iter(FIRMWARE.values()))}: a bundle with {FIRMWARE_PACKAGE}")
 
 
-def _firmware_missing(facts: Facts, wish: Wish) -> bool:
+def _firmware_missing(facts: Facts, wish: DesiredRobot) -> bool:
     if wish.board != "zero2w" or not wish.bluetooth:
         return False
     return bool(_unlinked(facts)) or all(facts["links"][path] is None for path in FIRMWARE)

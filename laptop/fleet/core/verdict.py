@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from laptop.fleet.core.wish import Wish
+from laptop.fleet.core.wish import DesiredRobot
 from swarm.frozen import frozen
 
 Facts = Mapping[str, Any]
@@ -40,8 +40,8 @@ def change(text: str, *changes: Change, reboot: bool = False) -> Verdict:
 
 
 @frozen
-class Step:
+class ProvisioningStep:
     """One idea."""
 
     name: str
-    judge: Callable[[Facts, Wish], Verdict]
+    judge: Callable[[Facts, DesiredRobot], Verdict]

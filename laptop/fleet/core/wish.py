@@ -42,7 +42,7 @@ class Packages:
 
 
 @frozen
-class Wish:
+class DesiredRobot:
     """What is asked for one robot."""
 
     robot: str
@@ -68,12 +68,14 @@ class Wish:
     """None = no bundle for this robot's Debian."""
 
 
-def wish(config: Config, robot: str, address: str, now: float, *, key: bool, wifi: tuple[str, str] | None) -> Wish:
+def wish(
+    config: Config, robot: str, address: str, now: float, *, key: bool, wifi: tuple[str, str] | None
+) -> DesiredRobot:
     """What swarm.toml asks of a robot."""
     entry = config.robot(robot)
     kind, _, port = config.dwm.source.partition(":")
     own = kind == "serial" and port in ("/dev/serial0", "/dev/ttyAMA0", "/dev/ttyS0")
-    return Wish(
+    return DesiredRobot(
         robot=robot,
         board=entry.board,
         address=address,
