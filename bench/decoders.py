@@ -45,7 +45,7 @@ ELSEWHERE = {
     "services/balancer/link.py": "datagrams between the loop and its own second process",
     "services/balancer/core/mailbox.py": "a number made of one byte or two: tests/balancer/test_slack_tasks.py",
     "services/mesh/__main__.py": "makes a number of random bytes of its own",
-    "services/mesh/core/link/dialler.py": "a Bluetooth address that the configuration has checked",
+    "services/mesh/core/link/calls.py": "a Bluetooth address that the configuration has checked",
     "services/mesh/links/sim.py": "simulated links only",
     "sim/app_requests_server.py": "a simulation's own socket: tests/sim/test_orders.py",
     "sim/run.py": "makes a number of random bytes of its own",

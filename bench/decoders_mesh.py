@@ -8,22 +8,23 @@ from bench.decoders_run import Target
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.pieces import Id, Packet
 from services.mesh.core.events import Received
-from services.mesh.core.link import probe
+from services.mesh.core.link import neighbour
+from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import Claim, encode_claim
-from services.mesh.core.link.flow import encode_ack
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_ack, encode_fragment
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.overlays import around
+from services.mesh.core.overlays import stop
 from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.stop import Halt, Mark
 from services.mesh.core.overlays.viewing import KEYS, Viewing
 from services.mesh.core.relay import Relay
-from services.mesh.core.routing.topology import Ground, Topology
+from services.mesh.core.routing import topology
+from services.mesh.core.routing.topology import Advertisement, Ground, Topology
 from services.mesh.core.routing.wanted_links import Start
 from services.mesh.core.wire import frames, packets
-from services.mesh.core.wire.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, SYNC, UNICAST, Bind, Heartbeat, Hello
-from services.mesh.core.wire.packets import Ack, Advertisement, Echo, Halt, Mark, Message, Spread
+from services.mesh.core.wire.packets import Ack, Echo, Message, Spread
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.lockstep_frames import encode_step
 from swarm.errors import FrameError, PayloadError
@@ -42,12 +43,12 @@ PACKETS = (
     packets.encode_spread(Spread(7, 5, b"x" * 20, echo=True, first=2)),
     packets.encode_spread(Spread(7, 5, b"x", latest=True)),
     packets.encode_spread(Spread(7, 5, b"", echo=True, size=20_000)),
-    packets.encode_spread(Spread(7, 9, packets.encode_advertisement(Advertisement({"r1": 300}, topology=5, heard=7)))),
-    packets.encode_advertisement(Advertisement({"r1": 300, "r2": 65535}, leaving=True, heard=3)),
+    packets.encode_spread(Spread(7, 9, topology.encode_advertisement(Advertisement({"r1": 300}, topology=5, heard=7)))),
+    topology.encode_advertisement(Advertisement({"r1": 300, "r2": 65535}, leaving=True, heard=3)),
     packets.encode_echo(Echo(7, 5, ("r2", "r3"), lost=True, orphan=True, ttl=9)),
     *packets.encode_digests({"r2": (7, 5), "r3": (8, 6)}, answer=True),
     packets.encode_summary(77),
-    *packets.encode_halts(Halt({"r2": (Mark(7, 5), "smoke")}, {"r3": Mark(8, 6)})),
+    *stop.encode_halts(Halt({"r2": (Mark(7, 5), "smoke")}, {"r3": Mark(8, 6)})),
     packets.encode_message(Message("r0", "r1", 7, 5, "swarm/r0/app/x/send/r1", b"hello", 32)),
     packets.encode_message(Message("r0", "r3", 7, 5, "swarm/r0/app/x/send/r3", b"hello", 32)),
     packets.encode_ack(Ack("r0", "r1", 7, 5, refused=False, ttl=32)),
@@ -63,7 +64,7 @@ PACKETS = (
         )
         for flood in (False, True)
     ),
-    around.encode(around.Packet("r0", "r1", "swarm/r0/app/x/sync/1/r1/around", b"x", 9)),
+    packets.encode_message(packets.Message("r0", "r1", 7, 0, "swarm/r0/app/x/sync/1/r1/around", b"x", 9)),
     Ground(NAMES, (), auto=True).encode(Topology(2, 1, "r0", True, EDGES)),
     encode(Watch(1.0, 5.0)),
 )
@@ -83,7 +84,7 @@ def _overlays(rng: random.Random) -> Overlays:
     start = Start(Ground(NAMES, (), auto=True), {name: True for name in NAMES if name != "r1"})
     return Overlays(
         "r1", frozenset(NAMES), incarnation=10**15, random=rng.random, counters=Counter(), start=start,
-        admits_flood=lambda key: True, admits_unicast=lambda sender, key: True, admits_around=lambda sender, key: True,
+        admits_flood=lambda key: True, admits_unicast=lambda sender, key: True,
     )  # fmt: skip
 
 
@@ -192,7 +193,7 @@ FRAMES = (
     encode_fragment(Fragment(0, 0, False, 40, b"x" * 20)),
     encode_fragment(Fragment(0, 1, True, 0, b"x" * 20)),
     frames.encode_data(SYNC, 11, encode_step(5, bytes(8), bytes(8))),
-    frames.encode_data(BULK, 12, probe._HEAD.pack(5, 1, 1) + bytes(9)),
+    frames.encode_data(BULK, 12, neighbour._HEAD.pack(5, 1, 1) + bytes(9)),
 )
 """Frames of a member beside those with packets: what is mutated is a frame without its length and tag."""
 
@@ -293,8 +294,8 @@ def _view(rng: random.Random) -> Made:
 
 _CORE = "services/mesh/core/"
 _PACKET_DECODERS = (
-    packets.decode_spread, packets.decode_echo, packets.decode_digest, packets.decode_summary, packets.decode_halt,
-    packets.decode_advertisement, packets.decode_message, packets.decode_ack, around.decode, probe._answer,
+    packets.decode_spread, packets.decode_echo, packets.decode_digest, packets.decode_summary, stop.decode_halt,
+    topology.decode_advertisement, packets.decode_message, packets.decode_ack, neighbour._answer,
     pieces.decode, pieces.decode_offer, pieces.decode_want, pieces.decode_piece, pieces.decode_state,
 )  # fmt: skip
 
@@ -308,9 +309,8 @@ TARGETS = (
                 "wire/frames.py",
                 "link/clock.py",
                 "link/flow.py",
-                "wire/fragments.py",
                 "wire/packets.py",
-                "link/probe.py",
+                "link/neighbour.py",
             )
         ),
         _member,
@@ -323,9 +323,8 @@ TARGETS = (
             for each in (
                 "wire/packets.py",
                 "bulk/pieces.py",
-                "overlays/around.py",
+                "overlays/stop.py",
                 "routing/topology.py",
-                "wire/texts.py",
             )
         ),
         _packets,
@@ -336,14 +335,14 @@ TARGETS = (
         (
             f"{_CORE}wire/packets.py",
             f"{_CORE}bulk/pieces.py",
-            f"{_CORE}overlays/around.py",
-            f"{_CORE}wire/texts.py",
-            f"{_CORE}link/probe.py",
+            f"{_CORE}overlays/stop.py",
+            f"{_CORE}routing/topology.py",
+            f"{_CORE}link/neighbour.py",
         ),
         _decoders(_PACKET_DECODERS),
         (FrameError,),
     ),
-    Target("mesh: fragments put together", (f"{_CORE}wire/fragments.py",), _fragments, (FrameError,)),
+    Target("mesh: fragments put together", (f"{_CORE}link/flow.py",), _fragments, (FrameError,)),
     Target("mesh: topologies, and their file", (f"{_CORE}routing/topology.py",), _topologies, (FrameError,)),
     Target("mesh: views of a robot", ("swarm/messages/codec.py",), _view, (PayloadError,)),
 )

@@ -55,7 +55,6 @@ class Peer:
             start=Start(Ground(config.names, config.edges, auto=config.auto), local.dials),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
         )
         nonce = partial(os.urandom, NONCE_SIZE)
         network = Network(config, local, runtime_dir())

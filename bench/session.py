@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
+from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import MeshClock
-from services.mesh.core.link.handshake import Local
 from services.mesh.core.link.session import Session
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Tagger

@@ -11,8 +11,7 @@ from functools import partial
 from services.mesh import topology_file
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.events import Received
-from services.mesh.core.link.dialler import can_link, dials
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.calls import Local, can_link, dials
 from services.mesh.core.node import Node
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
@@ -119,7 +118,6 @@ def main() -> None:
             start=start,
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
         )
         nonce = partial(os.urandom, NONCE_SIZE)
         node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)

@@ -5,8 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from services.mesh import link_address
-from services.mesh.core.link.dialler import has_address
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.calls import Local, has_address
 from services.mesh.links import pybluez, rfcomm, sim, supervision, tcp
 from services.mesh.links.pipe import Pipe
 from services.mesh.runner import Listener

@@ -15,11 +15,11 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
+from services.mesh.core.actions import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.node_actions import Action, Close, Dial, LinksChanged, Note, Write
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock

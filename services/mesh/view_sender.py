@@ -1,4 +1,4 @@
-"""Tells those who watch the swarm through another robot what this one's bus says; see `core.viewing`.
+"""Tells those who watch the swarm through another robot what this one's bus says; see `core.overlays.viewing`.
 
 What is told is heard by a session of its own, which is there only while somebody watches: else this costs nothing.
 """

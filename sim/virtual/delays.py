@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 from services.mesh.core.radio_model import AirModel, DelayLine
-from services.mesh.core.relay import AROUND, Relay
+from services.mesh.core.relay import Relay
 from services.mesh.core.wire.frames import NEIGHBOURS
 from sim.virtual.air import line_of
 from sim.virtual.bus import OnSample, VirtualBus
@@ -69,7 +69,7 @@ class DelayMesh:
     def _publish(self, source: int, name: str, payload: bytes) -> None:
         now = self._time.now
         for leg, data in self._relay.publish(source, name, payload, now):
-            if leg.overlay == AROUND:
+            if leg.avoid_link:
                 continue  # the business of a mesh, too, but nobody has asked for it by name
             if leg.overlay != NEIGHBOURS:
                 self._refuse(name, payload)

@@ -8,13 +8,12 @@ from functools import partial
 from typing import TypeVar
 
 from services.mesh.bus_interface import BusInterface
+from services.mesh.core.actions import Close, Dial, LinksChanged
 from services.mesh.core.events import Received
+from services.mesh.core.link.calls import Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
-from services.mesh.core.link.dialler import can_link, dials
-from services.mesh.core.link.handshake import Local
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.node_actions import Close, Dial, LinksChanged
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
 from services.mesh.core.routing.topology import Ground
@@ -125,7 +124,6 @@ class VirtualMesh:
             start=Start(common.ground, local.dials, None),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
             wanted=bus.wanted,
         )
         self.node = Node(

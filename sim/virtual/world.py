@@ -19,7 +19,7 @@ from services.apps.runner import Runner
 from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
 from services.mesh.core.routing.link_state import Known
-from services.mesh.core.wire.packets import Advertisement
+from services.mesh.core.routing.topology import Advertisement
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.options import DELAY, FROM_START, SETTLED

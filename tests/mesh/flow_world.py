@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Callable
 
 from services.mesh.core.events import Received
+from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import MeshClock
-from services.mesh.core.link.handshake import Local
 from services.mesh.core.link.session import Session
 from services.mesh.core.radio_model import AirModel, DelayLine
 

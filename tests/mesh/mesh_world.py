@@ -10,13 +10,11 @@ from typing import Any
 
 from hypothesis import strategies as st
 
+from services.mesh.core.actions import Close, Dial, Note, Write
 from services.mesh.core.events import Received
-from services.mesh.core.link.callers import UNKNOWN, Caller
-from services.mesh.core.link.dialler import dials
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.link.session import Session
 from services.mesh.core.node import Node
-from services.mesh.core.node_actions import Close, Dial, Note, Write
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.radio_model import AirModel, DelayLine
 from services.mesh.core.relay import Relay
@@ -147,7 +145,6 @@ class World:
             start=Start(Ground(sorted(local.robots), self.topology, auto=self.auto), local.dials, self.saved.get(name)),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
         )
         node = Node(
             local,

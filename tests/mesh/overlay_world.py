@@ -98,8 +98,7 @@ class World:
             metric=self.metric,
             start=self.beginning(name),
             admits_flood=lambda key: parse(key).service == "rule",
-            admits_unicast=lambda sender, key: "set/allowed" in key,
-            admits_around=lambda sender, key: key.endswith("/around"),
+            admits_unicast=lambda sender, key: "set/allowed" in key or key.endswith("/around"),
         )
         self.bots[name] = Bot(name, overlays, counters)
         self._timers[name] = self.now

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from mesh_world import End, Raw, World
 
-from services.mesh.core.link import callers
-from services.mesh.core.link.callers import MAX_HALF_OPEN, MAX_PER_SOURCE, Caller, Callers
-from services.mesh.core.link.dialler import LONGEST_DELAY
+from services.mesh.core.link import calls
+from services.mesh.core.link.calls import LONGEST_DELAY, MAX_HALF_OPEN, MAX_PER_SOURCE, Caller, Callers
 from services.mesh.core.link.session import HANDSHAKE_TIMEOUT
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
@@ -105,7 +104,7 @@ def watched() -> Iterator[Watched]:
         (hello() + frames.encode_data(1, 0, b"x"), "bad_frames", "frame kind 6 before CONFIRM"),
         (hello(robot="r9"), "refused_robot", "robot r9 is not in our configuration"),
         (hello(network="other"), "refused_network", "network 'other'"),
-        (hello(versions=(3, 4)), "refused_version", "speaks protocol versions 3 to 4"),
+        (hello(versions=(4, 5)), "refused_version", "speaks protocol versions 4 to 5"),
         (b"\xff\xff" + bytes(100), "bad_frames", "frame length 65535: 1 to 256"),
         (hello() + b"\xff\xff" + bytes(100), "bad_frames", "frame length 65535: 1 to 256"),
         (hello(), "silent", "no handshake within 2 s"),
@@ -471,7 +470,7 @@ def test_what_is_remembered_of_strangers_is_bounded() -> None:
     gate = Callers()
     for number in range(1000):
         gate.refused(Caller(f"10.0.{number >> 8}.{number & 255}"), 0.0)
-    assert len(gate._refused) == callers._MAX_REMEMBERED
+    assert len(gate._refused) == calls._MAX_REMEMBERED
     last = Caller("10.0.3.231")
     assert not gate.has_room(last, (), 0.1)
     assert gate.has_room(last, (), 0.3)
@@ -480,7 +479,7 @@ def test_what_is_remembered_of_strangers_is_bounded() -> None:
     assert gate.has_room(last, (), 0.31)
     for _ in range(50):
         gate.refused(last, 1.0)
-    assert gate.has_room(last, (), 1.0 + callers.LONGEST_SHUT_OUT)
+    assert gate.has_room(last, (), 1.0 + calls.LONGEST_SHUT_OUT)
 
 
 # -- all at once ---------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from services.mesh.core.events import LinkUp, Received
 from services.mesh.core.link import flow
+from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import Claim, MeshClock, encode_claim
-from services.mesh.core.link.handshake import Local
 from services.mesh.core.link.session import Session
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, Tagger, hkdf, newest_common

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from topology_world import TopologyWorld, names_of
 
+from services.mesh.core.link.calls import LONGEST_FAR, LONGEST_NEAR, Search
 from services.mesh.core.routing.automatic_topology import plan
-from services.mesh.core.routing.search import LONGEST_FAR, LONGEST_NEAR, Search
 from services.mesh.core.routing.topology import MAX_LINKS
 
 Edges = set[tuple[str, str]]

@@ -16,16 +16,17 @@ from services.mesh.core.bulk import pieces, transfers
 from services.mesh.core.bulk.pieces import OFFER, Id, Packet
 from services.mesh.core.link import clock, heartbeat
 from services.mesh.core.link.clock import Claim, MeshClock, decode_claim, encode_claim
+from services.mesh.core.link.flow import Fragment, Reassembly
 from services.mesh.core.link.heartbeat import Pulse
 from services.mesh.core.overlays import unicast
 from services.mesh.core.overlays.echo import MAX_WAVES
 from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.routing.graph_report import PAGE
-from services.mesh.core.routing.topology import MAX_STEP
+from services.mesh.core.routing import topology
+from services.mesh.core.routing.membership import PAGE
+from services.mesh.core.routing.topology import MAX_STEP, Advertisement
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.fragments import MAX_MESSAGE, Fragment, Reassembly
-from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD, UNICAST, Heartbeat
-from services.mesh.core.wire.packets import Advertisement, Message, Spread
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_MESSAGE, MAX_PAYLOAD, UNICAST, Heartbeat
+from services.mesh.core.wire.packets import Message, Spread
 from services.mesh.core.wire.seen_numbers import Window
 from swarm.errors import FrameError
 from swarm.messages.codec import encode
@@ -144,7 +145,7 @@ def test_decoded_link_states_are_remembered_in_little_memory() -> None:
     def flood() -> None:
         for count in range(300):
             names = {f"r{n}": count for n in range(500, 700)}
-            packets.decode_advertisement(packets.encode_advertisement(Advertisement(names)))
+            topology.decode_advertisement(topology.encode_advertisement(Advertisement(names)))
 
     assert allocated(flood) < MIB
 
@@ -152,7 +153,7 @@ def test_decoded_link_states_are_remembered_in_little_memory() -> None:
 def test_a_link_state_with_robots_of_no_configuration_is_refused() -> None:
     world = World(line(3))
     world.settle()
-    lsa = packets.encode_advertisement(Advertisement({f"stranger{n}": 1 for n in range(150)}))
+    lsa = topology.encode_advertisement(Advertisement({f"stranger{n}": 1 for n in range(150)}))
     say(world, "r1", "r0", FLOOD, "swarm/r2/mesh/lsa", packets.encode_spread(Spread(2**60, 1, lsa)), CONTROL)
     assert world.bots["r1"].counters["bad_packets"] == 1
     assert world.bots["r1"].overlays.graph(world.now).robots[2].links.keys() == {"r1"}
@@ -161,7 +162,7 @@ def test_a_link_state_with_robots_of_no_configuration_is_refused() -> None:
 def test_the_graph_fits_the_bus_whatever_links_robots_claim() -> None:
     names = [f"robot-number{n:03}" for n in range(PAGE + 20)]
     overlays = Overlays(names[0], names, incarnation=1, random=lambda: 0.5, counters=Counter())
-    claims = packets.encode_advertisement(Advertisement(dict.fromkeys(names, 65535)))
+    claims = topology.encode_advertisement(Advertisement(dict.fromkeys(names, 65535)))
     for name in names[2:]:
         overlays._map.receive(name, 2**60, claims, 1.0)
     shown: list[str] = []
@@ -179,7 +180,7 @@ def test_a_robot_that_hears_robots_beyond_the_configuration_does_not_end_the_pla
     world.run(20.0)
     neighbours = {"r0": 300, "r1": 300, "r2": 300}
     lsa = Advertisement(neighbours, topology=world.linking("r0").tag, heard=(1 << 2040) - 1)
-    heard = packets.encode_advertisement(lsa)
+    heard = topology.encode_advertisement(lsa)
     world.bots["r0"].overlays._map.receive("r3", 2**60, heard, world.now)
     world.step("r0", lambda each: each.linking and each.linking._plan(world.now))
     world.run(10.0)

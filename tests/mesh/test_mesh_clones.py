@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mesh_world import World
 from test_mesh_session import hello
 
-from services.mesh.core.link.callers import Caller
+from services.mesh.core.link.calls import Caller
 from services.mesh.core.wire import frames
 from swarm.messages import FloodRequest, Stop
 

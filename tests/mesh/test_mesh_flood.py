@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from overlay_world import World, full, line, ring, thesis_d
 
-from services.mesh.core.overlays import catch_up, echo, flood, flood_store
+from services.mesh.core.overlays import echo, flood, flood_store
 from services.mesh.core.overlays.requests import MAX_TICKETS
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD
@@ -257,7 +257,7 @@ def test_what_full_queues_lost_is_repaired_by_comparing() -> None:
         publish(world, "r0", f"x{n}", b"%d" % n)
     world.run(1.0)
     world.loss = 0.0
-    world.run(2.5 * catch_up.COMPARE_PERIOD)
+    world.run(2.5 * flood_store.COMPARE_PERIOD)
     for name in world.names[1:]:
         assert sorted(world.got(name, "")) == sorted(b"%d" % n for n in range(20))
 
@@ -357,7 +357,7 @@ def test_whatever_happens_once_to_each_and_all_agree_in_the_end(
     world.run(4.0)
     for edge in world.edges:
         world.join(*sorted(edge))
-    world.run(2.5 * catch_up.COMPARE_PERIOD)
+    world.run(2.5 * flood_store.COMPARE_PERIOD)
     for name, bot in world.bots.items():
         floods = [(key.split("/")[1], payload) for key, payload in bot.inbox if key.endswith("/flood")]
         assert len(floods) == len(set(floods)), "delivered twice"

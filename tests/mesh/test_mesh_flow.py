@@ -11,11 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.mesh.core.link import flow
-from services.mesh.core.link.flow import Receipts, Window, decode_ack, encode_ack
-from services.mesh.core.link.outbox import FOR_LATEST, LIMITS, MAX_BEGUN, Outbox, Part
-from services.mesh.core.wire import fragments, frames
-from services.mesh.core.wire.channels import Channels
-from services.mesh.core.wire.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
+from services.mesh.core.link.flow import (
+    Fragment,
+    Reassembly,
+    Receipts,
+    Window,
+    decode_ack,
+    decode_fragment,
+    encode_ack,
+    encode_fragment,
+)
+from services.mesh.core.link.outbox import FOR_LATEST, LIMITS, MAX_BEGUN, Channels, Outbox, Part
+from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import BULK, CONTROL, SYNC
 from swarm.errors import FrameError
 
@@ -93,7 +100,7 @@ def test_no_small_message_waits_longer_than_the_window_and_a_write() -> None:
     note()
     transfer(link)
     assert link.now - start > 10.0
-    largest_write = flow.MIN_WINDOW + fragments.LARGE + 20
+    largest_write = flow.MIN_WINDOW + flow.LARGE_FRAGMENT + 20
     assert max(pings.delays()) <= 0.03 + (max(limits) + largest_write) / BANDWIDTH
     assert max(limits) < 10_000
 
@@ -237,7 +244,7 @@ sizes = st.one_of(st.integers(0, 3000), st.integers(0, 100_000))
 @settings(deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from("abcde"), sizes), max_size=25),
-    st.lists(st.sampled_from((fragments.SMALL, fragments.LARGE)), min_size=1, max_size=7),
+    st.lists(st.sampled_from((flow.SMALL_FRAGMENT, flow.LARGE_FRAGMENT)), min_size=1, max_size=7),
 )
 def test_whatever_is_interleaved_comes_out_whole_and_in_the_order_of_its_key(
     messages: list[tuple[str, int]], cuts: list[int]
@@ -288,8 +295,10 @@ def test_whatever_a_peer_sends_its_memory_is_bounded(steps: list[tuple[Fragment,
         now += wait
         with suppress(FrameError):
             reassembly.add(fragment, now)
-        assert len(reassembly._messages) <= fragments.MAX_INCOMPLETE
-        assert reassembly._bytes == sum(each.total for each in reassembly._messages.values()) <= fragments.MAX_BYTES
+        assert len(reassembly._messages) <= flow.MAX_INCOMPLETE
+        assert (
+            reassembly._bytes == sum(each.total for each in reassembly._messages.values()) <= flow.MAX_INCOMPLETE_BYTES
+        )
 
 
 def test_announced_bytes_count_not_only_those_that_came() -> None:
@@ -424,5 +433,5 @@ def test_control_is_never_held_back() -> None:
 
 
 def test_a_frame_of_a_fragment_fits_a_bluetooth_packet() -> None:
-    first = encode_fragment(Fragment(1, 0, False, MIB, bytes(fragments.LARGE)))
+    first = encode_fragment(Fragment(1, 0, False, MIB, bytes(flow.LARGE_FRAGMENT)))
     assert len(first) + frames.TAG_SIZE <= 1000

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.counters import COUNTERS
 from services.mesh.core.link.clock import Claim, decode_claim, encode_claim
-from services.mesh.core.link.flow import decode_ack, encode_ack
+from services.mesh.core.link.flow import Fragment, decode_ack, decode_fragment, encode_ack, encode_fragment
+from services.mesh.core.node import COUNTERS
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.fragments import Fragment, decode_fragment, encode_fragment
 from services.mesh.core.wire.frames import Bind, Decoder, Frame, Heartbeat, Hello
 from swarm.errors import FrameError, LocalError
 
@@ -209,8 +208,8 @@ def test_bytes_too_many_are_refused() -> None:
 
 
 def test_another_version_is_told_from_noise_whatever_follows() -> None:
-    body = frames.MAGIC + bytes((3, 7)) + b"a layout of the future"
-    with pytest.raises(frames.VersionError, match="speaks protocol versions 3 to 7, we speak 2"):
+    body = frames.MAGIC + bytes((4, 7)) + b"a layout of the future"
+    with pytest.raises(frames.VersionError, match="speaks protocol versions 4 to 7, we speak 3"):
         frames.decode_hello(body)
     with pytest.raises(FrameError, match="not one of ours") as caught:
         frames.decode_hello(b"GET / HTTP/1.1")

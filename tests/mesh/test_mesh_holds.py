@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
 
-from services.mesh.core.link.forced_cuts import MAX_SECONDS, Holds
+from services.mesh.core.link.neighbour import MAX_SECONDS, Holds
 from swarm.messages import HoldLink
 
 LINE = [("r0", "r1"), ("r1", "r2")]

@@ -87,12 +87,12 @@ def test_a_stop_given_while_the_keys_differ_is_heard_when_the_link_is_back() -> 
 def test_a_robot_with_another_version_of_the_protocol_is_refused_and_named_on_both_sides() -> None:
     """r2 has a later release; its version stands in its HELLO."""
     world = World((("r0", "r1"), ("r1", "r2")))
-    later = b"BSWM\x03\x03"
-    world.tap = lambda end, data: data.replace(b"BSWM\x02\x02", later) if end.robot == "r2" else data
+    later = b"BSWM\x04\x04"
+    world.tap = lambda end, data: data.replace(b"BSWM\x03\x03", later) if end.robot == "r2" else data
     world.run(60.0)
     assert (world.link("r0", "r1").state, world.link("r0", "r1").connection) == ("up", 1)
     assert world.link("r1", "r2").connection == 0
-    assert "speaks protocol versions 3 to 3, we speak 2" in "".join(problems(world, "r1"))
+    assert "speaks protocol versions 4 to 4, we speak 3" in "".join(problems(world, "r1"))
     assert "no common protocol version" in world.link("r2", "r1").reason
     assert len(problems(world, "r1")) == 1
     assert world.bots["r1"].counters["refused_version"] < 30, "it backs off"

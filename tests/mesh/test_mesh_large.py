@@ -11,12 +11,10 @@ from overlay_world import World, full, line, ring, thesis_d
 
 from services.mesh.core.actions import Transmit
 from services.mesh.core.bulk import exchange, pieces, transfers
-from services.mesh.core.bulk.fetch import Fetch
-from services.mesh.core.bulk.pieces import GONE, OFFER, PIECE, SIZE, WANT, Id, Packet
-from services.mesh.core.overlays import large_floods
+from services.mesh.core.bulk.pieces import GONE, OFFER, PIECE, SIZE, WANT, Fetch, Id, Packet
+from services.mesh.core.overlays import large_messages
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.fragments import MAX_MESSAGE
-from services.mesh.core.wire.frames import BULK, UNICAST
+from services.mesh.core.wire.frames import BULK, MAX_MESSAGE, UNICAST
 from swarm.errors import FrameError
 from swarm.messages import FloodRequest, SendRequest
 
@@ -228,7 +226,7 @@ def test_a_large_flood_reaches_all_by_a_tree(graph: str) -> None:
         world.bots[name].counters["wave_sent"] for name in world.names[1:]
     ) == 2 * len(world.edges)
     assert idle(world)
-    world.run(large_floods.HOLD + 1.0)
+    world.run(large_messages.HOLD + 1.0)
     assert not any(bot.overlays._large._floods._held for bot in world.bots.values())
 
 
@@ -293,7 +291,7 @@ def test_announcements_without_room_go_round_no_circles(monkeypatch: pytest.Monk
         world.step(
             "r0", lambda each, payload=payload: each.flood("swarm/r0/rule/k", payload, BULK, world.now, latest=True)
         )
-    monkeypatch.setattr(large_floods, "MAX_BYTES", 100_000)
+    monkeypatch.setattr(large_messages, "MAX_BYTES", 100_000)
     world.run(30.0)
     assert sum(bot.counters["flood_sent"] for bot in world.bots.values()) < 100
     monkeypatch.undo()

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from test_mesh_attacks import SYNC, Watched
 from test_mesh_session import hello
 
+from services.mesh.core.link.outbox import name_of
+from services.mesh.core.overlays.stop import Halt, Mark, encode_halts
+from services.mesh.core.routing import topology
+from services.mesh.core.routing.topology import Advertisement
 from services.mesh.core.wire import frames, packets
-from services.mesh.core.wire.channels import name_of
-from services.mesh.core.wire.fragments import MAX_MESSAGE
-from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, UNICAST
-from services.mesh.core.wire.packets import Advertisement, Halt, Mark, Message, Spread, encode_halts
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_MESSAGE, NEIGHBOURS, UNICAST
+from services.mesh.core.wire.packets import Message, Spread
 from swarm.messages import FloodRequest, Members, Stop
 from swarm.messages.codec import decode
 
@@ -121,7 +123,7 @@ def test_a_message_in_anothers_name_needs_a_rule(watched: Watched) -> None:
 
 
 def test_a_wrong_map_lasts_until_its_owner_speaks(watched: Watched) -> None:
-    gone = packets.encode_advertisement(Advertisement({}, leaving=True))
+    gone = topology.encode_advertisement(Advertisement({}, leaving=True))
     lie(watched, FLOOD, "swarm/r2/mesh/lsa", ahead(watched, "r2", gone), CONTROL)
     watched.run(2.0)
     world = watched.world

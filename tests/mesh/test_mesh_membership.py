@@ -8,14 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
-from services.mesh.core.overlays.stop_register import REPEAT_PERIOD, SPACING
-from services.mesh.core.overlays.stop_reports import CONFIRM_AFTER, MAX_NAMED, STOP_PERIOD
+from services.mesh.core.overlays.stop import (
+    CONFIRM_AFTER,
+    MAX_NAMED,
+    REPEAT_PERIOD,
+    SPACING,
+    STOP_PERIOD,
+    Halt,
+    Mark,
+    decode_halt,
+    encode_halts,
+)
 from services.mesh.core.routing import membership
-from services.mesh.core.routing.graph_report import PAGE, Survey
-from services.mesh.core.routing.membership import Membership
+from services.mesh.core.routing.membership import PAGE, Membership, Survey
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import CONTROL, FLOOD
-from services.mesh.core.wire.packets import Halt, Mark, decode_halt, encode_halts
 from swarm.messages import Stop, Stopped
 from swarm.messages.codec import MAX_PAYLOAD, decode, encode
 from swarm.messages.keys import STOP
@@ -412,18 +419,18 @@ def test_what_is_told_of_a_stop_is_bounded() -> None:
 def test_a_stop_counts_beside_robots_that_are_not_in_the_configuration() -> None:
     world = World(line(2))
     world.settle()
-    mark = packets.Mark(2**60, 1)
+    mark = Mark(2**60, 1)
 
-    def hear(halt: packets.Halt) -> None:
-        (data,) = packets.encode_halts(halt)
+    def hear(halt: Halt) -> None:
+        (data,) = encode_halts(halt)
         world.step("r0", lambda each: each.receive("r1", FLOOD, "swarm/r1/mesh/halt", data, CONTROL, world.now))
 
-    hear(packets.Halt({"r1": (mark, "smoke"), "r9": (mark, "elsewhere")}, {}))
+    hear(Halt({"r1": (mark, "smoke"), "r9": (mark, "elsewhere")}, {}))
     assert stopped(world, "r0").by == {"r1": "smoke"}
-    hear(packets.Halt({}, {"r1": mark, "r9": mark}))
+    hear(Halt({}, {"r1": mark, "r9": mark}))
     assert stopped(world, "r0").by == {"r1": "smoke"}, "a re-arm is taken as a whole or not at all"
     assert world.bots["r0"].counters["bad_packets"] == 1
-    hear(packets.Halt({}, {"r1": mark}))
+    hear(Halt({}, {"r1": mark}))
     assert not stopped(world, "r0").stopped
 
 

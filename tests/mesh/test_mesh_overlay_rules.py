@@ -13,8 +13,7 @@ from test_mesh_session import KEYS, hello
 from services.mesh.core.link.outbox import LIMITS
 from services.mesh.core.relay import Relay, matches
 from services.mesh.core.wire import frames, packets
-from services.mesh.core.wire.fragments import MAX_MESSAGE
-from services.mesh.core.wire.frames import BULK, FLOOD, NEIGHBOURS, SYNC, UNICAST
+from services.mesh.core.wire.frames import BULK, FLOOD, MAX_MESSAGE, NEIGHBOURS, SYNC, UNICAST
 from services.mesh.core.wire.packets import Spread
 from swarm.config.types import DEFAULT_RELAY, RelayRule
 from swarm.messages import FloodRequest, SendRequest, Stop

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import World
 
-from services.mesh.core.link import probe
-from services.mesh.core.link.probe import Prober
+from services.mesh.core.link import neighbour
+from services.mesh.core.link.neighbour import Prober
 from services.mesh.core.wire.frames import SYNC
 from swarm.config.types import RelayRule
 from swarm.errors import FrameError
@@ -81,9 +81,9 @@ def test_a_link_that_is_down_is_said() -> None:
 def test_any_echo_is_answered_or_refused(payload: bytes) -> None:
     prober = Prober("r0", ("r1",))
     with suppress(FrameError):
-        assert prober.receive(probe.ping_key("r1"), payload, 0.0) in (payload, payload[: probe.MIN_SIZE])
+        assert prober.receive(neighbour.ping_key("r1"), payload, 0.0) in (payload, payload[: neighbour.MIN_SIZE])
     with suppress(FrameError):
-        assert prober.receive(probe.pong_key("r1"), payload, 0.0) is None
+        assert prober.receive(neighbour.pong_key("r1"), payload, 0.0) is None
 
 
 def test_bad_echoes_are_counted_and_harm_nothing() -> None:
@@ -105,7 +105,7 @@ def test_answers_that_never_come_are_forgotten() -> None:
     prober, link = node._prober, node._links["r1"]
     for number in range(100):
         assert prober.ping(EchoRequest("r1", number, 50, count=10), link, number * 1.0) is None
-    assert len(prober._sent) <= 10 * (probe.FORGET + 1)
+    assert len(prober._sent) <= 10 * (neighbour.FORGET + 1)
 
 
 # -- what a link tells --

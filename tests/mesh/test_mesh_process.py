@@ -300,7 +300,7 @@ def test_strangers_are_refused_counted_and_logged_once(build: Build, kind: str) 
     swarm = build(kind)
     swarm.start()
     wrong = {
-        "refused_version": hello(versions=(3, 9)),
+        "refused_version": hello(versions=(4, 9)),
         "refused_network": hello(network="other"),
         "refused_robot": hello(robot="r7"),
         "bad_frames": b"GET / HTTP/1.1\r\n\r\n",
@@ -319,7 +319,7 @@ def test_strangers_are_refused_counted_and_logged_once(build: Build, kind: str) 
     assert swarm["r1"].links["r0"].connection == 1
     assert swarm["r1"].mesh is not None
     log = log_of(swarm["r1"].mesh)
-    assert log.count("speaks protocol versions 3 to 9, we speak 2") == 1
+    assert log.count("speaks protocol versions 4 to 9, we speak 3") == 1
     assert log.count("connection refused") == len(wrong)
     assert "Traceback" not in log
 

@@ -97,14 +97,14 @@ def test_around_a_silent_link_is_for_neighbours_alone_and_comes_in_from_them() -
     key = "swarm/r1/app/x/sync/c/r2/around"
     assert sent(one, key) == [("r2", b"x")]
     assert sent(one, "swarm/r1/app/x/sync/c/r9/around") == []
-    assert one.admits_around("r2", "swarm/r2/app/x/sync/c/r1/around")
+    assert one.admits_unicast("r2", "swarm/r2/app/x/sync/c/r1/around")
     assert not one.admits("r2", "swarm/r2/app/x/sync/c/r1/around")
-    assert not one.admits_around("r2", "swarm/r2/app/x/sync/c/r0/around")
-    assert not one.admits_around("r2", "swarm/r0/app/x/sync/c/r1/around")
-    assert not one.admits_around("r9", "swarm/r9/app/x/sync/c/r1/around")
+    assert not one.admits_unicast("r2", "swarm/r2/app/x/sync/c/r0/around")
+    assert not one.admits_unicast("r2", "swarm/r0/app/x/sync/c/r1/around")
+    assert not one.admits_unicast("r9", "swarm/r9/app/x/sync/c/r1/around")
     one.set_peers(["r0"])
     assert sent(one, key) == []
-    assert not one.admits_around("r2", "swarm/r2/app/x/sync/c/r1/around")
+    assert not one.admits_unicast("r2", "swarm/r2/app/x/sync/c/r1/around")
 
 
 def test_classes_and_queues_are_those_of_the_rule() -> None:

@@ -16,9 +16,7 @@ import pytest
 from conftest import wait_until
 from rfcomm_air import RfcommAir
 
-from services.mesh.core.link.callers import UNKNOWN, Caller
-from services.mesh.core.link.dialler import dials
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.node import Node
 from services.mesh.core.overlays.robot_overlays import Overlays
 from services.mesh.core.relay import Relay
@@ -268,7 +266,6 @@ class Mesh:
             start=Start(Ground(config.names, config.edges, auto=False), own.dials),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
-            admits_around=relay.admits_around,
         )
         node = Node(
             own,

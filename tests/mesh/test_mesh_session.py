@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mesh_world import ACCIDENTS, World
 
-from services.mesh.core.link.callers import MAX_HALF_OPEN
-from services.mesh.core.link.dialler import FIRST_DELAY, LONGEST_DELAY, Dialler, dials
+from services.mesh.core.link.calls import FIRST_DELAY, LONGEST_DELAY, MAX_HALF_OPEN, Dialler, dials
 from services.mesh.core.link.session import HANDSHAKE_TIMEOUT
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
@@ -161,7 +160,7 @@ def test_a_stopping_mesh_says_so() -> None:
         (hello(key_ids=(4,)), "bad_frames", "none when insecure"),
         (hello(dialler=False), "refused_role", "both ends claim the same role"),
         (hello("r3"), "refused_role", "r1 is to dial r3"),
-        (hello(versions=(3, 4)), "refused_version", "speaks protocol versions 3 to 4, we speak 2"),
+        (hello(versions=(4, 5)), "refused_version", "speaks protocol versions 4 to 5, we speak 3"),
         (b"GET / HTTP/1.1\r\n", "bad_frames", "frame length 17735"),
         (b"\x05\x00\x06abcd", "bad_frames", "frame kind 6 before HELLO"),
         (hello() + hello(), "bad_frames", "frame kind 1 before CONFIRM"),

@@ -9,7 +9,7 @@ from services.mesh.core.overlays.robot_overlays import MEMBERS_PERIOD, Overlays
 from services.mesh.core.routing.link_state import HOLD_DOWN, HOPS, REFRESH, Known, LinkState
 from services.mesh.core.routing.membership import SETTLE
 from services.mesh.core.routing.shortest_paths import Edge, routes, routes_by_hops
-from services.mesh.core.wire.packets import Advertisement
+from services.mesh.core.routing.topology import Advertisement
 from sim.virtual.run import simulate
 
 NAMES = [f"r{i}" for i in range(9)]

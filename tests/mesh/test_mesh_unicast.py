@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
 from services.mesh.core.overlays import unicast
-from services.mesh.core.routing import link_state
+from services.mesh.core.routing import link_state, topology
 from services.mesh.core.routing.link_state import HOPS, TIME, Level, LinkState
 from services.mesh.core.routing.shortest_paths import Edge, routes
+from services.mesh.core.routing.topology import Advertisement, encode_advertisement
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, UNICAST
-from services.mesh.core.wire.packets import Advertisement, Message, encode_advertisement
+from services.mesh.core.wire.packets import Message
 from swarm.messages import SendRequest
 
 GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(6)}
@@ -487,7 +488,7 @@ def test_good_news_wait_bad_news_do_not_and_both_are_rare() -> None:
         each.link_down("r1", 2.05 + n * 0.1)
     assert len(published) <= 2 + link_state.BURST + 11
     run(each, 12.0, 20.0)
-    assert "r1" not in packets.decode_advertisement(published[-1]).neighbours
+    assert "r1" not in topology.decode_advertisement(published[-1]).neighbours
 
 
 def test_refresh_and_age() -> None:

@@ -6,7 +6,7 @@ from itertools import combinations
 import networkx as nx
 from overlay_world import World
 
-from services.mesh.core.actions import Connect, Disconnect, Keep, LinkAction
+from services.mesh.core.actions import Connect, Disconnect, LinkAction, Write
 from services.mesh.core.routing.topology import Ground, Topology
 from services.mesh.core.routing.wanted_links import Linking, Start
 from swarm.messages import TopologyRequest
@@ -129,7 +129,7 @@ class TopologyWorld(World):
                 edge = self.edges.get(frozenset((name, peer)))
                 if edge is not None and edge.up and edge.alive:
                     self._give_up(name, peer)
-            case Keep():
+            case Write():
                 self.saved[name] = self.value(name)
                 self.values.append(self.value(name))
 

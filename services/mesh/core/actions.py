@@ -1,11 +1,18 @@
-"""What the overlays want their node to do. Deliveries to the own bus are `events.Received`."""
+"""What the mesh's cores ask for: `Transmit`, `Connect` and `Disconnect` of the node, the other actions of its shell.
+
+A node also hands `events.Received` on among its actions: a message to be published on the own bus.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+from services.mesh.core.events import Received
+from services.mesh.core.link.session import Session
+from swarm.frozen import frozen
+
 
 class Transmit(NamedTuple):
-    """A packet for one neighbour, on the channel of `key` in `overlay`."""
+    """Send a packet to one neighbour, on the channel of `key` in `overlay`."""
 
     peer: str
     overlay: int
@@ -17,7 +24,7 @@ class Transmit(NamedTuple):
 
 
 class Connect(NamedTuple):
-    """This robot is to have a link with a neighbour from now on, whoever dials."""
+    """Have a link with a neighbour from now on, whoever dials."""
 
     peer: str
     once: bool = False
@@ -25,24 +32,48 @@ class Connect(NamedTuple):
 
 
 class Disconnect(NamedTuple):
-    """This robot is to have no link with a neighbour any more."""
+    """Have no link with a neighbour any more."""
 
     peer: str
     code: int
     """Of BYE: why."""
 
 
-class Keep(NamedTuple):
-    """Another topology holds: what is kept through restarts is to be written anew."""
+@frozen
+class Dial:
+    """Make a connection to this neighbour, then call `dialled` or `dial_failed`."""
+
+    peer: str
 
 
-class Report(NamedTuple):
-    """A line for the log."""
+@frozen
+class Close:
+    """Send what the session still has, as far as that needs no waiting, then close its transport."""
+
+    session: Session
+
+
+@frozen
+class LinksChanged:
+    """Publish `Node.links()`: it has something new."""
+
+
+@frozen
+class Note:
+    """Write a line to the log."""
 
     text: str
     problem: bool
-    """Whether it is worth a warning; such a line is logged once."""
+    """Whether it is worth a warning. A node passes on the first of equal problems."""
+
+
+@frozen
+class Write:
+    """Write `Overlays.topology_file()` anew, which is kept through restarts: another topology holds."""
 
 
 Emit = Callable[[Transmit], None]
-LinkAction = Connect | Disconnect | Keep | Report
+LinkAction = Connect | Disconnect | Write | Note
+"""What a topology asks of its node."""
+Action = Dial | Close | LinksChanged | Note | Write | Received
+"""What a node asks of its shell."""

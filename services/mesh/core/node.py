@@ -9,50 +9,49 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
-from services.mesh.core.actions import Connect, Disconnect, Keep, Report, Transmit
-from services.mesh.core.counters import COUNTERS
+from services.mesh.core.actions import (
+    Action,
+    Close,
+    Connect,
+    Dial,
+    Disconnect,
+    LinkAction,
+    LinksChanged,
+    Note,
+    Transmit,
+    Write,
+)
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
-from services.mesh.core.limits import longest
-from services.mesh.core.link import probe
-from services.mesh.core.link.callers import UNKNOWN, Caller, Callers
+from services.mesh.core.link import neighbour
+from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Callers, Local
 from services.mesh.core.link.clock import ClockState, MeshClock
-from services.mesh.core.link.forced_cuts import Holds
-from services.mesh.core.link.handshake import REFUSED, Local
-from services.mesh.core.link.neighbour import Link
-from services.mesh.core.link.session import DOWN, SUSPECT, Session
-from services.mesh.core.node_actions import Action, Close, Dial, LinksChanged, Note, Write
+from services.mesh.core.link.neighbour import Holds, Link
+from services.mesh.core.link.outbox import name_of
+from services.mesh.core.link.session import DOWN, SENT, SUSPECT, Session
+from services.mesh.core.overlays import flood, robot_overlays, unicast
 from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.problems import Problems
-from services.mesh.core.relay import AROUND, Relay, Send
+from services.mesh.core.relay import Relay, Send
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.channels import name_of
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
+
+COUNTERS = (*REFUSED.values(), *SENT, *robot_overlays.COUNTERS, "byes", "half_open", "inbound_refused", "incomplete",
+            "no_link", "overflowed", "pushed_back", "replaced", "too_large", "transport_lost")  # fmt: skip
+"""What the mesh of a robot counts; docs/frames.md and docs/overlays.md say what."""
+
+MAX_NOTED = 256
+"""Different problems logged; later new ones are only counted."""
+
+
+def longest(overlay: int, priority: int) -> int:
+    """The longest payload of a relayed value, bytes."""
+    if overlay == frames.NEIGHBOURS:
+        return frames.MAX_MESSAGE if priority == frames.BULK else frames.MAX_PAYLOAD
+    return flood.limit_of(priority) if overlay == frames.FLOOD else unicast.limit_of(priority)
 
 
 class Node:
     """The mesh of one robot. Calls with `now` must not go back in time; no call may overlap another."""
-
-    __slots__ = (
-        "_actions",
-        "_callers",
-        "_clock",
-        "_counters",
-        "_deadline",
-        "_half_open",
-        "_holds",
-        "_links",
-        "_local",
-        "_nonce",
-        "_prober",
-        "_problems",
-        "_random",
-        "_ready",
-        "_relay",
-        "_session",
-        "_sessions",
-        "overlays",
-    )
 
     def __init__(
         self,
@@ -76,7 +75,7 @@ class Node:
         counters.update(dict.fromkeys(COUNTERS, 0))
         self._links: dict[str, Link] = {}
         self._holds = Holds()
-        self._prober = probe.Prober(local.robot, local.dials)
+        self._prober = neighbour.Prober(local.robot, local.dials)
         self._clock = MeshClock(local.robot, local.incarnation, local.robots)
         self._session = partial(
             Session, local,
@@ -88,7 +87,7 @@ class Node:
         self._half_open: dict[Session, Caller] = {}
         self._ready: list[Session] = []
         self._actions: list[Action] = []
-        self._problems = Problems()
+        self._noted: set[str] = set()
         self._deadline = 0.0
         """When something is due, as of the last time that it may have become earlier."""
         self._serve_overlays()
@@ -257,12 +256,11 @@ class Node:
         if leg.overlay != frames.NEIGHBOURS:
             if leg.overlay == frames.FLOOD:
                 self.overlays.flood(leg.key, payload, leg.priority, now, latest=leg.latest)
-            elif leg.overlay == AROUND:
-                for peer in leg.peers:
-                    self.overlays.go_around(peer, leg.key, payload, leg.priority, now)
             else:
                 for peer in leg.peers:
-                    self.overlays.send(peer, leg.key, payload, leg.priority, now, latest=leg.latest)
+                    self.overlays.send(
+                        peer, leg.key, payload, leg.priority, now, latest=leg.latest, avoid_link=leg.avoid_link
+                    )
             self._serve_overlays()
             return
         for peer in leg.peers:
@@ -279,7 +277,7 @@ class Node:
         """Carry out what the overlays want, and look for the next deadline: whatever links, their sessions or diallers
         do that may make it earlier, the overlays are told of."""
         for action in self.overlays.actions():
-            if type(action) is Transmit:
+            if isinstance(action, Transmit):
                 link = self._links.get(action.peer)
                 session = link.session if link is not None else None
                 if session is not None and session.is_up:
@@ -287,13 +285,13 @@ class Node:
                     if not session.send(action.priority, name, action.payload, latest=action.latest):
                         self.overlays.pushed_back(action)
                     self._ready.append(session)
-            elif type(action) is Received:
+            elif isinstance(action, Received):
                 self._actions.append(action)
             else:
                 self._on_topology(action)
         self._deadline = self._earliest()
 
-    def _on_topology(self, action: Connect | Disconnect | Keep | Report | Transmit | Received) -> None:
+    def _on_topology(self, action: LinkAction) -> None:
         """What the topology wants of this robot's links."""
         match action:
             case Connect(peer, once):
@@ -306,11 +304,11 @@ class Node:
                 self._links_changed()
             case Disconnect(peer, code):
                 self._drop_link(peer, code)
-            case Keep():
-                self._actions.append(Write())
-            case Report(text, True):
+            case Write():
+                self._actions.append(action)
+            case Note(text, True):
                 self._note(text, text)
-            case Report(text):
+            case Note(text):
                 self._tell(text)
 
     def _drop_link(self, peer: str, code: int) -> None:
@@ -364,7 +362,7 @@ class Node:
         if isinstance(result, Echo):
             self._actions.append(self._prober.told(result))
         elif result is not None and session.is_up:
-            session.send(event.priority, probe.pong_key(self._local.robot), result, latest=False)
+            session.send(event.priority, neighbour.pong_key(self._local.robot), result, latest=False)
 
     def _on_event(self, session: Session, event: Event, now: float) -> None:
         peer = session.peer
@@ -495,4 +493,7 @@ class Node:
         self._actions += (LinksChanged(), Note(text, problem=False))
 
     def _note(self, problem: str, text: str) -> None:
-        self._actions += self._problems.note(problem, text)
+        """Log a problem the first time only: neighbours may repeat it as often as they like."""
+        if problem not in self._noted and len(self._noted) < MAX_NOTED:
+            self._noted.add(problem)
+            self._actions.append(Note(text, problem=True))

@@ -15,10 +15,8 @@ from swarm.config.types import RelayRule
 from swarm.errors import PayloadError
 from swarm.messages.keys import parse
 
-AROUND = UNICAST + 1
-"""Its packets go over unicast's channels, along a way of their own (`core.around`)."""
-
-OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST, "around": AROUND}
+OVERLAYS = {"neighbours": NEIGHBOURS, "flood": FLOOD, "unicast": UNICAST, "around": UNICAST}
+"""Those that rules name; around is unicast to a neighbour that avoids the link with it."""
 
 MAX_ROUTES = 4096
 """Keys whose routes are remembered; past that, all are found anew and what is held back is lost."""
@@ -82,8 +80,10 @@ class Leg:
     interval: float
     """s between two values; 0 = as published."""
     peers: tuple[str, ...]
-    """Neighbours, also with around; the receiver with unicast; nobody with flood."""
+    """Neighbours; the receiver with unicast; nobody with flood."""
     overlay: int = NEIGHBOURS
+    avoid_link: bool = False
+    """Whether unicast must not use the link with the receiver."""
     next_at: float = 0.0
     held: bytes | None = None
     """The newest value that came too soon; it leaves at `next_at`."""
@@ -107,6 +107,7 @@ class Send(NamedTuple):
 class _Rule(NamedTuple):
     config: RelayRule
     overlay: int
+    avoid_link: bool
 
 
 class Relay:
@@ -129,7 +130,7 @@ class Relay:
         self._me = me
         self._peers = tuple(sorted(peers))
         self._robots = frozenset(robots if robots is not None else (me, *peers))
-        self._rules = [_Rule(rule, OVERLAYS[rule.overlay]) for rule in rules]
+        self._rules = [_Rule(rule, OVERLAYS[rule.overlay], rule.overlay == "around") for rule in rules]
         self._routes: dict[str, Route] = {}
         self._held: list[Leg] = []
         self.subscriptions = tuple(dict.fromkeys(instantiate(rule.keys, me, "*") for rule in rules))
@@ -137,11 +138,10 @@ class Relay:
 
     def admits(self, peer: str, key: str) -> bool:
         """Whether a key of `peer` may appear on our bus."""
-        return self._admits(NEIGHBOURS, peer, key)
-
-    def admits_around(self, peer: str, key: str) -> bool:
-        """Whether a key of `peer` that has not come over a link with it may appear on our bus: a neighbour's alone."""
-        return peer in self._peers and self._admits(AROUND, peer, key)
+        return may_cross(key, peer) and any(
+            rule.overlay == NEIGHBOURS and matches(instantiate(rule.config.keys, peer, self._me), key)
+            for rule in self._rules
+        )
 
     def admits_flood(self, key: str) -> bool:
         """Whether a key may be flooded by the robot it belongs to."""
@@ -152,7 +152,10 @@ class Relay:
 
     def admits_unicast(self, sender: str, key: str) -> bool:
         """Whether a message of `sender` to this robot may appear on our bus."""
-        return any(self._receiver(rule, key, sender) == self._me for rule in self._rules)
+        return any(
+            self._receiver(rule, key, sender) == self._me and (sender in self._peers or not rule.avoid_link)
+            for rule in self._rules
+        )
 
     def set_peers(self, peers: Iterable[str]) -> None:
         """There are other neighbours now. What is held back leaves when it would have, to those who are there then."""
@@ -213,7 +216,9 @@ class Relay:
                     break
             elif rule.overlay == UNICAST:
                 to = self._receiver(rule, key, self._me)
-                if to is not None and to != self._me and not any(to in leg.peers for leg in legs):
+                if to is None or to == self._me or (rule.avoid_link and to not in self._peers):
+                    continue
+                if not any(to in leg.peers for leg in legs):
                     open_peers.discard(to)
                     legs.append(_leg(key, rule, (to,)))
             else:
@@ -230,12 +235,6 @@ class Relay:
             self._held.clear()
         route = self._routes[key] = Route(source, tuple(legs))
         return route
-
-    def _admits(self, overlay: int, peer: str, key: str) -> bool:
-        return may_cross(key, peer) and any(
-            rule.overlay == overlay and matches(instantiate(rule.config.keys, peer, self._me), key)
-            for rule in self._rules
-        )
 
     def _receiver(self, rule: _Rule, key: str, sender: str) -> str | None:
         """The robot that a unicast rule sends a key of `sender`'s bus to; None where it does not."""
@@ -255,4 +254,5 @@ class Relay:
 def _leg(key: str, rule: _Rule, peers: tuple[str, ...]) -> Leg:
     config = rule.config
     interval = 1.0 / config.max_rate if config.max_rate else 0.0
-    return Leg(key, PRIORITIES[config.priority], config.queue == "latest", interval, peers, rule.overlay)
+    priority, latest = PRIORITIES[config.priority], config.queue == "latest"
+    return Leg(key, priority, latest, interval, peers, rule.overlay, rule.avoid_link)

@@ -9,7 +9,7 @@ become readable (RFCOMM gives an error once, to whoever comes first).
 import contextlib
 import socket
 
-from services.mesh.core.link.callers import UNKNOWN, Caller
+from services.mesh.core.link.calls import UNKNOWN, Caller
 
 READ_SIZE = 65536
 

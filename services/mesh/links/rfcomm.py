@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from services.mesh.core.link.callers import UNKNOWN, Caller
+from services.mesh.core.link.calls import UNKNOWN, Caller
 from services.mesh.links import stream
 from services.mesh.links.pipe import Pipe, describe
 from swarm.errors import LocalError

@@ -4,7 +4,7 @@ import socket
 from collections.abc import Collection
 from typing import Any
 
-from services.mesh.core.link.callers import UNKNOWN, Caller
+from services.mesh.core.link.calls import UNKNOWN, Caller
 from services.mesh.link_address import Tcp
 from services.mesh.links import stream
 from services.mesh.links.pipe import Pipe, describe

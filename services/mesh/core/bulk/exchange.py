@@ -1,6 +1,6 @@
 """Large messages between any two robots: who needs one fetches it piece by piece, who has it answers.
 
-The receiver asks, so it decides how much it takes in, repeats what was lost, and paces the way (`core.pace`); who
+The receiver asks, so it decides how much it takes in, repeats what was lost, and paces the way (`bulk.pieces`); who
 answers keeps nothing but the message. A robot that is still fetching a flood's message hands its pieces on as they
 come: one that asks for a piece which is not there yet gets it when it is.
 """
@@ -8,9 +8,7 @@ come: one that asks for a piece which is not there yet gets it when it is.
 from collections.abc import Callable, Collection, Iterable
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.fetch import Fetch
-from services.mesh.core.bulk.pace import Pace
-from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Id, Packet
+from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Fetch, Id, Pace, Packet
 
 PATIENCE = 30.0
 """s without a new piece after which a message is given up."""

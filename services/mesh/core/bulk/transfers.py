@@ -1,4 +1,4 @@
-"""Unicast messages that are larger than a packet: offered by who sends, fetched by who receives (`core.exchange`).
+"""Unicast messages that are larger than a packet: offered by who sends, fetched by who receives (`bulk.exchange`).
 
     sender --OFFER 5--> receiver        so many bytes, under this key; repeated until something comes back
            <--WANT----- ---PIECE-->     as long as it takes; whatever is lost is asked for again

@@ -9,14 +9,53 @@ A full class of control or sync loses its oldest message: in these streams the n
 asked for again end to end. Bulk pushes back instead: a message that does not fit is refused, and who sent it is told
 where that is possible. A part of bulk's room is kept for latest values, which a queue full of files must not shut
 out.
+
+Messages name their channels by keys. A key's text crosses a connection once, afterwards a handle of two bytes stands
+for it (`Channels`).
 """
 
 from collections import Counter
 from typing import NamedTuple
 
-from services.mesh.core.link.flow import SYNC_EXTRA
-from services.mesh.core.wire.fragments import MAX_BYTES
-from services.mesh.core.wire.frames import BULK, CONTROL, MAX_PAYLOAD, SYNC
+from services.mesh.core.link.flow import MAX_INCOMPLETE_BYTES, SYNC_EXTRA
+from services.mesh.core.wire.frames import BULK, CONTROL, MAX_CHANNELS, MAX_PAYLOAD, NEIGHBOURS, SYNC
+
+
+def name_of(overlay: int, key: str) -> str:
+    """What a channel is called on our side: the key, in front of it the overlay's digit unless it is `neighbours`.
+    Keys begin with a letter."""
+    return key if overlay == NEIGHBOURS else f"{overlay}{key}"
+
+
+def overlay_of(name: str) -> tuple[int, str]:
+    """Overlay and key of a channel."""
+    return (int(name[0]), name[1:]) if name[0].isdigit() else (NEIGHBOURS, name)
+
+
+class Channels:
+    """Our handles for the keys we send on one connection; when all are taken, the least recently used one is bound
+    anew. Until then nobody looks who was used when."""
+
+    __slots__ = (
+        "_handles",
+        "_size",
+    )
+
+    def __init__(self, size: int = MAX_CHANNELS) -> None:
+        self._size = size
+        self._handles: dict[str, int] = {}
+
+    def handle(self, key: str) -> tuple[int, bool]:
+        """The handle of `key`, and whether the other end must be told of it first."""
+        handles = self._handles
+        handle = handles.get(key)
+        if handle is None:
+            handle = len(handles) if len(handles) < self._size else handles.pop(next(iter(handles)))
+            handles[key] = handle
+            return handle, True
+        if len(handles) == self._size:
+            handles[key] = handles.pop(key)
+        return handle, False
 
 
 class Limit(NamedTuple):
@@ -27,7 +66,7 @@ class Limit(NamedTuple):
     """Bytes of keys and payloads."""
 
 
-LIMITS = {CONTROL: Limit(64, 16 * 1024), SYNC: Limit(256, 64 * 1024), BULK: Limit(1024, MAX_BYTES)}
+LIMITS = {CONTROL: Limit(64, 16 * 1024), SYNC: Limit(256, 64 * 1024), BULK: Limit(1024, MAX_INCOMPLETE_BYTES)}
 
 FOR_LATEST = Limit(256, 256 * 1024)
 """What of bulk's room only latest values may use."""

@@ -22,15 +22,14 @@ from services.mesh.core.events import (
     LinkUp,
     Received,
 )
-from services.mesh.core.link import flow, handshake
+from services.mesh.core.link import calls, flow
+from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import MeshClock, decode_claim, encode_claim
-from services.mesh.core.link.handshake import Local
+from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment
 from services.mesh.core.link.heartbeat import Pulse
-from services.mesh.core.link.outbox import Message, Outbox, Part
+from services.mesh.core.link.outbox import Channels, Message, Outbox, Part, overlay_of
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
-from services.mesh.core.wire.channels import Channels, overlay_of
-from services.mesh.core.wire.fragments import Fragment, Reassembly, decode_fragment, encode_fragment
 from services.mesh.core.wire.frames import BULK, BYE_TEXT, SYNC, Frame, Hello
 from swarm.errors import FrameError, LocalError
 
@@ -51,40 +50,6 @@ SENT = ("sent_control", "sent_sync", "sent_bulk")
 
 class Session:
     """One connection. Calls with `now` must not go back in time."""
-
-    __slots__ = (
-        "_admit",
-        "_auth",
-        "_bound",
-        "_channels",
-        "_clash",
-        "_clock",
-        "_confirm",
-        "_counters",
-        "_decoder",
-        "_events",
-        "_expected",
-        "_has_room",
-        "_heard",
-        "_heartbeat_at",
-        "_heartbeat_due",
-        "_hello",
-        "_incarnation",
-        "_is_held",
-        "_local",
-        "_outbox",
-        "_reassembly",
-        "_receipts",
-        "_urgent",
-        "_window",
-        "deadline",
-        "dialled",
-        "peer",
-        "pulse",
-        "received",
-        "sent",
-        "state",
-    )
 
     def __init__(
         self,
@@ -155,7 +120,7 @@ class Session:
     @property
     def process(self) -> int:
         """The number of the mesh process at the other end; 0 before its HELLO was accepted."""
-        return handshake.process_of(self._incarnation or 0)
+        return calls.process_of(self._incarnation or 0)
 
     @property
     def sent_bytes(self) -> int:
@@ -372,7 +337,7 @@ class Session:
     def _on_hello(self, hello: Hello, frame: Frame, now: float) -> None:
         local = self._local
         key_id = newest_common(local.keys, hello.key_ids)
-        refusal = handshake.refusal(
+        refusal = calls.refusal(
             hello, local, dialled=self.dialled, expected=self._expected, has_room=self._has_room,
             is_held=lambda robot: self._is_held(robot, now),
             clash=lambda robot, process: self._clash(robot, process, now),
@@ -426,8 +391,8 @@ class Session:
 
     def _end(self, code: int, reason: str) -> None:
         """We end it: BYE is the last thing to be sent."""
-        if code in handshake.REFUSED:
-            self._counters[handshake.REFUSED[code]] += 1
+        if code in calls.REFUSED:
+            self._counters[calls.REFUSED[code]] += 1
         self._close(reason, code)
         self._urgent = [frames.encode_bye(code)]
 

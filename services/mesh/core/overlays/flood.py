@@ -1,7 +1,7 @@
 """Flooding: one robot's message to the whole swarm (thesis 3.4.5), and how those who missed it catch up.
 
 Who sees a flood for the first time delivers it and passes it on over all links but the one it came by: it crosses
-each edge once or twice, 2E - (N - 1) messages in all. A confirmed one has its echo (`core.echo`), 2E messages; the
+each edge once or twice, 2E - (N - 1) messages in all. A confirmed one has its echo (`overlays.echo`), 2E messages; the
 origin tries a second time where links broke meanwhile. Of keys marked latest each robot keeps the newest value;
 neighbours compare checksums when their link comes up and every 30 s, and hand each other what is missing.
 """
@@ -11,14 +11,13 @@ from collections.abc import Callable, Collection
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.bulk import pieces
-from services.mesh.core.overlays import large_floods
-from services.mesh.core.overlays.catch_up import CatchUp
+from services.mesh.core.overlays import large_messages
 from services.mesh.core.overlays.echo import Id, Waves
-from services.mesh.core.overlays.flood_store import NEW, OLD, Store
-from services.mesh.core.overlays.large_floods import LargeFloods
+from services.mesh.core.overlays.flood_store import NEW, OLD, CatchUp, Store
+from services.mesh.core.overlays.large_messages import LargeFloods
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.frames import BULK, FLOOD
+from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.packets import Spread
 from swarm.errors import FrameError
 from swarm.messages.keys import parse
@@ -119,7 +118,7 @@ class Flood:
         if len(payload) > packets.MAX_SPREAD:
             if not self.large.has_room(len(payload)):
                 return False
-            patience += large_floods.patience(len(payload))
+            patience += large_messages.patience(len(payload))
         if len(self._attempts) >= MAX_ATTEMPTS:
             return False
         attempt = Attempt(token, key, payload, priority, patience, settle)
@@ -292,7 +291,7 @@ class Flood:
         attempt.first = attempt.first or sequence
         self._spread(attempt.key, packet, attempt.priority, now)
         id = Id(self._me, self.incarnation, sequence)
-        life = large_floods.patience(len(attempt.payload))
+        life = large_messages.patience(len(attempt.payload))
         self._waves.begin(id, attempt.key, attempt.priority, self._links, now, life)
 
     def _heard(self, id: Id, robots: Collection[str], lost: bool, over: bool, now: float) -> None:

@@ -6,7 +6,7 @@ the word that there is no such request here.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from services.mesh.core.overlays import flood
 from services.mesh.core.overlays.flights import Hop
@@ -128,7 +128,7 @@ class Requests:
         """A flood has ended."""
         if isinstance(token, _Ticket):
             problem = "" if complete else "a link broke, or a robot did not answer"
-            self._answer_flood(token, packets.sorted_names(robots), complete=complete, problem=problem)
+            self._answer_flood(token, sorted_names(robots), complete=complete, problem=problem)
 
     def sent(self, token: object, to: str, problem: str) -> None:
         """A message has ended."""
@@ -185,3 +185,8 @@ def _problem(app: str, priority: str) -> str:
     if priority not in PRIORITIES:
         return f"priority {priority[:40]!r}: expected {', '.join(PRIORITIES)}"
     return ""
+
+
+def sorted_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Robots' names as results show them: r2 before r10."""
+    return tuple(sorted(names, key=lambda name: (len(name), name)))

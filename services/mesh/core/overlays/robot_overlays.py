@@ -12,18 +12,14 @@ from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
 from services.mesh.core.bulk.pieces import Packet
 from services.mesh.core.events import Received
-from services.mesh.core.overlays import around, catch_up, flood, large_floods, unicast
-from services.mesh.core.overlays.around import Around
+from services.mesh.core.overlays import flood, flood_store, large_messages, unicast
 from services.mesh.core.overlays.flood import Flood
 from services.mesh.core.overlays.large_messages import Large
 from services.mesh.core.overlays.requests import Requests
-from services.mesh.core.overlays.stop_register import Register
-from services.mesh.core.overlays.stop_reports import Stops
+from services.mesh.core.overlays.stop import Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
-from services.mesh.core.routing.graph_report import Survey
 from services.mesh.core.routing.link_state import HOPS, Known, LinkState
-from services.mesh.core.routing.membership import SETTLE, Membership
-from services.mesh.core.routing.name_clashes import Clashes
+from services.mesh.core.routing.membership import SETTLE, Clashes, Membership, Survey
 from services.mesh.core.routing.wanted_links import Linking, Start
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
@@ -50,7 +46,7 @@ LEAST_PATIENCE = {CONTROL: 1.0}
 LEAST_PATIENCE_ELSE = 3.0
 """s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
 
-COUNTERS = (*around.COUNTERS, *flood.COUNTERS, *catch_up.COUNTERS, *large_floods.COUNTERS, *unicast.COUNTERS,
+COUNTERS = (*flood.COUNTERS, *flood_store.COUNTERS, *large_messages.COUNTERS, *unicast.COUNTERS,
             *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
 
 _NEVER = float("inf")
@@ -75,14 +71,13 @@ class Overlays:
         start: Start | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
-        admits_around: Callable[[str, str], bool] = lambda sender, key: False,
         wanted: Callable[[str], bool] = lambda key: True,
     ) -> None:
         """`incarnation` is higher than at the last start (a time in us); `random` gives numbers from 0 up to 1.
         `process` is the number of this mesh process in HELLO, 0 where there are no HELLOs. `start` is where the
-        topology begins; without it links are the caller's matter. `admits_flood(key)`, `admits_unicast(sender, key)`,
-        `admits_around(sender, key)`: which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on
-        the own bus, where that can be known."""
+        topology begins; without it links are the caller's matter. `admits_flood(key)`, `admits_unicast(sender, key)`:
+        which keys the relay rules let in. `wanted(key)`: whether anybody hears a key on the own bus, where that can be
+        known."""
         self.me = me
         self._robots = frozenset(robots)  # the very same, if it is one already: simulations share it
         if me not in self._robots:
@@ -113,10 +108,6 @@ class Overlays:
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
             ended=self._requests.sent, passed=self._requests.passed, on_large=self._on_large, counters=counters,
-        )  # fmt: skip
-        self._around = Around(
-            me, self._robots,
-            emit=emit, route=self._map.route_around, admits=admits_around, deliver=self._to_bus, counters=counters,
         )  # fmt: skip
         self._requests.flood, self._requests.unicast = self._flood, self._unicast
         self._large = Large(
@@ -229,9 +220,7 @@ class Overlays:
             return
         try:
             kind = packets.kind_of(data)
-            if overlay != FLOOD and kind == around.AROUND:
-                self._around.receive(data, priority)
-            elif overlay != FLOOD:
+            if overlay != FLOOD:
                 self._unicast.receive(peer, data, priority, now)
             elif kind == packets.HALT:
                 self._register.receive(peer, data, now)
@@ -259,15 +248,15 @@ class Overlays:
             return  # nobody's business but the map's, whatever a rule with ** says
         self._flood.publish(key, payload, priority, now, latest=latest)
 
-    def send(self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool) -> None:
-        """Carry a value to one robot, as a relay rule says."""
+    def send(
+        self, to: str, key: str, payload: bytes, priority: int, now: float, *, latest: bool, avoid_link: bool = False
+    ) -> None:
+        """Carry a value to one robot, as a relay rule says; with `avoid_link` once, and not over the link with it."""
         self._now = now
-        self._unicast.send(None, to, key, payload, priority, now, latest=latest)
-
-    def go_around(self, to: str, key: str, payload: bytes, priority: int, now: float) -> None:
-        """Carry a value to a neighbour, but not over the link with it, as a relay rule says."""
-        self._now = now
-        self._around.send(to, key, payload, priority)
+        if avoid_link:
+            self._unicast.send_once(to, key, payload, priority)
+        else:
+            self._unicast.send(None, to, key, payload, priority, now, latest=latest)
 
     def request(self, request: FloodRequest | SendRequest | Reminder | TopologyRequest, now: float) -> None:
         """An app's wish; the answer goes to the own bus."""

@@ -5,10 +5,16 @@ sender need not know. The receiver acknowledges end to end and delivers each mes
 incarnations, whatever is repeated; the sender repeats after twice the round trip and 100 ms, doubling, five times in
 all and for at least 4.5 s (silence takes 3 s to be noticed). What was handed to a link shortly before it died is sent
 another way at once. Nobody is busy meanwhile: many messages are in flight, in no particular order.
+
+A message may avoid the link between its sender and its receiver: a link that a wall or a passer-by cuts is part of all
+routes until its silence is noticed, and the lockstep needs its neighbour's word sooner (`swarm.core.lockstep`). Such a
+message is sent once: the lockstep asks again for what it lacks, and an answer would double the packets on all links of
+the way. It has no number, so nobody acknowledges, repeats or keeps it.
 """
 
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
+from typing import Protocol
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.bulk import pieces
@@ -17,8 +23,8 @@ from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.overlays.flights import Flight, Hop, Receiver
 from services.mesh.core.routing.shortest_paths import Route
 from services.mesh.core.wire import packets
-from services.mesh.core.wire.fragments import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.frames import BULK, SYNC, UNICAST
+from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.packets import Ack, Message
 from services.mesh.core.wire.seen_numbers import Window
 from swarm.errors import FrameError
@@ -51,10 +57,18 @@ CUSTODY = 64
 CUSTODY_TIME = 4.5
 """Packets, and s, for which what was handed to a link is kept to be sent another way should it die."""
 
-COUNTERS = ("unicast_duplicates", "unicast_expired", "unicast_forwarded", "unicast_no_route", "unicast_refused",
-            "unicast_rerouted", "unicast_retries")  # fmt: skip
+COUNTERS = ("unicast_avoiding", "unicast_duplicates", "unicast_expired", "unicast_forwarded", "unicast_no_route",
+            "unicast_refused", "unicast_rerouted", "unicast_retries")  # fmt: skip
 
 _NEVER = float("inf")
+
+
+class FindRoute(Protocol):
+    """Gives the way to the robot `to` that does not use the link between the two robots `avoided`, None where there is
+    none."""
+
+    def __call__(self, to: str, avoided: tuple[str, str] | None = None) -> Route | None:
+        """See the class."""
 
 
 class Unicast:
@@ -67,7 +81,7 @@ class Unicast:
         robots: frozenset[str],
         *,
         emit: Emit,
-        route: Callable[[str], Route | None],
+        route: FindRoute,
         admits: Callable[[str, str], bool],
         deliver: Callable[[str, bytes, int], None],
         ended: Callable[[object, str, str], None],
@@ -136,6 +150,16 @@ class Unicast:
             receiver = self._receivers.setdefault(to, Receiver())
             receiver.waiting.append(flight)
             self._launch(receiver, now)
+
+    def send_once(self, to: str, key: str, payload: bytes, priority: int) -> None:
+        """Send over other robots than the link with the receiver, once, without an answer. Payloads have at most
+        `packets.MAX_MESSAGE` bytes. Without a way the message is dropped and counted."""
+        if (route := self._route(to, (self._me, to))) is None:
+            self._counters["unicast_no_route"] += 1
+            return
+        self._counters["unicast_avoiding"] += 1
+        message = Message(self._me, to, self._incarnation, 0, key, payload, ttl_of(route))
+        self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message), priority))
 
     # -- inputs ------------------------------------------------------------------------------------------------
 
@@ -297,10 +321,12 @@ class Unicast:
         refused = not self._admits(message.sender, message.key)
         if refused:
             self._counters["unicast_refused"] += 1
-        elif self._window(message.sender, message.incarnation).add(message.number):
+        elif not message.number or self._window(message.sender, message.incarnation).add(message.number):
             self._deliver(message.key, message.payload, priority)
         else:
             self._counters["unicast_duplicates"] += 1
+        if not message.number:
+            return
         # Not more urgent than sync unless the message was: a burst of answers must not push LSAs and stops out of the
         # control class.
         ack = Ack(self._me, message.sender, message.incarnation, message.number, refused, TTL)
@@ -330,7 +356,7 @@ class Unicast:
                 raise FrameError(f"unicast packet of or for {name}, which is not in our configuration")
 
     def _forward(self, packet: Message | Ack, priority: int, now: float) -> None:
-        route = self._route(packet.to)
+        route = self._route(packet.to, packet.avoided if isinstance(packet, Message) else None)
         if packet.ttl <= 1:
             self._counters["unicast_expired"] += 1
         elif route is None:
@@ -342,6 +368,9 @@ class Unicast:
                 data = packets.encode_message(packet._replace(ttl=ttl))
             else:
                 data = packets.encode_ack(packet._replace(ttl=ttl))
+            if not packet.number:
+                self._emit(Transmit(route.next_hop, UNICAST, self._channel, data, priority))
+                return
             self._hand_over(_hop(packet, route.next_hop), packet.to, data, priority, now)
 
     def _hand_over(self, hop: Hop, to: str, data: bytes, priority: int, now: float) -> None:

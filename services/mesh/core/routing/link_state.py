@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 
 from services.mesh.core.routing.shortest_paths import Edge, Route, routes, routes_by_hops
-from services.mesh.core.wire.packets import Advertisement, decode_advertisement, encode_advertisement
+from services.mesh.core.routing.topology import Advertisement, decode_advertisement, encode_advertisement
 from swarm.errors import FrameError
 
 HOPS, TIME = "hops", "time"
@@ -144,7 +144,8 @@ class LinkState:
         self.tellers: set[str] = set()
         """Robots whose LSA names twins."""
         self._routes: dict[str, Route] | None = {}
-        self._around: dict[tuple[str, str], Route | None] = {}
+        self._avoiding: dict[tuple[str, tuple[str, str]], Route | None] = {}
+        """Ways that avoid a link, by their end and the ends of that link."""
         self._trust_ends = _NEVER
         self._oldest_at = _NEVER
         self.version = 0
@@ -268,18 +269,16 @@ class LinkState:
         """Robots that we have a link to."""
         return self._links.keys()
 
-    def route(self, to: str) -> Route | None:
-        """The way to a robot; None where there is none."""
-        return self.routes().get(to)
-
-    def route_around(self, sender: str, to: str) -> Route | None:
-        """The way to a robot that does not use the link between it and `sender`; None where there is none."""
-        if (sender, to) not in self._around:
+    def route(self, to: str, avoided: tuple[str, str] | None = None) -> Route | None:
+        """The way to a robot that does not use the link between the robots `avoided`; None where there is none."""
+        if avoided is None:
+            return self.routes().get(to)
+        if (to, avoided) not in self._avoiding:
             graph = self.graph()
-            for a, b in ((sender, to), (to, sender)):
+            for a, b in (avoided, avoided[::-1]):
                 graph.get(a, {}).pop(b, None)
-            self._around[sender, to] = routes(self._me, graph).get(to)
-        return self._around[sender, to]
+            self._avoiding[to, avoided] = routes(self._me, graph).get(to)
+        return self._avoiding[to, avoided]
 
     def routes(self) -> dict[str, Route]:
         """The ways to all robots that can be reached."""
@@ -380,5 +379,5 @@ class LinkState:
 
     def _changed(self) -> None:
         self._routes = None
-        self._around.clear()
+        self._avoiding.clear()
         self.version += 1

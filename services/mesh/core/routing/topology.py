@@ -4,16 +4,22 @@ Values have a total order, that of their fields: the version first (an operator'
 automatic rule changes within a version), then the issuer's name, then the content. Of two values the greater one holds,
 so two sets at once end alike on every robot. Version 0 is what the configuration says; a value belongs to one
 configuration (`Ground.base`), and another configuration makes it void.
+
+What a robot tells of the links that it has (`Advertisement`, the payload of a link-state advertisement) is here, too.
 """
 
 import struct
 import zlib
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
-from services.mesh.core.wire.packets import TOPOLOGY
+from services.mesh.core.wire.packets import TOPOLOGY, Reader, packed
 from swarm.core.graph import SHAPES, Edge, Graph
 from swarm.errors import FrameError, LocalError
+
+MAX_TWINS = 16
+"""Names that one LSA tells of as those of two robots."""
 
 MAX_LINKS = 7
 """Links of one robot: a Bluetooth Classic master has at most seven active slaves (Core specification, vol 2 B, 8.6)."""
@@ -22,6 +28,13 @@ AUTO = "auto"
 """In place of a shape: the robots find their neighbours themselves."""
 
 MAX_VERSION = MAX_STEP = (1 << 32) - 1
+
+_LSA = struct.Struct("<BB")
+_COUNT = struct.Struct("<B")
+_METRIC = struct.Struct("<H")
+_U32 = struct.Struct("<I")
+_SMALL = 256
+"""Bytes of an LSA whose decoded form is remembered: 1024 of them take 2 MB, whatever peers send."""
 
 _HEAD = struct.Struct("<BBIII")
 _INDEX = struct.Struct("<H")
@@ -168,3 +181,66 @@ def _check(graph: Graph) -> None:
 def shapes() -> str:
     """What can be set, for messages."""
     return ", ".join((*SHAPES, AUTO))
+
+
+# -- which links there are ------------------------------------------------------------------------------------
+
+
+class Advertisement(NamedTuple):
+    """What a robot says of its own links (LSA)."""
+
+    neighbours: dict[str, int]
+    """One-way time to each, in units of 0.1 ms."""
+    leaving: bool = False
+    topology: int = 0
+    """Which topology holds there (its tag, u32); 0 = the configuration's own."""
+    heard: int = 0
+    """The robots it has reached by calling them, with the automatic topology: bit i = robot i of the configuration."""
+    process: int = 0
+    """Number of the mesh process that tells this, u32: the low half of the incarnation in its HELLO. 0: not told."""
+    twins: tuple[str, ...] = ()
+    """Names that two robots have, as far as this robot has seen it itself; at most `MAX_TWINS`, sorted."""
+
+
+def encode_advertisement(packet: Advertisement) -> bytes:
+    """The payload of a flooded LSA."""
+    names = b"".join(packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
+    heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
+    twins = packet.twins[:MAX_TWINS]
+    flags = (
+        packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2 | bool(packet.process) << 3 | bool(twins) << 4
+    )
+    tail = (_U32.pack(packet.topology) if packet.topology else b"") + (bytes((len(heard),)) + heard if heard else b"")
+    tail += _U32.pack(packet.process) if packet.process else b""
+    tail += bytes((len(twins),)) + b"".join(map(packed, twins)) if twins else b""
+    return _LSA.pack(flags, len(packet.neighbours)) + names + tail
+
+
+def decode_advertisement(data: bytes) -> Advertisement:
+    """The payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
+    return _decode_small_advertisement(data) if len(data) <= _SMALL else _decode_advertisement(data)
+
+
+def _decode_advertisement(data: bytes) -> Advertisement:
+    if len(data) < _LSA.size:
+        raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
+    flags, count = _LSA.unpack_from(data)
+    if flags > 31:
+        raise FrameError(f"LSA flags {flags:#x}: bits 0 to 4 are known")
+    reader = Reader(data, _LSA.size)
+    neighbours: dict[str, int] = {}
+    for _ in range(count):
+        name = reader.name()
+        (neighbours[name],) = reader.unpack(_METRIC)
+    topology = reader.unpack(_U32)[0] if flags & 2 else 0
+    heard = int.from_bytes(reader.octets(), "little") if flags & 4 else 0
+    process = reader.unpack(_U32)[0] if flags & 8 else 0
+    count = reader.unpack(_COUNT)[0] if flags & 16 else 0
+    if count > MAX_TWINS:
+        raise FrameError(f"LSA with {count} names of two robots: at most {MAX_TWINS}")
+    twins = tuple(reader.name() for _ in range(count))
+    reader.end()
+    return Advertisement(neighbours, bool(flags & 1), topology, heard, process, twins)
+
+
+_decode_small_advertisement = lru_cache(maxsize=1024)(_decode_advertisement)

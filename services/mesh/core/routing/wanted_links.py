@@ -21,10 +21,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from services.mesh.core.actions import Connect, Disconnect, Emit, Keep, LinkAction, Report, Transmit
+from services.mesh.core.actions import Connect, Disconnect, Emit, LinkAction, Note, Transmit, Write
+from services.mesh.core.link.calls import Search
 from services.mesh.core.routing.automatic_topology import plan
 from services.mesh.core.routing.link_state import LinkState
-from services.mesh.core.routing.search import Search
 from services.mesh.core.routing.topology import AUTO, MAX_LINKS, MAX_STEP, MAX_VERSION, Ground, Topology
 from services.mesh.core.wire import frames
 from swarm.core.graph import Edge
@@ -183,7 +183,7 @@ class Linking:
         value = self._ground.decode(data)
         if value is None:
             self._counters["topology_foreign"] += 1
-            self._act(Report(f"{peer} has another configuration: robots or topology differ", problem=True))
+            self._act(Note(f"{peer} has another configuration: robots or topology differ", problem=True))
             if peer not in self.wanted:
                 self._act(Disconnect(peer, frames.NOT_NEIGHBOUR))
         elif value > self.value:
@@ -253,10 +253,10 @@ class Linking:
             self._down.pop(peer, None)
             if peer not in self._links:
                 self._act(Disconnect(peer, frames.UNWANTED))
-        self._act(Keep())
+        self._act(Write())
         kind = "auto" if value.auto else "fixed"
         text = f"topology version={value.version}.{value.step} by={value.issuer} {kind} links={len(value.edges)}"
-        self._act(Report(text, problem=False))
+        self._act(Note(text, problem=False))
         for peer in self._links:
             if peer != source:
                 self._send(peer)
@@ -392,7 +392,7 @@ class Linking:
             return
         if self.value.step == MAX_STEP:
             text = f"topology step {MAX_STEP} is the last one of version {self.value.version}: set a topology anew"
-            self._act(Report(text, problem=True))
+            self._act(Note(text, problem=True))
         else:
             self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, edges=edges), None, now)
 

@@ -16,7 +16,7 @@ from swarm.errors import FrameError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.keys import MAX_KEY_LENGTH, is_name
 
-VERSION = 2
+VERSION = 3
 """The protocol version spoken here. HELLO carries a range; the two ends use the highest that both speak."""
 
 MAGIC = b"BSWM"
@@ -45,6 +45,9 @@ MAC_SIZE = 32
 
 MAX_PAYLOAD = MAX_FRAME - 3 - TAG_SIZE
 """Largest payload of one DATA frame, in bytes."""
+
+MAX_MESSAGE = 1024 * 1024
+"""Largest message, in bytes, of the class bulk; files go by other ways."""
 
 MAX_CHANNELS = 1024
 """Channel handles of one direction of one connection: 0 to 1023."""

@@ -5,14 +5,94 @@ that are none of its packets, and nothing else.
 """
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
-from services.mesh.core.wire.fragments import MAX_MESSAGE as MAX_LARGE
+from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.frames import MAX_PAYLOAD
-from services.mesh.core.wire.texts import Reader, packed
-from swarm.errors import FrameError
+from swarm.errors import FrameError, PayloadError
+from swarm.messages.keys import is_name, parse
+
+
+def packed(text: str, limit: int = 16) -> bytes:
+    """A text behind its length, u8; cut off at `limit` bytes."""
+    data = text.encode()
+    if len(data) > limit:
+        data = data[:limit].decode(errors="ignore").encode()
+    return bytes((len(data),)) + data
+
+
+@lru_cache(maxsize=4096)
+def _name(data: bytes) -> str:
+    """A robot's name. There are few and they come often."""
+    text = data.decode("ascii", "replace")
+    if not is_name(text):
+        raise FrameError(f"{data!r} is not a robot's name")
+    return text
+
+
+class Reader:
+    """Goes through a packet; raises `FrameError` where it ends too early."""
+
+    def __init__(self, data: bytes, at: int) -> None:
+        self._data = data
+        self.at = at
+
+    def unpack(self, layout: struct.Struct) -> tuple[int, ...]:
+        """The next numbers."""
+        end = self.at + layout.size
+        if end > len(self._data):
+            raise self._short()
+        fields = layout.unpack_from(self._data, self.at)
+        self.at = end
+        return fields
+
+    def name(self, *, empty: bool = False) -> str:
+        """The next robot's name."""
+        data = self._text(16)
+        return "" if empty and not data else _name(data)
+
+    def text(self, limit: int) -> str:
+        """The next text, of at most `limit` bytes."""
+        try:
+            return self._text(limit).decode()
+        except UnicodeDecodeError:
+            raise FrameError("overlay packet: a text is not UTF-8") from None
+
+    def key(self) -> str:
+        """The next key."""
+        text = self.text(255)
+        try:
+            parse(text)
+        except PayloadError as error:
+            raise FrameError(f"overlay packet: {error}") from None
+        return text
+
+    def octets(self) -> bytes:
+        """The next bytes behind their length, u8."""
+        return self._text(255)
+
+    def end(self) -> None:
+        """Nothing may follow."""
+        if self.at != len(self._data):
+            raise FrameError(f"overlay packet of {len(self._data)} bytes: {len(self._data) - self.at} too many")
+
+    def _text(self, limit: int) -> bytes:
+        if self.at >= len(self._data):
+            raise self._short()
+        start = self.at + 1
+        end = start + self._data[self.at]
+        if end - start > limit:
+            raise FrameError(f"overlay packet: a text of {end - start} bytes, at most {limit} are allowed")
+        if end > len(self._data):
+            raise self._short()
+        self.at = end
+        return self._data[start:end]
+
+    def _short(self) -> FrameError:
+        return FrameError(f"overlay packet of {len(self._data)} bytes ends too early")
+
 
 SPREAD, ECHO, DIGEST, SUMMARY, HALT, TOPOLOGY = 1, 2, 3, 4, 5, 6
 """Kinds of packets on flood channels; the last one is made in `topology`."""
@@ -30,11 +110,6 @@ _ECHO = struct.Struct("<BBBQIH")
 _DIGEST = struct.Struct("<BBH")
 _DIGEST_ENTRY = struct.Struct("<QI")
 _SUMMARY = struct.Struct("<BBI")
-_HALT = struct.Struct("<BBB")
-_MARK = struct.Struct("<QI")
-_LSA = struct.Struct("<BB")
-_COUNT = struct.Struct("<B")
-_METRIC = struct.Struct("<H")
 _MESSAGE = struct.Struct("<BBQI")
 _ACK = struct.Struct("<BBBQI")
 
@@ -46,15 +121,6 @@ MAX_MESSAGE = MAX_PAYLOAD - _MESSAGE.size - 2 * 17 - 256
 
 MAX_DIGEST = 1024
 """Bytes of one DIGEST packet: it must not hold up what is urgent."""
-
-MAX_REASON = 64
-"""Bytes of a stop's reason."""
-
-MAX_TWINS = 16
-"""Names that one LSA tells of as those of two robots."""
-
-_HALT_ENTRIES = 20
-"""Robots in one HALT packet: at most 1.9 kB."""
 
 
 class Spread(NamedTuple):
@@ -72,7 +138,7 @@ class Spread(NamedTuple):
     first: int = 0
     """The sequence of the first try where this is a second one: who saw that one must not deliver it again."""
     size: int = 0
-    """Bytes of the message where this only announces it (`core.largefloods`); the payload is empty then."""
+    """Bytes of the message where this only announces it (`overlays.large_messages`); the payload is empty then."""
 
 
 class Echo(NamedTuple):
@@ -102,38 +168,6 @@ class Digest(NamedTuple):
     """The sender wants ours in return."""
 
 
-class Mark(NamedTuple):
-    """A stop of one robot. Later ones are greater."""
-
-    incarnation: int
-    number: int
-
-
-class Halt(NamedTuple):
-    """All that a robot knows of stops and of what re-armed the swarm."""
-
-    stops: dict[str, tuple[Mark, str]]
-    """The newest stop of each robot, and its reason."""
-    arms: dict[str, Mark]
-    """The newest stop of each robot that was taken back."""
-
-
-class Advertisement(NamedTuple):
-    """What a robot says of its own links (LSA)."""
-
-    neighbours: dict[str, int]
-    """One-way time to each, in units of 0.1 ms."""
-    leaving: bool = False
-    topology: int = 0
-    """Which topology holds there (its tag, u32); 0 = the configuration's own."""
-    heard: int = 0
-    """The robots it has reached by calling them, with the automatic topology: bit i = robot i of the configuration."""
-    process: int = 0
-    """Number of the mesh process that tells this, u32: the low half of the incarnation in its HELLO. 0: not told."""
-    twins: tuple[str, ...] = ()
-    """Names that two robots have, as far as this robot has seen it itself; at most `MAX_TWINS`, sorted."""
-
-
 class Message(NamedTuple):
     """A unicast message on its way."""
 
@@ -142,10 +176,16 @@ class Message(NamedTuple):
     incarnation: int
     """Of the sender."""
     number: int
-    """Counts what this sender sent to this receiver, from 1."""
+    """Counts what this sender sent to this receiver, from 1. Message 0 is sent once, nobody acknowledges it, and it
+    does not use the link between its sender and its receiver."""
     key: str
     payload: bytes
     ttl: int
+
+    @property
+    def avoided(self) -> tuple[str, str] | None:
+        """The ends of the link that the message must not use; None where it may use any."""
+        return None if self.number else (self.sender, self.to)
 
 
 class Ack(NamedTuple):
@@ -209,7 +249,7 @@ def _decode_spread(data: bytes) -> Spread:
 
 
 _SMALL = 256
-"""Bytes of a packet whose decoded form is remembered: 256 SPREADs take 130 kB, 1024 LSAs 2 MB, whatever peers send."""
+"""Bytes of a SPREAD whose decoded form is remembered: 256 of them take 130 kB, whatever peers send."""
 
 _decode_small_spread = lru_cache(maxsize=256)(_decode_spread)
 
@@ -290,91 +330,6 @@ def decode_summary(data: bytes) -> int:
     return total
 
 
-def encode_halts(halt: Halt) -> list[bytes]:
-    """HALT packets: each may be understood without the others."""
-    stops = [packed(name) + _MARK.pack(*mark) + packed(reason, MAX_REASON)
-             for name, (mark, reason) in sorted(halt.stops.items())]  # fmt: skip
-    arms = [packed(name) + _MARK.pack(*mark) for name, mark in sorted(halt.arms.items())]
-    packets = []
-    # Stops first: should the rest be lost, the swarm rests.
-    for part in _parts(stops):
-        packets.append(_HALT.pack(HALT, len(part), 0) + b"".join(part))
-    for part in _parts(arms):
-        packets.append(_HALT.pack(HALT, 0, len(part)) + b"".join(part))
-    return packets
-
-
-def _parts(entries: list[bytes]) -> list[list[bytes]]:
-    return [entries[at : at + _HALT_ENTRIES] for at in range(0, len(entries), _HALT_ENTRIES)]
-
-
-def decode_halt(data: bytes) -> Halt:
-    """A HALT packet. Each stop that can be read counts, whatever follows it: another release may have more to say. A
-    re-arm counts only in a packet that is understood to its end."""
-    if len(data) < _HALT.size:
-        raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
-    _, stops, arms = _HALT.unpack_from(data)
-    reader = Reader(data, _HALT.size)
-    halt = Halt({}, {})
-    try:
-        for _ in range(stops):
-            name, mark = reader.name(), Mark(*reader.unpack(_MARK))
-            halt.stops[name] = (mark, reader.octets()[:MAX_REASON].decode(errors="ignore"))
-        for _ in range(arms):
-            name = reader.name()
-            halt.arms[name] = Mark(*reader.unpack(_MARK))
-        reader.end()
-    except FrameError:
-        if not halt.stops:
-            raise
-        halt.arms.clear()
-    return halt
-
-
-def encode_advertisement(packet: Advertisement) -> bytes:
-    """The payload of a flooded LSA."""
-    names = b"".join(packed(name) + _METRIC.pack(time) for name, time in sorted(packet.neighbours.items()))
-    heard = packet.heard.to_bytes((packet.heard.bit_length() + 7) // 8, "little")
-    twins = packet.twins[:MAX_TWINS]
-    flags = (
-        packet.leaving | bool(packet.topology) << 1 | bool(heard) << 2 | bool(packet.process) << 3 | bool(twins) << 4
-    )
-    tail = (_FIRST.pack(packet.topology) if packet.topology else b"") + (bytes((len(heard),)) + heard if heard else b"")
-    tail += _FIRST.pack(packet.process) if packet.process else b""
-    tail += bytes((len(twins),)) + b"".join(map(packed, twins)) if twins else b""
-    return _LSA.pack(flags, len(packet.neighbours)) + names + tail
-
-
-def decode_advertisement(data: bytes) -> Advertisement:
-    """The payload of a flooded LSA. Most only repeat what is known: small ones are not taken apart again."""
-    return _decode_small_advertisement(data) if len(data) <= _SMALL else _decode_advertisement(data)
-
-
-def _decode_advertisement(data: bytes) -> Advertisement:
-    if len(data) < _LSA.size:
-        raise FrameError(f"LSA of {len(data)} bytes: it has at least {_LSA.size}")
-    flags, count = _LSA.unpack_from(data)
-    if flags > 31:
-        raise FrameError(f"LSA flags {flags:#x}: bits 0 to 4 are known")
-    reader = Reader(data, _LSA.size)
-    neighbours: dict[str, int] = {}
-    for _ in range(count):
-        name = reader.name()
-        (neighbours[name],) = reader.unpack(_METRIC)
-    topology = reader.unpack(_FIRST)[0] if flags & 2 else 0
-    heard = int.from_bytes(reader.octets(), "little") if flags & 4 else 0
-    process = reader.unpack(_FIRST)[0] if flags & 8 else 0
-    count = reader.unpack(_COUNT)[0] if flags & 16 else 0
-    if count > MAX_TWINS:
-        raise FrameError(f"LSA with {count} names of two robots: at most {MAX_TWINS}")
-    twins = tuple(reader.name() for _ in range(count))
-    reader.end()
-    return Advertisement(neighbours, bool(flags & 1), topology, heard, process, twins)
-
-
-_decode_small_advertisement = lru_cache(maxsize=1024)(_decode_advertisement)
-
-
 # -- unicast channels ------------------------------------------------------------------------------------------
 
 
@@ -391,8 +346,6 @@ def decode_message(data: bytes) -> Message:
     _, ttl, incarnation, number = _MESSAGE.unpack_from(data)
     reader = Reader(data, _MESSAGE.size)
     sender, to, key = reader.name(), reader.name(), reader.key()
-    if not number:
-        raise FrameError("MESSAGE 0: they count from 1")
     return Message(sender, to, incarnation, number, key, data[reader.at :], ttl)
 
 
@@ -413,11 +366,3 @@ def decode_ack(data: bytes) -> Ack:
     sender, to = reader.name(), reader.name()
     reader.end()
     return Ack(sender, to, incarnation, number, bool(refused), ttl)
-
-
-# -- inside ----------------------------------------------------------------------------------------------------
-
-
-def sorted_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Robots' names as results show them: r2 before r10."""
-    return tuple(sorted(names, key=lambda name: (len(name), name)))

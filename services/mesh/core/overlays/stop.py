@@ -8,23 +8,92 @@ no stop back that it did not know of.
 
 Whatever is new to a robot it sends to its other neighbours at once (control class), everything to a neighbour whose
 link came up, and every 10 s, for full queues may drop anything.
+
+`Register` is that register, `Stops` tells this robot's bus, and the swarm, which robots have stopped the swarm.
 """
 
+import itertools
+import struct
 from collections.abc import Callable
+from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
-from services.mesh.core.wire.frames import CONTROL, FLOOD
-from services.mesh.core.wire.packets import (
-    MAX_INCARNATION,
-    MAX_REASON,
-    MAX_SEQUENCE,
-    Halt,
-    Mark,
-    decode_halt,
-    encode_halts,
-)
+from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD
+from services.mesh.core.wire.packets import HALT, MAX_INCARNATION, MAX_SEQUENCE, Reader, packed
 from swarm.errors import FrameError
+from swarm.messages import Stop, Stopped
+from swarm.messages.codec import encode
+from swarm.messages.keys import STOP, key
 from swarm.messages.keys import key as key_of
+
+_HALT = struct.Struct("<BBB")
+
+_MARK = struct.Struct("<QI")
+
+MAX_REASON = 64
+"""Bytes of a stop's reason."""
+
+_HALT_ENTRIES = 20
+"""Robots in one HALT packet: at most 1.9 kB."""
+
+
+class Mark(NamedTuple):
+    """A stop of one robot. Later ones are greater."""
+
+    incarnation: int
+    number: int
+
+
+class Halt(NamedTuple):
+    """All that a robot knows of stops and of what re-armed the swarm."""
+
+    stops: dict[str, tuple[Mark, str]]
+    """The newest stop of each robot, and its reason."""
+    arms: dict[str, Mark]
+    """The newest stop of each robot that was taken back."""
+
+
+def encode_halts(halt: Halt) -> list[bytes]:
+    """HALT packets: each may be understood without the others."""
+    stops = [packed(name) + _MARK.pack(*mark) + packed(reason, MAX_REASON)
+             for name, (mark, reason) in sorted(halt.stops.items())]  # fmt: skip
+    arms = [packed(name) + _MARK.pack(*mark) for name, mark in sorted(halt.arms.items())]
+    packets = []
+    # Stops first: should the rest be lost, the swarm rests.
+    for part in _parts(stops):
+        packets.append(_HALT.pack(HALT, len(part), 0) + b"".join(part))
+    for part in _parts(arms):
+        packets.append(_HALT.pack(HALT, 0, len(part)) + b"".join(part))
+    return packets
+
+
+def _parts(entries: list[bytes]) -> list[list[bytes]]:
+    return [entries[at : at + _HALT_ENTRIES] for at in range(0, len(entries), _HALT_ENTRIES)]
+
+
+def decode_halt(data: bytes) -> Halt:
+    """A HALT packet. Each stop that can be read counts, whatever follows it: another release may have more to say. A
+    re-arm counts only in a packet that is understood to its end."""
+    if len(data) < _HALT.size:
+        raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
+    _, stops, arms = _HALT.unpack_from(data)
+    reader = Reader(data, _HALT.size)
+    halt = Halt({}, {})
+    try:
+        for _ in range(stops):
+            name, mark = reader.name(), Mark(*reader.unpack(_MARK))
+            halt.stops[name] = (mark, reader.octets()[:MAX_REASON].decode(errors="ignore"))
+        for _ in range(arms):
+            name = reader.name()
+            halt.arms[name] = Mark(*reader.unpack(_MARK))
+        reader.end()
+    except FrameError:
+        if not halt.stops:
+            raise
+        halt.arms.clear()
+    return halt
+
 
 REPEAT_PERIOD = 10.0
 """s between two messages to each neighbour once there was a stop."""
@@ -142,3 +211,66 @@ def _above(mark: Mark) -> Mark:
     if mark.number < MAX_SEQUENCE:
         return Mark(mark.incarnation, mark.number + 1)
     return Mark(mark.incarnation + 1, 1)
+
+
+STOP_PERIOD = 1.0
+"""s between two repetitions of `swarm/stop` on the own bus while the swarm is stopped: a service that starts, or a
+message that was lost, must not make an exception."""
+
+CONFIRM_AFTER = 0.05
+"""s from a change of the register until `mesh/stopped` is flooded: stops that are given on many robots at once make one
+flood of each robot."""
+
+MAX_NAMED = 16
+"""Robots that `mesh/stopped` names: with their reasons it stays far below what a flood carries."""
+
+_NEVER = float("inf")
+
+
+class Stops:
+    """Watches the register."""
+
+    def __init__(self, me: str, register: Register, flood: Flood, to_bus: Callable[[str, bytes, int], None]) -> None:
+        """`to_bus(key, payload, class)` publishes on the own bus."""
+        self._register = register
+        self._flood = flood
+        self._to_bus = to_bus
+        self._key = key(me, "mesh", "stopped")
+        self._confirmed: dict[str, str] = {}
+        self._tell_at = _NEVER
+        self._confirm_at = _NEVER
+
+    def changed(self, now: float) -> None:
+        """The register has changed."""
+        self._tell(now)
+        if self._tell_at == _NEVER:
+            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
+        self._confirm_at = min(self._confirm_at, now + CONFIRM_AFTER)
+
+    def handle_timer(self, now: float) -> None:
+        """Whatever is due."""
+        if now >= self._tell_at:
+            self._tell(now)
+        if now >= self._confirm_at:
+            self._confirm_at = _NEVER
+            if self._confirmed != (stops := self._register.stops):
+                self._confirmed = stops
+                # To all robots, and not in the control class, where the stops themselves are.
+                self._flood.publish(self._key, encode(self.stopped(now)), BULK, now, latest=True)
+
+    def next_deadline(self) -> float:
+        """When `handle_timer` wants to be called."""
+        return min(self._tell_at, self._confirm_at)
+
+    def stopped(self, now: float) -> Stopped:
+        """For the key `mesh/stopped`."""
+        stops = self._register.stops
+        return Stopped(now, bool(stops), dict(itertools.islice(stops.items(), MAX_NAMED)))
+
+    def _tell(self, now: float) -> None:
+        stops = self._register.stops
+        self._tell_at = now + STOP_PERIOD if stops else _NEVER
+        if stops:
+            self._to_bus(self._key, encode(self.stopped(now)), CONTROL)
+        for origin, reason in stops.items():
+            self._to_bus(STOP, encode(Stop(now, origin, reason)), CONTROL)

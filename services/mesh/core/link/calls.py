@@ -1,0 +1,353 @@
+"""Who calls whom to make a link, when, who may call this robot, and who may be at the other end of a connection.
+
+`Dialler` says when a neighbour is to be dialled, which `dials` gives to one of the two ends.
+
+`Search` looks for robots by calling those that we would dial and have no link with. Those out of the swarm's reach
+(`far`) are called again and again, with a growing pause; those in the swarm whom we have not reached ourselves
+(`near`) to learn whether we hear each other, which the automatic topology wants to know. One call at a time: a page
+of an absent robot takes a Bluetooth adapter 5 s. (An inquiry takes it 10 s, finds also what is not ours, and needs
+PyBluez: that is `swarm discover`.)
+
+`Callers` bounds what a stranger can cost us before we believe a word of it: `MAX_HALF_OPEN` handshakes at once for
+all of them and `MAX_PER_SOURCE` for one address, and an address whose handshakes we refuse is shut out for a while.
+An address of a neighbour has room of its own, which nobody else's calls take, and is never shut out: a neighbour that
+was set up wrongly dials with a back-off of its own, and who forges its address must not be able to lock it out.
+
+`refusal` says what a HELLO must say so that its sender may prove that it holds the key.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import field
+
+from services.mesh.core.wire import frames
+from services.mesh.core.wire.auth import newest_common
+from services.mesh.core.wire.frames import Hello
+from swarm.config.types import RobotConfig
+from swarm.frozen import frozen
+
+FIRST_DELAY = 0.2
+"""s until the second attempt."""
+
+LONGEST_DELAY = 5.0
+"""s between attempts at most: a robot that returns is met again within this time, and there is no last
+attempt."""
+
+JITTER = 0.5
+"""Each delay is spread by this fraction up and down, so that robots that lost each other together do not
+retry together."""
+
+GOOD_AFTER = 1.0
+"""s that a link must have been up for the back-off to start from the beginning again. Without it two
+processes of one name, which replace each other's connection, would do so several times a second."""
+
+
+def dials(me: RobotConfig, peer: RobotConfig) -> bool:
+    """Whether `me` dials `peer`: the lower Bluetooth address does, or the lower name where one has none.
+
+    With both ends dialling, Bluetooth pages collide: both fail after 5 s (measured, docs/frames.md).
+    """
+    if me.bluetooth is not None and peer.bluetooth is not None:
+        return _address(me.bluetooth) < _address(peer.bluetooth)
+    return me.name < peer.name
+
+
+def can_link(a: RobotConfig, b: RobotConfig) -> bool:
+    """Whether there can be a link between two robots: the one that is dialled has an address."""
+    return has_address(b if dials(a, b) else a)
+
+
+def has_address(robot: RobotConfig) -> bool:
+    """Whether a robot can be called at all."""
+    return robot.link is not None or robot.bluetooth is not None
+
+
+def _address(text: str) -> bytes:
+    return bytes.fromhex(text.replace(":", ""))
+
+
+class Dialler:
+    """When one neighbour is to be dialled. At most one attempt runs at a time; the first is due at once."""
+
+    def __init__(self, random: Callable[[], float]) -> None:
+        """`random` gives uniform numbers from 0 up to 1."""
+        self._random = random
+        self._failures = 0
+        self._next: float | None = 0.0
+        self._up_since: float | None = None
+
+    def next_deadline(self) -> float | None:
+        """When to dial; None while an attempt or a connection lasts."""
+        return self._next
+
+    def take(self, now: float) -> bool:
+        """Whether to dial now; if so, the attempt has begun."""
+        if self._next is None or now < self._next:
+            return False
+        self._next = None
+        return True
+
+    def up(self, now: float) -> None:
+        """The attempt led to a link."""
+        self._up_since = now
+        self._next = None
+
+    def ended(self, now: float) -> None:
+        """The attempt failed or its link is down: plan the next one."""
+        if self._up_since is not None and now - self._up_since >= GOOD_AFTER:
+            self._failures = 0
+        self._up_since = None
+        delay = min(LONGEST_DELAY, FIRST_DELAY * 2.0 ** min(self._failures, 16))
+        self._failures += 1
+        self._next = now + delay * (1.0 - JITTER + 2.0 * JITTER * self._random())
+
+
+MAX_HALF_OPEN = 16
+"""Handshakes of strangers, and of callers without a known address, at the same time."""
+
+MAX_PER_SOURCE = 8
+"""Handshakes of one address at the same time."""
+
+FIRST_SHUT_OUT = 0.2
+"""s that an address is shut out after a refused handshake; doubles with each further one."""
+
+LONGEST_SHUT_OUT = 5.0
+"""s; as long as our own robots wait at most until they call again."""
+
+_MAX_REMEMBERED = 256
+"""Addresses whose refusals are remembered; the longest unheard of goes first."""
+
+
+@frozen
+class Caller:
+    """What the transport knows of who calls, before a byte was exchanged."""
+
+    source: str = ""
+    """The address; empty where the transport has none."""
+    robot: str | None = None
+    """The robot that the address belongs to. None = the transport cannot tell, "" = it can, and no robot has it."""
+    reserved: bool = False
+    """Whether neighbours may call from this address (a known robot's address needs no saying)."""
+
+    @property
+    def has_own_room(self) -> bool:
+        """Whether its handshakes do not count among the strangers'."""
+        return self.reserved or bool(self.robot)
+
+
+UNKNOWN = Caller()
+"""A caller of whom the transport knows nothing."""
+
+
+class Callers:
+    """Remembers whom we refused."""
+
+    def __init__(self) -> None:
+        self._refused: OrderedDict[str, tuple[int, float]] = OrderedDict()
+
+    def refusal(self, caller: Caller, half_open: Iterable[Caller], now: float) -> tuple[str, str, str] | None:
+        """Why a caller may not begin its handshake: counter, problem and text; None where it may."""
+        if caller.robot == "":
+            text = f"connection refused: {caller.source} is the address of no robot of ours"
+            return "refused_robot", "strange address", text
+        if self.has_room(caller, half_open, now):
+            return None
+        limit = f"more than {MAX_HALF_OPEN} wait for their handshake, or the last ones from there were refused"
+        text = f"connection refused source={caller.source or 'unknown'}: {limit}"
+        return "half_open", "half-open connections", text
+
+    def has_room(self, caller: Caller, half_open: Iterable[Caller], now: float) -> bool:
+        """Whether a caller may begin its handshake while those of `half_open` are in theirs."""
+        if now < self._refused.get(caller.source, (0, 0.0))[1]:
+            return False
+        same = strangers = 0
+        for other in half_open:
+            same += caller.source == other.source != ""
+            strangers += not other.has_own_room
+        return same < MAX_PER_SOURCE and (caller.has_own_room or strangers < MAX_HALF_OPEN)
+
+    def refused(self, caller: Caller, now: float) -> None:
+        """A handshake of this caller was refused."""
+        if caller.has_own_room or not caller.source:
+            return
+        count, _ = self._refused.pop(caller.source, (0, 0.0))
+        self._refused[caller.source] = count + 1, now + min(LONGEST_SHUT_OUT, FIRST_SHUT_OUT * 2.0 ** min(count, 16))
+        if len(self._refused) > _MAX_REMEMBERED:
+            self._refused.popitem(last=False)
+
+    def confirmed(self, caller: Caller) -> None:
+        """A caller has shown to be one of us: what was held against its address is forgotten."""
+        self._refused.pop(caller.source, None)
+
+
+FIRST_PAUSE = 0.5
+"""s within which a new target is called for the first time."""
+
+PAUSE = 1.0
+"""s after the first call that failed; doubles with each further one."""
+
+LONGEST_FAR, LONGEST_NEAR = 30.0, 300.0
+"""s between two calls at most. Who is in the swarm lacks nothing if we do not hear it."""
+
+_NEVER = float("inf")
+
+
+class _Target:
+    __slots__ = ("failures", "far", "next_at")
+
+    def __init__(self, far: bool, next_at: float) -> None:
+        self.far = far
+        self.failures = 0
+        self.next_at = next_at
+
+
+class Search:
+    """The calls of one robot."""
+
+    def __init__(self, random: Callable[[], float]) -> None:
+        """`random` gives numbers from 0 up to 1."""
+        self._random = random
+        self._targets: dict[str, _Target] = {}
+        self.calling: str | None = None
+        """Whom we are calling."""
+
+    def aim(self, far: Collection[str], near: Collection[str], now: float) -> None:
+        """These are the targets now. One that is new, or went from near to far, is called soon."""
+        for name in self._targets.keys() - set(far) - set(near):
+            del self._targets[name]
+        for names, is_far in ((far, True), (near, False)):
+            for name in names:
+                target = self._targets.get(name)
+                if target is None or target.far != is_far:
+                    self._targets[name] = _Target(is_far, now + FIRST_PAUSE * self._random())
+
+    def take(self, now: float) -> str | None:
+        """Whom to call now; the far ones first. To be followed by `ended`."""
+        if self.calling is None:
+            due = [(not target.far, target.next_at, name) for name, target in self._targets.items()
+                   if now >= target.next_at]  # fmt: skip
+            if due:
+                self.calling = min(due)[2]
+                return self.calling
+        return None
+
+    def ended(self, name: str, now: float) -> None:
+        """A call is over. If it was of use the robot is no target any more; if not, it is called again later."""
+        if name == self.calling:
+            self.calling = None
+        target = self._targets.get(name)
+        if target is not None:
+            longest = LONGEST_FAR if target.far else LONGEST_NEAR
+            pause = min(longest, PAUSE * 2.0 ** min(target.failures, 16))
+            target.failures += 1
+            target.next_at = now + pause * (1.0 - JITTER + 2.0 * JITTER * self._random())
+
+    def next_deadline(self) -> float:
+        """When `take` has somebody."""
+        if self.calling is not None:
+            return _NEVER
+        return min((target.next_at for target in self._targets.values()), default=_NEVER)
+
+
+REFUSED = {
+    frames.BAD_FRAME: "bad_frames",
+    frames.BAD_VERSION: "refused_version",
+    frames.BAD_NETWORK: "refused_network",
+    frames.BAD_ROBOT: "refused_robot",
+    frames.NOT_NEIGHBOUR: "refused_not_neighbour",
+    frames.BAD_SECURITY: "refused_security",
+    frames.BAD_ROLE: "refused_role",
+    frames.SILENT: "silent",
+    frames.BAD_KEY: "refused_key",
+    frames.BAD_TAG: "bad_tags",
+    frames.FULL: "refused_full",
+    frames.HELD: "refused_held",
+    frames.CLASH: "refused_clash",
+}
+"""Which counter counts what we end a connection for."""
+
+
+@frozen
+class Local:
+    """What a session must know of this robot."""
+
+    robot: str
+    network: str
+    incarnation: int
+    """u64, drawn anew at each start."""
+    insecure: bool
+    """True = no link of ours is authenticated, and `keys` is empty."""
+    dials: Mapping[str, bool]
+    """The robots it may be linked with, and whether it dials them (the other end does otherwise)."""
+    robots: frozenset[str]
+    """All robots of the swarm."""
+    heartbeat: float = 0.5
+    """s between heartbeats, on a busy link too: they carry the clock."""
+    suspect: float = 1.5
+    dead: float = 3.0
+    keys: Mapping[int, bytes] = field(default_factory=dict, repr=False)
+    """Pre-shared keys by id; the newest one has the highest id."""
+
+    @property
+    def process(self) -> int:
+        """The number of this mesh process in link states, u32."""
+        return process_of(self.incarnation)
+
+
+def process_of(incarnation: int) -> int:
+    """The number in link states of the mesh process with this incarnation, u32."""
+    return incarnation & 0xFFFFFFFF
+
+
+def refusal(
+    hello: Hello,
+    local: Local,
+    *,
+    dialled: str | None,
+    expected: str | None,
+    has_room: Callable[[str], bool],
+    is_held: Callable[[str], bool],
+    clash: Callable[[str, int], str],
+) -> tuple[int, str] | None:
+    """Why the sender of a HELLO is refused, as code of BYE and text; None = it may prove that it holds the key.
+
+    `dialled` names whom we called, None where we were called; `expected` names the robot whose address a caller has,
+    where the transport knows it; `has_room(robot)` says whether that one may have a link with us, `is_held(robot)`
+    whether an operator wants none for now, `clash(robot, process)` why not, where another robot has its name.
+    """
+    key_id = newest_common(local.keys, hello.key_ids)
+    refused = None
+    if hello.network != local.network:
+        refused = frames.BAD_NETWORK, f"network {hello.network!r}, ours is {local.network!r}"
+    elif hello.insecure != local.insecure:
+        ends = ("it is", "we are not") if hello.insecure else ("we are", "it is not")
+        refused = frames.BAD_SECURITY, f"{ends[0]} insecure and {ends[1]}"
+    elif hello.robot == local.robot:
+        refused = frames.BAD_ROBOT, f"it calls itself {hello.robot}, which is our own name"
+    elif hello.robot not in local.robots:
+        refused = frames.BAD_ROBOT, f"robot {hello.robot} is not in our configuration"
+    elif dialled is not None and hello.robot != dialled:
+        refused = frames.BAD_ROBOT, f"robot {hello.robot} answers where {dialled} should be"
+    elif expected is not None and hello.robot != expected:
+        refused = frames.BAD_ROBOT, f"robot {hello.robot} calls from the address of {expected}"
+    elif hello.robot not in local.dials:
+        refused = frames.NOT_NEIGHBOUR, f"robot {hello.robot} has no address that links could lead to"
+    elif hello.dialler == (dialled is not None):
+        refused = frames.BAD_ROLE, "both ends claim the same role"
+    elif hello.dialler and local.dials[hello.robot]:
+        refused = frames.BAD_ROLE, f"{local.robot} is to dial {hello.robot}, not the other way round"
+    elif not local.insecure and key_id is None:
+        ids = _ids(hello.key_ids), _ids(local.keys)
+        refused = frames.BAD_KEY, "robot {} has another key: {}, ours is {}".format(hello.robot, *ids)
+    elif reason := clash(hello.robot, process_of(hello.incarnation)):
+        refused = frames.CLASH, reason
+    elif not has_room(hello.robot):
+        refused = frames.FULL, f"robot {hello.robot} calls, but there is no room for another link"
+    elif is_held(hello.robot):
+        refused = frames.HELD, frames.BYE_TEXT[frames.HELD]
+    return refused
+
+
+def _ids(ids: Iterable[int]) -> str:
+    """Key ids as the key file writes them."""
+    return " ".join(f"{key_id:08x}" for key_id in sorted(ids, reverse=True)) or "none"
