@@ -18,7 +18,7 @@ from laptop.fleet import collect, journal, versions
 from services.balancer import link
 from services.balancer.core import balboa, imu, intel_hex, uwb
 from services.dwm.core import calibration_file, calls, shell, tlv
-from services.dwm.core.exchange import Exchange
+from services.dwm.core.exchange import ModuleExchange
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position
 from services.mesh import link_address
 from swarm import messages
@@ -196,7 +196,7 @@ def _tlv(rng: random.Random) -> Made:
     known = (LOC_GET, calls.POS_GET, calls.CFG_GET, calls.UPD_RATE_GET, calls.VER_GET, calls.NODE_ID_GET)
 
     def feed(data: bytes) -> None:
-        exchange = Exchange(known[int(rng.random() * len(known))])
+        exchange = ModuleExchange(known[int(rng.random() * len(known))])
         exchange.receive(data)
         exchange.expire()
 
@@ -207,7 +207,7 @@ def _tlv(rng: random.Random) -> Made:
 
 def _shell(rng: random.Random) -> Made:
     """Lines of the UWB module's shell mode, in pieces."""
-    reader = shell.Reader()
+    reader = shell.ShellReader()
 
     def feed(data: bytes) -> None:
         reader.receive(data)

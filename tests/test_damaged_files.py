@@ -14,7 +14,7 @@ import pytest
 from laptop.fleet.journal import JournalMark
 from services.apps import topology
 from services.apps.changes import Changes
-from services.apps.claim import Claim
+from services.apps.claim import AppLock
 from services.apps.snapshot import SnapshotFile
 from services.balancer.core.gyro import Zero
 from services.balancer.zero_file import ZeroFile
@@ -62,7 +62,7 @@ def read_topology(place: Path) -> object:
 
 
 def read_claim(place: Path) -> int:
-    claim = Claim(place.parent, "x")
+    claim = AppLock(place.parent, "x")
     claim.close()
     return claim.incarnation
 

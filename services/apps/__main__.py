@@ -10,14 +10,14 @@ import hashlib
 import os
 
 from services.apps import loader, topology
-from services.apps.claim import Claim
+from services.apps.claim import AppLock
 from services.apps.equipment import equip
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
 from services.apps.host import LockstepHost, Part
 from services.apps.lockstep_driver import Place
 from services.apps.measurements import source_of
-from services.apps.recording import Recording, place_of
+from services.apps.recording import AppRecording, place_of
 from services.apps.runner import Runner
 from services.apps.storage import FileStorage
 from swarm.app import run_options
@@ -60,11 +60,11 @@ def main() -> int:
             instance = app.make(links.config, service.robot, seed)
         overlays = equip(instance.robot, service.bus, service.log)
         storage = FileStorage(service.runtime)
-        claim = Claim(service.runtime, app.name)
+        claim = AppLock(service.runtime, app.name)
         if not links.kept:
             topology.save(service.runtime, app.name, number, links)
         folder = place_of(app.name, number, wanted=options.record)
-        recording = Recording(service, app, number, seed, folder, options.settings) if folder is not None else None
+        recording = AppRecording(service, app, number, seed, folder, options.settings) if folder is not None else None
         recorder = None
         if recording is not None:
             recorder = recording.recorder

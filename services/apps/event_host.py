@@ -15,7 +15,7 @@ from services.apps.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, place_of, version
 from services.apps.host import LockstepHost, Part
 from services.apps.lockstep_driver import CLOSE_WITHIN, LOOK_EVERY, REPEAT, Place
-from services.apps.observer import Line, Observer
+from services.apps.observer import Observer, StepRecord
 from services.apps.runner import Runner
 from services.apps.storage import Storage
 from services.apps.topology import of_edges
@@ -288,7 +288,7 @@ class EventHost:
             self._observer.progressed(self)
         self._recorded = k
         try:
-            line = Line(k, self._changed_at, self.runner.state(), self.runner.result())
+            line = StepRecord(k, self._changed_at, self.runner.state(), self.runner.result())
         except SwarmError as error:
             self._app_failed(error)
             return

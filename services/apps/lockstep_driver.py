@@ -9,10 +9,10 @@ from services.apps.ballots import told
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
 from services.apps.core.terms import Terms
 from services.apps.measurements import Measurements
-from services.apps.observer import Line, Observer
+from services.apps.observer import Observer, StepRecord
 from services.apps.runner import Runner
 from services.apps.storage import Storage
-from services.apps.topology import Watch
+from services.apps.topology import TopologyWatch
 from swarm.app.run_options import RunOptions
 from swarm.bus.throttle import APP_STATE_S, THROTTLED, Throttle
 from swarm.config import Config
@@ -114,7 +114,7 @@ class LockstepDriver:
         terms: Terms,
         place: Place,
         storage: Storage,
-        watch: Watch,
+        watch: TopologyWatch,
         measurements: Measurements | None,
         observer: Observer | None,
         on_change: Callable[[], None],
@@ -384,7 +384,9 @@ class LockstepDriver:
             if not begun:
                 self._observer.progressed(self)
             try:
-                line = Line(news.k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured)
+                line = StepRecord(
+                    news.k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured
+                )
             except SwarmError as error:
                 self._app_failed(error)
                 return

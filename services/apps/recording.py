@@ -22,7 +22,7 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 systemd)."""
 
 
-class Recording:
+class AppRecording:
     """The recording of one app's process; a context. Losing it does not stop the app: it is logged once and counted."""
 
     def __init__(

@@ -19,7 +19,7 @@ NOBODY = "0000"
 
 
 @frozen
-class Row:
+class _Row:
     """Row `k` of a recording as messages."""
 
     recording: ThesisRecording
@@ -67,7 +67,7 @@ def serve(service: Service, recording: ThesisRecording) -> None:
             k = first_asked.get(timeout=0.25)  # a signal does not wake a queue: this bounds the time to stop
         except queue.Empty:
             continue
-        ranges, pose = Row(recording, k).published(target, clock.now())
+        ranges, pose = _Row(recording, k).published(target, clock.now())
         service.bus.publish(key(robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(robot, "dwm", "pose"), pose)
 
@@ -75,7 +75,7 @@ def serve(service: Service, recording: ThesisRecording) -> None:
 def row_of(recording: ThesisRecording, key: str, parameters: dict[str, str]) -> bytes | None:
     """Answer the query for a row; None where there is none."""
     k = _asked(parameters)
-    return None if k is None or k >= recording.steps else encode(Row(recording, k).measurement())
+    return None if k is None or k >= recording.steps else encode(_Row(recording, k).measurement())
 
 
 def _asked(parameters: dict[str, str]) -> int | None:

@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 
 from services.apps import loader
-from services.apps.observer import Line, Source
+from services.apps.observer import Source, StepRecord
 from services.apps.recorder import Recorder
 from sim.virtual.bus import VirtualBus
 from sim.virtual.trajectory_builder import TrajectoryBuilder
@@ -46,7 +46,7 @@ class AppRecords:
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 
-    def advanced(self, source: Source, line: Line) -> None:
+    def advanced(self, source: Source, line: StepRecord) -> None:
         """A robot has done an iteration."""
         if self._recorders:
             self._recorders[source.robot].advanced(source, line)

@@ -8,7 +8,7 @@ import random
 
 from services.balancer.core.buttons import REPEAT_S, ButtonCounter
 from services.balancer.core.faults import STOPPED
-from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, Claim, Order, Shown, shown
+from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, LedClaim, LedOrder, Shown, shown
 from sim.core.actions import BUTTONS, BodyPlace, Lay, Press, Push, SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.virtual.body import BALANCING, VirtualBody
@@ -66,7 +66,7 @@ class VirtualBalancer:
         self._time = time
         self._bus = bus
         self._scene_record = scene_record
-        self._claim = Claim()
+        self._claim = LedClaim()
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
         """Until when somebody holds each button."""
@@ -138,7 +138,7 @@ class VirtualBalancer:
         if at is not None and not at <= now + LONGEST_AHEAD_S:
             raise LocalError(f"leds: at: expected at most {LONGEST_AHEAD_S:g} s from now on, got {at - now:.6g}")
         begin = now if at is None else max(at, now)
-        if not self._claim.take(Order(leds, begin, begin + seconds), now):
+        if not self._claim.take(LedOrder(leds, begin, begin + seconds), now):
             raise LocalError("leds: too many orders wait for their time already")
         self._time.at(begin, self._show_leds)
         self._time.at(begin + seconds, self._show_leds)

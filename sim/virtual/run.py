@@ -11,7 +11,7 @@ from pathlib import Path
 
 from services.apps import loader
 from services.apps.event_host import EventHost
-from services.apps.observer import Line, Observer, Source
+from services.apps.observer import Observer, Source, StepRecord
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions
@@ -181,7 +181,7 @@ class VirtualRun:
         ]
         self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
-    def advanced(self, source: Source, line: Line) -> None:
+    def advanced(self, source: Source, line: StepRecord) -> None:
         """See `Observer`: a robot has done an iteration."""
         self._last_progress = self.world.time.now
         self._records.advanced(source, line)

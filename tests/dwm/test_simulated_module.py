@@ -14,7 +14,7 @@ import serial
 from dwm_frames import GOLDEN
 
 from services.dwm.core.calls import CFG_GET, POS_GET, RESET, Settings, cfg_set
-from services.dwm.core.tlv import LOC_GET, NOWHERE, Decoder, Location, Position, Refusal
+from services.dwm.core.tlv import LOC_GET, NOWHERE, Location, Position, Refusal, TlvDecoder
 from sim.module import ModuleBoard
 from swarm.config import Anchor, Config, Dwm, RobotConfig, SimulationConfig
 
@@ -47,7 +47,7 @@ def port(board, tmp_path):
 
 def answers(board, port, count, limit=200, call=LOC_GET, tolerant=False):
     """Let the board work until `count` answers came."""
-    decoder, found = Decoder(call), []
+    decoder, found = TlvDecoder(call), []
     for _ in range(limit):
         board.poll(0.05)
         while select.select([port], [], [], 0)[0]:

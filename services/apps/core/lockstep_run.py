@@ -36,7 +36,7 @@ class Renew:
     epoch: Epoch
 
 
-class State(NamedTuple):
+class RunState(NamedTuple):
     """What the app was at one iteration."""
 
     k: int
@@ -110,7 +110,7 @@ class LockstepRun:
         self._lockstep: Lockstep | None = None
         self._channel = self._channel_of(self.epochs.epoch)
         self._graph = graph if self.epochs.number == begin.number else self.epochs.epoch.graph
-        self._history: deque[State] = deque()
+        self._history: deque[RunState] = deque()
         self._began_at = 0.0
         self._progress_at = 0.0
         self._heard: dict[str, float] = {}
@@ -172,7 +172,7 @@ class LockstepRun:
                 if snapshot.epoch == saved[-1].epoch:
                     computed_at, self._began_at = _STAMP.unpack_from(snapshot.private)
                     private = snapshot.private[_STAMP.size :]
-                    self._history.append(State(snapshot.k, snapshot.value, private, computed_at))
+                    self._history.append(RunState(snapshot.k, snapshot.value, private, computed_at))
             if saved[-1].epoch == epoch.number and self.epochs.member:
                 self._resume(saved[-1], epoch, now)
             else:
@@ -222,7 +222,7 @@ class LockstepRun:
             own += count
             last = self._stopping.over(count)
         self._progress_at = self.computed_at = now
-        self._history.append(State(todo.k + 1, own, private, now))
+        self._history.append(RunState(todo.k + 1, own, private, now))
         core.computed(own, self._stamp(private), now, last=last)
         self.epochs.k = core.k
 
@@ -352,7 +352,7 @@ class LockstepRun:
     def _channel_of(self, epoch: Epoch) -> Channel:
         return Channel(self.terms.run, epoch.number, self.epochs.birth, self.terms.schema)
 
-    def _before(self, epoch: Epoch) -> State | None:
+    def _before(self, epoch: Epoch) -> RunState | None:
         """The state with which this robot goes over to an epoch: that of its first iteration, or the newest one."""
         if self._me in epoch.carried and self._channel.epoch == epoch.before:
             for state in self._history:
@@ -360,7 +360,7 @@ class LockstepRun:
                     return self._plain(state)
         return self._plain(self._history[-1]) if self._history else None
 
-    def _plain(self, state: State) -> State:
+    def _plain(self, state: RunState) -> RunState:
         return state._replace(own=state.own[: self._program.size])
 
     def _lockstep_of(self, epoch: Epoch) -> Lockstep:
@@ -380,7 +380,7 @@ class LockstepRun:
         self._progress_at = self.computed_at = now
         self._heard.clear()
         # So far back the slowest robot of the epoch can be.
-        self._history = deque([State(epoch.k, own, private, now)], maxlen=self._graph.span + 2)
+        self._history = deque([RunState(epoch.k, own, private, now)], maxlen=self._graph.span + 2)
         self.lost = False
         self.waiting = ()
         if self.phase == "done":

@@ -59,7 +59,7 @@ def _own(mode: str, now: float) -> Shown:
     return False, mode in (STARTING, STANDING_UP, LYING_DOWN), mode == BALANCING
 
 
-class Order(NamedTuple):
+class LedOrder(NamedTuple):
     """What an app wants shown, and from when until when, s."""
 
     leds: Shown
@@ -67,15 +67,15 @@ class Order(NamedTuple):
     until: float
 
 
-class Claim:
+class LedClaim:
     """The app's orders: the one in force, and those whose time is to come."""
 
     def __init__(self) -> None:
-        self._current: Order | None = None
-        self._coming: list[Order] = []
+        self._current: LedOrder | None = None
+        self._coming: list[LedOrder] = []
         """By time."""
 
-    def take(self, order: Order, now: float) -> bool:
+    def take(self, order: LedOrder, now: float) -> bool:
         """From `order.at` on this one holds, whatever was said of that time before. False where too many wait."""
         before = [other for other in self._coming if other.at < order.at]
         if order.at <= now:
