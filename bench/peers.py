@@ -16,14 +16,14 @@ from services.apps.host import schema_of
 from services.apps.runner import Runner as App
 from services.mesh.__main__ import local_of
 from services.mesh.core.events import Received
-from services.mesh.core.node import Node
-from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.relay import Relay
+from services.mesh.core.node import MeshNode
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing.topology import Ground
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.network import Network
-from services.mesh.runner import Runner
+from services.mesh.runner import MeshRunner
 from swarm import clock
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config, load
@@ -45,21 +45,25 @@ class Peer:
 
     def __init__(self, config: Config, robot: str, run: int) -> None:
         """`config`: its own."""
-        local, relay, counters = local_of(config, robot), Relay(robot, (), config.relay, config.names), Counter[str]()
-        overlays = Overlays(
+        local, relay, counters = (
+            local_of(config, robot),
+            KeyRelay(robot, (), config.relay, config.names),
+            Counter[str](),
+        )
+        overlays = RobotOverlays(
             robot,
             config.names,
             incarnation=time.time_ns() // 1000,
             random=random.random,
             counters=counters,
-            start=Start(Ground(config.names, config.edges, auto=config.auto), local.dials),
+            start=InitialLinks(Ground(config.names, config.edges, auto=config.auto), local.dials),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
         )
         nonce = partial(os.urandom, NONCE_SIZE)
         network = Network(config, local, runtime_dir())
-        self._mesh = Runner(
-            Node(local, relay, overlays, random=random.random, nonce=nonce, counters=counters),
+        self._mesh = MeshRunner(
+            MeshNode(local, relay, overlays, random=random.random, nonce=nonce, counters=counters),
             listeners=network.listeners,
             dial=network.dial,
             deliver=self._take,

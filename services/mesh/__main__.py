@@ -12,15 +12,15 @@ from services.mesh import topology_file
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import Local, can_link, dials
-from services.mesh.core.node import Node
-from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.relay import Relay
+from services.mesh.core.node import MeshNode
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing.topology import Ground
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import BULK, NONCE_SIZE
 from services.mesh.links.pipe import describe
 from services.mesh.network import Network
-from services.mesh.runner import Runner
+from services.mesh.runner import MeshRunner
 from services.mesh.view_sender import ViewSender
 from swarm import clock
 from swarm.config import Config
@@ -58,10 +58,10 @@ def local_of(config: Config, me: str) -> Local:
 _log = logging.getLogger("mesh")
 
 
-class _Mesh(Runner):
+class _Mesh(MeshRunner):
     """A runner that publishes its links and keeps the topology; the newest state is always the last one."""
 
-    def __init__(self, node: Node, network: Network, service: Service, heard: Callable[[str, bytes], None]) -> None:
+    def __init__(self, node: MeshNode, network: Network, service: Service, heard: Callable[[str, bytes], None]) -> None:
         """`heard(key, payload)` gets what came in, besides the bus."""
         super().__init__(
             node,
@@ -105,9 +105,9 @@ def main() -> None:
     with Service("mesh") as this:
         local = local_of(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
-        start = Start(ground, local.dials, topology_file.load(state_dir(), ground))
-        relay = Relay(this.robot, (), this.config.relay, this.config.names)
-        overlays = Overlays(
+        start = InitialLinks(ground, local.dials, topology_file.load(state_dir(), ground))
+        relay = KeyRelay(this.robot, (), this.config.relay, this.config.names)
+        overlays = RobotOverlays(
             this.robot,
             this.config.names,
             incarnation=time.time_ns() // 1000,
@@ -120,7 +120,7 @@ def main() -> None:
             admits_unicast=relay.admits_unicast,
         )
         nonce = partial(os.urandom, NONCE_SIZE)
-        node = Node(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
+        node = MeshNode(local, relay, overlays, random=random.random, nonce=nonce, counters=this.counters)
         network = Network(this.config, local, this.runtime)
         view_sender = ViewSender(this.robot, len(this.config.names), this.runtime)
         mesh = _Mesh(node, network, this, view_sender.heard)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Protocol, TypeVar
 
 from services.mesh.core.link.clock import ClockState
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from swarm.bus.protocol import BusLike
 from swarm.errors import PayloadError
 from swarm.messages import (
@@ -28,15 +28,15 @@ T = TypeVar("T")
 
 
 class Mesh(Protocol):
-    """The mesh that this interface serves; `services.mesh.runner.Runner` documents the methods."""
+    """The mesh that this interface serves; `services.mesh.runner.MeshRunner` documents the methods."""
 
     def publish(self, source: int, key: str, payload: bytes) -> None:
         """A sample of the own bus."""
 
-    def ask(self, step: Callable[[Overlays, float], object]) -> None:
+    def ask(self, step: Callable[[RobotOverlays, float], object]) -> None:
         """Something for the overlays."""
 
-    def look(self, question: Callable[[Overlays, float], T]) -> T:
+    def look(self, question: Callable[[RobotOverlays, float], T]) -> T:
         """Something the overlays know."""
 
     def ping(self, request: EchoRequest) -> None:

@@ -15,12 +15,12 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from services.mesh.core.actions import Action, Close, Dial, LinksChanged, Note, Write
+from services.mesh.core.actions import Action, Close, Dial, LinksChanged, LogLine, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import Session
-from services.mesh.core.node import Node
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.node import MeshNode
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.links.pipe import Pipe, describe
 from swarm import clock
 from swarm.messages import EchoRequest, HoldLink, LinkState
@@ -92,12 +92,12 @@ class Watched:
             self._calm.close()
 
 
-class Runner:
+class MeshRunner:
     """Runs one node until `stop`."""
 
     def __init__(
         self,
-        node: Node,
+        node: MeshNode,
         *,
         listeners: Sequence[Listener],
         dial: Callable[[str], Pipe],
@@ -133,21 +133,21 @@ class Runner:
         self._thread.start()
 
     def publish(self, source: int | None, key: str, payload: bytes) -> None:
-        """A sample of the own bus, `source` as of `Node.publish`. May be called on Zenoh's thread, never waits for a
+        """A sample of the own bus, `source` as of `MeshNode.publish`. Zenoh's thread may call it; it never waits for a
         socket."""
         with self._lock:
             self._node.publish(source, key, payload, clock.now())
             actions = self._carry_out()
         self._report(actions)
 
-    def ask(self, step: Callable[[Overlays, float], object]) -> None:
+    def ask(self, step: Callable[[RobotOverlays, float], object]) -> None:
         """Something for the overlays; like `publish`."""
         with self._lock:
             self._node.ask(step, clock.now())
             actions = self._carry_out()
         self._report(actions)
 
-    def look(self, question: Callable[[Overlays, float], T]) -> T:
+    def look(self, question: Callable[[RobotOverlays, float], T]) -> T:
         """Something the overlays know."""
         with self._lock:
             return question(self._node.overlays, clock.now())
@@ -269,7 +269,7 @@ class Runner:
                 self._keep()  # before the bus hears of it
             elif type(action) is LinksChanged:
                 changed = True
-            elif type(action) is Note:
+            elif type(action) is LogLine:
                 _log.log(logging.WARNING if action.problem else logging.INFO, "%s", action.text)
         if received:
             self._deliver(received)

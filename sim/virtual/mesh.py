@@ -13,11 +13,11 @@ from services.mesh.core.events import Received
 from services.mesh.core.link.calls import Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import Session
-from services.mesh.core.node import Node
-from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.relay import Relay
+from services.mesh.core.node import MeshNode
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing.topology import Ground
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.wanted_links import InitialLinks
 from sim.virtual.air import Air, ConnectionEnd
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
@@ -112,8 +112,8 @@ class VirtualMesh:
             suspect=settings.suspect,
             dead=settings.dead,
         )
-        relay = Relay(robot, (), config.relay, common.names)
-        overlays = Overlays(
+        relay = KeyRelay(robot, (), config.relay, common.names)
+        overlays = RobotOverlays(
             robot,
             common.names,
             incarnation=incarnation,
@@ -121,12 +121,12 @@ class VirtualMesh:
             counters=self.counters,
             metric=settings.metric,
             process=local.process,
-            start=Start(common.ground, local.dials, None),
+            start=InitialLinks(common.ground, local.dials, None),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
             wanted=bus.wanted,
         )
-        self.node = Node(
+        self.node = MeshNode(
             local,
             relay,
             overlays,
@@ -161,13 +161,13 @@ class VirtualMesh:
             self.node.publish(source, key, payload, self._time.now)
             self._carry_out()
 
-    def ask(self, step: Callable[[Overlays, float], object]) -> None:
+    def ask(self, step: Callable[[RobotOverlays, float], object]) -> None:
         """Something for the overlays."""
         if self.running:
             self.node.ask(step, self._time.now)
             self._carry_out()
 
-    def look(self, question: Callable[[Overlays, float], T]) -> T:
+    def look(self, question: Callable[[RobotOverlays, float], T]) -> T:
         """Something the overlays know."""
         return question(self.node.overlays, self._time.now)
 

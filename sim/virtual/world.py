@@ -18,7 +18,7 @@ from services.apps.observer import Observer
 from services.apps.runner import Runner
 from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
-from services.mesh.core.routing.link_state import Known
+from services.mesh.core.routing.link_state import AdvertisedLinks
 from services.mesh.core.routing.topology import Advertisement
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
@@ -241,7 +241,7 @@ class VirtualWorld:
     def _settle(self, latency: float) -> None:
         times = round(max(latency * 1e4, 1.0))
         links = {name: dict.fromkeys(near, times) for name, near in self._common.near.items()}
-        known = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
+        known = {name: AdvertisedLinks(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
         for robot in self.robots.values():
             assert isinstance(robot.mesh, VirtualMesh)
             robot.mesh.node.overlays.settle(links, known, robot.mesh.now)

@@ -59,7 +59,7 @@ class LinksChanged:
 
 
 @frozen
-class Note:
+class LogLine:
     """Write a line to the log."""
 
     text: str
@@ -73,7 +73,7 @@ class Write:
 
 
 Emit = Callable[[Transmit], None]
-LinkAction = Connect | Disconnect | Write | Note
+LinkAction = Connect | Disconnect | Write | LogLine
 """What a topology asks of its node."""
-Action = Dial | Close | LinksChanged | Note | Write | Received
+Action = Dial | Close | LinksChanged | LogLine | Write | Received
 """What a node asks of its shell."""

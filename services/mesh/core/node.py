@@ -17,20 +17,20 @@ from services.mesh.core.actions import (
     Disconnect,
     LinkAction,
     LinksChanged,
-    Note,
+    LogLine,
     Transmit,
     Write,
 )
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.link import neighbour
 from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Callers, Local
-from services.mesh.core.link.clock import ClockState, MeshClock
+from services.mesh.core.link.clock import ClockState, ClockSync
 from services.mesh.core.link.neighbour import Holds, Link
 from services.mesh.core.link.outbox import name_of
 from services.mesh.core.link.session import DOWN, SENT, SUSPECT, Session
 from services.mesh.core.overlays import flood, robot_overlays, unicast
-from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.relay import Relay, Send
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.relay import KeyRelay, RelaySend
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
@@ -50,14 +50,14 @@ def longest(overlay: int, priority: int) -> int:
     return flood.limit_of(priority) if overlay == frames.FLOOD else unicast.limit_of(priority)
 
 
-class Node:
+class MeshNode:
     """The mesh of one robot. Calls with `now` must not go back in time; no call may overlap another."""
 
     def __init__(
         self,
         local: Local,
-        relay: Relay,
-        overlays: Overlays,
+        relay: KeyRelay,
+        overlays: RobotOverlays,
         *,
         random: Callable[[], float],
         nonce: Callable[[], bytes],
@@ -76,7 +76,7 @@ class Node:
         self._links: dict[str, Link] = {}
         self._holds = Holds()
         self._prober = neighbour.Prober(local.robot, local.dials)
-        self._clock = MeshClock(local.robot, local.incarnation, local.robots)
+        self._clock = ClockSync(local.robot, local.incarnation, local.robots)
         self._session = partial(
             Session, local,
             admit=self._admit, clock=self._clock, counters=counters, has_room=overlays.linking.has_room,
@@ -137,7 +137,7 @@ class Node:
         if (held := self._relay.next_deadline()) is not None and held < self._deadline:
             self._deadline = held
 
-    def ask(self, step: Callable[[Overlays, float], object], now: float) -> None:
+    def ask(self, step: Callable[[RobotOverlays, float], object], now: float) -> None:
         """Something for the overlays to do: a request of an app, a stop."""
         step(self.overlays, now)
         self._serve_overlays()
@@ -247,7 +247,7 @@ class Node:
                 earliest = min(earliest, deadline)
         return earliest
 
-    def _send(self, send: Send, now: float) -> None:
+    def _send(self, send: RelaySend, now: float) -> None:
         leg, payload = send
         if len(payload) > (largest := longest(leg.overlay, leg.priority)):
             self._counters["too_large"] += 1
@@ -306,9 +306,9 @@ class Node:
                 self._drop_link(peer, code)
             case Write():
                 self._actions.append(action)
-            case Note(text, True):
+            case LogLine(text, True):
                 self._note(text, text)
-            case Note(text):
+            case LogLine(text):
                 self._tell(text)
 
     def _drop_link(self, peer: str, code: int) -> None:
@@ -490,10 +490,10 @@ class Node:
             self._actions.append(Close(session))
 
     def _tell(self, text: str) -> None:
-        self._actions += (LinksChanged(), Note(text, problem=False))
+        self._actions += (LinksChanged(), LogLine(text, problem=False))
 
     def _note(self, problem: str, text: str) -> None:
         """Log a problem the first time only: neighbours may repeat it as often as they like."""
         if problem not in self._noted and len(self._noted) < MAX_NOTED:
             self._noted.add(problem)
-            self._actions.append(Note(text, problem=True))
+            self._actions.append(LogLine(text, problem=True))

@@ -12,10 +12,10 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.exchange import Exchange, total_of
-from services.mesh.core.bulk.pieces import DONE, LATER, OFFER, REFUSED, STATE, Id, Packet
+from services.mesh.core.bulk.exchange import BulkExchange, total_of
+from services.mesh.core.bulk.pieces import DONE, LATER, OFFER, REFUSED, STATE, MessageId, Packet
 from services.mesh.core.wire.frames import BULK
-from services.mesh.core.wire.seen_numbers import Window
+from services.mesh.core.wire.seen_numbers import SeenNumbers
 
 MAX_SENDING = 64
 MAX_SENDING_BYTES = 4 * 1024 * 1024
@@ -70,7 +70,7 @@ class Parcel:
         self.next_at = _NEVER
 
 
-class Receiver:
+class _Receiver:
     """Own messages to one robot."""
 
     __slots__ = ("next_number", "offered", "waiting")
@@ -103,12 +103,12 @@ class Transfers:
         self._deliver = deliver
         self._ended = ended
         self._counters = counters
-        self.exchange: Exchange
-        self._receivers: dict[str, Receiver] = {}
+        self.exchange: BulkExchange
+        self._receivers: dict[str, _Receiver] = {}
         self._count = 0
         self._bytes = 0
-        self._over: dict[str, OrderedDict[int, Window]] = {}
-        self._keys: dict[Id, str] = {}
+        self._over: dict[str, OrderedDict[int, SeenNumbers]] = {}
+        self._keys: dict[MessageId, str] = {}
         """Of messages on their way here."""
 
     # -- own messages ------------------------------------------------------------------------------------------
@@ -124,7 +124,7 @@ class Transfers:
             return
         self._count += 1
         self._bytes += len(payload)
-        receiver = self._receivers.setdefault(to, Receiver())
+        receiver = self._receivers.setdefault(to, _Receiver())
         receiver.waiting.append(Parcel(token, to, key, payload, deadline))
         self._launch(receiver, now)
 
@@ -135,7 +135,7 @@ class Transfers:
                 if parcel.key == key:
                     self._end(receiver, parcel, "replaced by a newer value", None)
 
-    def has(self, id: Id, to: str) -> bytes | None:
+    def has(self, id: MessageId, to: str) -> bytes | None:
         """The payload of an own message that `to` may fetch."""
         receiver = self._receivers.get(to)
         parcel = receiver.offered.get(id.number) if receiver is not None else None
@@ -152,7 +152,7 @@ class Transfers:
 
     # -- packets -----------------------------------------------------------------------------------------------
 
-    def wanted(self, peer: str, id: Id, have: int, now: float) -> None:
+    def wanted(self, peer: str, id: MessageId, have: int, now: float) -> None:
         """A receiver asked for pieces."""
         receiver = self._receivers.get(peer)
         parcel = receiver.offered.get(id.number) if receiver is not None else None
@@ -170,7 +170,7 @@ class Transfers:
         else:
             self._on_state(packet, pieces.decode_state(packet.body), now)
 
-    def finished(self, id: Id, payload: bytes | None, now: float) -> None:
+    def finished(self, id: MessageId, payload: bytes | None, now: float) -> None:
         """A message was fetched, or given up."""
         key = self._keys.pop(id)
         if payload is not None and self._window(id).add(id.number):
@@ -209,7 +209,7 @@ class Transfers:
 
     # -- the sender's side -------------------------------------------------------------------------------------
 
-    def _launch(self, receiver: Receiver, now: float) -> None:
+    def _launch(self, receiver: _Receiver, now: float) -> None:
         while receiver.waiting and len(receiver.offered) < MAX_OFFERED:
             if receiver.next_number - min(receiver.offered, default=receiver.next_number) >= MAX_SPAN:
                 return
@@ -221,7 +221,7 @@ class Transfers:
             self._offer(parcel, now)
 
     def _offer(self, parcel: Parcel, now: float) -> None:
-        id = Id(self._me, self._incarnation, parcel.number, flood=False)
+        id = MessageId(self._me, self._incarnation, parcel.number, flood=False)
         body = pieces.encode_offer(len(parcel.payload), parcel.key)
         self._emit(Packet(OFFER, self._me, parcel.to, id, body))
         parcel.next_at = now + parcel.wait
@@ -241,7 +241,7 @@ class Transfers:
         else:
             self._end(receiver, parcel, f"{parcel.to} lets no {parcel.key} in" if state == REFUSED else "", now)
 
-    def _end(self, receiver: Receiver, parcel: Parcel, problem: str, now: float | None) -> None:
+    def _end(self, receiver: _Receiver, parcel: Parcel, problem: str, now: float | None) -> None:
         if receiver.offered.pop(parcel.number, None) is None:
             receiver.waiting.remove(parcel)
         self._count -= 1
@@ -252,7 +252,7 @@ class Transfers:
 
     # -- the receiver's side -----------------------------------------------------------------------------------
 
-    def _on_offer(self, sender: str, id: Id, total: int, key: str, now: float) -> int | None:
+    def _on_offer(self, sender: str, id: MessageId, total: int, key: str, now: float) -> int | None:
         """What to answer; None where the pieces are asked for."""
         if not self._admits(sender, key):
             self._counters["unicast_refused"] += 1
@@ -269,7 +269,7 @@ class Transfers:
         self.exchange.fetch(id, total, sender, now)
         return None
 
-    def _make_room(self, sender: str, id: Id, total: int, now: float) -> bool:
+    def _make_room(self, sender: str, id: MessageId, total: int, now: float) -> bool:
         coming = [fetch for fetch in self.exchange.fetching if not fetch.id.flood]
         for fetch in coming:
             if fetch.id.origin == sender and fetch.id.incarnation != id.incarnation and fetch.heard + STALLED <= now:
@@ -285,14 +285,14 @@ class Transfers:
                 coming.remove(fetch)
         return total_of(coming) + total <= MAX_COMING_BYTES
 
-    def _tell(self, id: Id, state: int) -> None:
+    def _tell(self, id: MessageId, state: int) -> None:
         self._emit(Packet(STATE, self._me, id.origin, id, pieces.encode_state(state)))
 
-    def _window(self, id: Id) -> Window:
+    def _window(self, id: MessageId) -> SeenNumbers:
         lives = self._over.setdefault(id.origin, OrderedDict())
         window = lives.get(id.incarnation)
         if window is None:
-            window = lives[id.incarnation] = Window(WINDOW)
+            window = lives[id.incarnation] = SeenNumbers(WINDOW)
             if len(lives) > INCARNATIONS:
                 lives.popitem(last=False)
         lives.move_to_end(id.incarnation)

@@ -18,7 +18,7 @@ from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, FLOOD
 from services.mesh.core.wire.packets import Digest, Spread
-from services.mesh.core.wire.seen_numbers import Window
+from services.mesh.core.wire.seen_numbers import SeenNumbers
 from swarm.messages.keys import key as key_of
 from swarm.messages.keys import parse
 
@@ -58,7 +58,7 @@ class Origin:
 
     def __init__(self, incarnation: int) -> None:
         self.incarnation = incarnation
-        self.window = Window(WINDOW)
+        self.window = SeenNumbers(WINDOW)
         self.latest: dict[str, Kept] = {}
         self.floor = 0
         """Values up to this sequence were forgotten and are not to come back."""

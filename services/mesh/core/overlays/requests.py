@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 
 from services.mesh.core.overlays import flood
 from services.mesh.core.overlays.flights import Hop
-from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.unicast import Unicast
 from services.mesh.core.routing.wanted_links import Linking
 from services.mesh.core.wire import packets
@@ -47,7 +47,7 @@ class _Ticket:
 Answer = Flooded | Sent | TopologySet
 
 
-class Requests:
+class OverlayRequests:
     """The requests of all apps of one robot."""
 
     def __init__(
@@ -64,7 +64,7 @@ class Requests:
         self._to_bus = to_bus
         self._patience = patience
         self._now = now
-        self.flood: Flood
+        self.flood: FloodOverlay
         self.unicast: Unicast
         self._tickets: OrderedDict[str, Answer | _Ticket] = OrderedDict()
         self._flooded_key = key_of(me, "mesh", "flooded")

@@ -25,8 +25,8 @@ from services.mesh.core.routing.shortest_paths import Route
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, SYNC, UNICAST
 from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
-from services.mesh.core.wire.packets import Ack, Message
-from services.mesh.core.wire.seen_numbers import Window
+from services.mesh.core.wire.packets import Ack, UnicastMessage
+from services.mesh.core.wire.seen_numbers import SeenNumbers
 from swarm.errors import FrameError
 from swarm.messages.keys import key as key_of
 
@@ -112,7 +112,7 @@ class Unicast:
         self._receivers: dict[str, Receiver] = {}
         self._waiting = 0
         self._waiting_bytes = 0
-        self._seen: dict[str, OrderedDict[int, Window]] = {}
+        self._seen: dict[str, OrderedDict[int, SeenNumbers]] = {}
         self._custody: dict[str, deque[tuple[float, Hop, str, bytes, int]]] = {}
 
     # -- own messages ------------------------------------------------------------------------------------------
@@ -158,7 +158,7 @@ class Unicast:
             self._counters["unicast_no_route"] += 1
             return
         self._counters["unicast_avoiding"] += 1
-        message = Message(self._me, to, self._incarnation, 0, key, payload, ttl_of(route))
+        message = UnicastMessage(self._me, to, self._incarnation, 0, key, payload, ttl_of(route))
         self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message), priority))
 
     # -- inputs ------------------------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ class Unicast:
         route = self._route(flight.to)
         flight.via = route.next_hop if route is not None else None
         if route is not None:
-            message = Message(
+            message = UnicastMessage(
                 self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, ttl_of(route)
             )  # fmt: skip
             self._passed(_hop(message, route.next_hop)._replace(token=flight.token))
@@ -317,7 +317,7 @@ class Unicast:
 
     # -- the receiver's side -----------------------------------------------------------------------------------
 
-    def _on_message(self, message: Message, priority: int, now: float) -> None:
+    def _on_message(self, message: UnicastMessage, priority: int, now: float) -> None:
         refused = not self._admits(message.sender, message.key)
         if refused:
             self._counters["unicast_refused"] += 1
@@ -338,11 +338,11 @@ class Unicast:
         else:
             self._counters["unicast_no_route"] += 1
 
-    def _window(self, sender: str, incarnation: int) -> Window:
+    def _window(self, sender: str, incarnation: int) -> SeenNumbers:
         lives = self._seen.setdefault(sender, OrderedDict())
         window = lives.get(incarnation)
         if window is None:
-            window = lives[incarnation] = Window(WINDOW)
+            window = lives[incarnation] = SeenNumbers(WINDOW)
             if len(lives) > INCARNATIONS:
                 lives.popitem(last=False)
         lives.move_to_end(incarnation)
@@ -355,8 +355,8 @@ class Unicast:
             if name not in self._robots:
                 raise FrameError(f"unicast packet of or for {name}, which is not in our configuration")
 
-    def _forward(self, packet: Message | Ack, priority: int, now: float) -> None:
-        route = self._route(packet.to, packet.avoided if isinstance(packet, Message) else None)
+    def _forward(self, packet: UnicastMessage | Ack, priority: int, now: float) -> None:
+        route = self._route(packet.to, packet.avoided if isinstance(packet, UnicastMessage) else None)
         if packet.ttl <= 1:
             self._counters["unicast_expired"] += 1
         elif route is None:
@@ -364,7 +364,7 @@ class Unicast:
         else:
             self._counters["unicast_forwarded"] += 1
             ttl = packet.ttl - 1
-            if isinstance(packet, Message):
+            if isinstance(packet, UnicastMessage):
                 data = packets.encode_message(packet._replace(ttl=ttl))
             else:
                 data = packets.encode_ack(packet._replace(ttl=ttl))
@@ -387,8 +387,8 @@ def limit_of(priority: int) -> int:
     return MAX_LARGE if priority == BULK else packets.MAX_MESSAGE
 
 
-def _hop(packet: Message | Ack, next_hop: str) -> Hop:
-    if isinstance(packet, Message):
+def _hop(packet: UnicastMessage | Ack, next_hop: str) -> Hop:
+    if isinstance(packet, UnicastMessage):
         return Hop(packet.sender, packet.to, packet.number, next_hop, back=False, key=packet.key)
     return Hop(packet.to, packet.sender, packet.number, next_hop, back=True)
 

@@ -1,7 +1,7 @@
 """Which numbers of a sender were seen: the highest, and one bit for each of those just below it."""
 
 
-class Window:
+class SeenNumbers:
     """Sequence numbers from 1 up, in any order, in constant memory: what is too old to tell counts as seen."""
 
     __slots__ = ("_bits", "highest", "size")
