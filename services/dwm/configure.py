@@ -5,7 +5,7 @@ from dataclasses import replace
 from services.dwm.core import calls
 from services.dwm.core.calls import UWB_ACTIVE, ModuleStatus, Settings, UpdateRate, Version
 from services.dwm.core.tlv import Position
-from services.dwm.line import ModuleLine, restart
+from services.dwm.line import ModuleConnection, restart
 from swarm.config.types import Config
 from swarm.frozen import frozen
 
@@ -44,7 +44,7 @@ class DesiredModule:
     """Of an anchor; None = as it is."""
 
 
-def inspect(line: ModuleLine) -> ModuleInfo:
+def inspect(line: ModuleConnection) -> ModuleInfo:
     """Ask for everything; raises `NoAnswerError`."""
     version = line.ask(calls.VER_GET)
     return ModuleInfo(
@@ -83,7 +83,7 @@ def wanted(settings: Settings, wish: DesiredModule) -> Settings:
     return replace(common, initiator=False, bridge=False, low_power=False, engine=True, stationary=False)
 
 
-def apply(line: ModuleLine, wish: DesiredModule) -> list[str]:
+def apply(line: ModuleConnection, wish: DesiredModule) -> list[str]:
     """Set a module up; gives what was changed, in words. Nothing is written that is right already: flash wears out.
 
     Raises `NoAnswerError`, `LocalError` for what no module can be.

@@ -45,7 +45,7 @@ class NoAnswerError(RemoteError):
         self.trouble = trouble
 
 
-class ModuleLine(Protocol):
+class ModuleConnection(Protocol):
     """Something a module hangs on."""
 
     name: str
@@ -76,7 +76,7 @@ class PortLine:
             raise LocalError(f"{path}: {os.strerror(error.errno) if error.errno else error}{hint}") from None
 
     def ask(self, call: ModuleCall[T]) -> T:
-        """See `ModuleLine`."""
+        """See `ModuleConnection`."""
         outcome = self._exchange(call)
         for _ in range(_ATTEMPTS - 1):
             if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
@@ -90,7 +90,7 @@ class PortLine:
         return outcome.result
 
     def close(self) -> None:
-        """See `ModuleLine`."""
+        """See `ModuleConnection`."""
         self._port.close()
 
     def _exchange(self, call: ModuleCall[T], timeout: float = SLOW_TIMEOUT) -> Answer[T] | Trouble:
@@ -122,7 +122,7 @@ class BusLine:
         self.bus.subscribe(key(robot, "dwm", "module"), self._take)
 
     def ask(self, call: ModuleCall[T]) -> T:
-        """See `ModuleLine`."""
+        """See `ModuleConnection`."""
         self._count += 1
         request = ModuleRequest(f"{self._prefix}-{self._count}", call.request)
         end = clock.now() + _PATIENCE
@@ -137,7 +137,7 @@ class BusLine:
         raise NoAnswerError(Trouble("silent", reason))
 
     def close(self) -> None:
-        """See `ModuleLine`."""
+        """See `ModuleConnection`."""
         self.bus.close()
 
     def _wait(self, ticket: str, end: float) -> ModuleAnswer | None:
@@ -167,7 +167,7 @@ def _read(call: ModuleCall[T], answer: ModuleAnswer) -> T:
     raise NoAnswerError(outcome)
 
 
-def restart(line: ModuleLine, patience: float = 6.0) -> None:
+def restart(line: ModuleConnection, patience: float = 6.0) -> None:
     """Reset the module and wait until it is there again; raises `NoAnswerError` where it is not."""
     line.ask(calls.RESET)
     end = clock.now() + patience

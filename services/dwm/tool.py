@@ -21,7 +21,7 @@ from services.dwm.core import calls, diagnosis
 from services.dwm.core.calibration import RangeModel
 from services.dwm.core.diagnosis import ModuleFinding
 from services.dwm.core.tlv import Location, Position
-from services.dwm.line import BusLine, ModuleLine, NoAnswerError, PortLine
+from services.dwm.line import BusLine, ModuleConnection, NoAnswerError, PortLine
 from services.dwm.localizer import known_modules, load_calibration
 from swarm.config import Config, load
 from swarm.config.load import DEFAULT_PATH
@@ -98,10 +98,10 @@ def _config(args: argparse.Namespace) -> Config | None:
         return None
 
 
-def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[ModuleLine]:
+def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[ModuleConnection]:
     if args.port and (args.robot or args.run_dir):
         raise LocalError("--port is a module of this machine, --robot and --run-dir are others': use one of them")
-    found: Iterator[ModuleLine] = (
+    found: Iterator[ModuleConnection] = (
         (PortLine(path) for path in args.port)
         if args.port
         else (BusLine(robot, directory) for robot, directory in buses.find(args).items())
@@ -114,7 +114,7 @@ def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[Mo
 # -- info --------------------------------------------------------------------------------------------------------
 
 
-def _info(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleLine]) -> int:
+def _info(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     del config
     told: dict[str, Any] = {}
     for line in lines:
@@ -160,7 +160,7 @@ def _flat(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
 # -- configure ---------------------------------------------------------------------------------------------------
 
 
-def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleLine]) -> int:
+def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     if (args.initiator or args.at) and args.tag:
         raise LocalError("--initiator and --at are for anchors")
     told: dict[str, dict[str, Any]] = {}
@@ -184,7 +184,7 @@ def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[
     return 1 if any("problem" in fields or fields["missing"] for fields in told.values()) else 0
 
 
-def _wish(args: argparse.Namespace, config: Config | None, line: ModuleLine, info: ModuleInfo) -> DesiredModule:
+def _wish(args: argparse.Namespace, config: Config | None, line: ModuleConnection, info: ModuleInfo) -> DesiredModule:
     place = None
     if args.at:
         x, y, z = args.at
@@ -204,7 +204,7 @@ def _wish(args: argparse.Namespace, config: Config | None, line: ModuleLine, inf
 # -- check -------------------------------------------------------------------------------------------------------
 
 
-def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleLine]) -> int:
+def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     told = {line.name: findings_of(line, config, args.seconds or SECONDS) for line in lines}
     if args.json:
         _out(json.dumps({name: [asdict(finding) for finding in found] for name, found in told.items()}))
@@ -217,7 +217,7 @@ def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[Modu
     return 1 if any(finding.fatal for found in told.values() for finding in found) else 0
 
 
-def findings_of(line: ModuleLine, config: Config | None, seconds: float) -> list[ModuleFinding]:
+def findings_of(line: ModuleConnection, config: Config | None, seconds: float) -> list[ModuleFinding]:
     """Everything that is wrong with a module and what it sees."""
     robot = line.name if isinstance(line, BusLine) else None
     found: list[ModuleFinding] = []
@@ -266,7 +266,7 @@ def _of_calibration(config: Config | None, robot: str | None) -> list[ModuleFind
 # -- anchors -----------------------------------------------------------------------------------------------------
 
 
-def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleLine]) -> int:
+def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     if args.auto:
         from services.dwm.layout import lay_out  # needs numpy, which no robot has
 
@@ -339,7 +339,7 @@ def _out(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
-Verb = Callable[[argparse.Namespace, Config | None, Sequence[ModuleLine]], int]
+Verb = Callable[[argparse.Namespace, Config | None, Sequence[ModuleConnection]], int]
 
 VERBS: dict[str, tuple[str, Verb]] = {
     "info": ("what a module tells of itself: address, firmware, role, rates, place", _info),
