@@ -1,6 +1,8 @@
 """The decoders of messages, apps, devices and files, for the fuzzer."""
 
+import contextlib
 import dataclasses
+import json
 import os
 import random
 import tempfile
@@ -15,6 +17,7 @@ import msgpack
 
 from bench.decoders_run import MIB, Target
 from laptop.fleet import collect, journal, versions
+from laptop.view.picture import Picture, places
 from services.balancer import link
 from services.balancer.core import balboa, imu, intel_hex, uwb
 from services.dwm.core import calibration_file, calls, shell, tlv
@@ -33,7 +36,7 @@ from swarm.core.lockstep import Channel, Lockstep
 from swarm.core.lockstep_frames import HeardNeighbour, Snapshot, decode_frame, encode_step, encode_want
 from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, RecordingError, RemoteError
 from swarm.messages import codec
-from swarm.onboard.bootstrap import dbus_wire
+from swarm.messages.json_values import json_value
 from swarm.recording import thesis_csv
 from swarm.recording.core import json_text
 from swarm.recording.core.writer import Writer
@@ -231,14 +234,6 @@ _DATAGRAMS = [
     link._BYTES[kind] + msgpack.packb(sample(kind)) for kind in link._BYTES if dataclasses.is_dataclass(kind)
 ]  # fmt: skip
 _HCI = [bytes((4, 0x0E, 7, 1, 5, 0x14, 0, 11, 0, 0xC8)), bytes((4, 0x0F, 4, 1, 1, 5, 0x14))]
-_DBUS = [
-    dbus_wire.encode(
-        dbus_wire.DbusMessage(
-            dbus_wire.CALL, 5, {"path": "/org/bluez", "member": "Pair", "signature": "sa{sv}as"},
-            ["x", {"Paired": ("b", True), "UUIDs": ("as", ["1", "2"])}, ["y"]],
-        )
-    )
-]  # fmt: skip
 _HEX = b":100000000C945C000C946E000C946E000C946E00CA\n:00000001FF\n"
 
 
@@ -354,6 +349,59 @@ def _stream(rng: random.Random) -> Made:
     return [b"+\n" + b"x" * 20 + done + b"+\n" + done, b"-\n-\n"], feed
 
 
+# -- the live page
+
+_TOPICS = sorted(
+    {f"{service}/{topic}".replace("*", "x") for service, topic in messages.topics()} | {"view/reach", "app/x/own"}
+)
+
+
+def _pages(rng: random.Random) -> Made:
+    """What robots say to the live page, in messages and as JSON of a recording; now and then a page looks. The first
+    byte of an input says the key."""
+    picture = Picture()
+    now = 0.0
+
+    def look(robot: str, topic: str) -> None:
+        telling = [picture.since(0, 0), picture.hops(), picture.services(), picture.events_since(0)]
+        rows = picture.history(robot, topic)
+        ways = [picture.trail(robot, name, 60.0, now) for name in ("sim/truth", "dwm/pose", topic)]
+        json.dumps([telling, rows, ways, picture.newest(robot, topic)], allow_nan=False)
+
+    def feed(data: bytes) -> None:
+        nonlocal now
+        now += 0.1 * rng.random() - 0.01
+        robot, topic, said = (
+            ("r0", "r1")[int(rng.random() * 2)],
+            _TOPICS[data[0] % len(_TOPICS) if data else 0],
+            data[1:],
+        )
+        way = rng.random()
+        if way < 0.7:
+            picture.take(("", robot)[int(rng.random() * 2)], f"swarm/{robot}/{topic}", said, now)
+        elif way < 0.9:
+            with contextlib.suppress(ValueError, RecursionError):
+                value = json_value(json_text.decode(said))
+                picture.put(robot, topic, value, now)
+                json.dumps(list(places([(now, value)], 0.0)))
+        else:
+            name = said.decode("utf-8", "replace")
+            picture.take(robot, f"swarm/{robot}/{name}", said, now)
+            picture.alive(robot, name, rng.random() < 0.5, now)
+            picture.passed(name, robot, len(said))
+        if rng.random() < 0.01:
+            look(robot, topic)
+
+    kinds = messages.topics()
+    values = {f"{service}/{topic}".replace("*", "x"): sample(kind) for (service, topic), kind in kinds.items()}
+    golden = [bytes((place,)) + msgpack.packb(values.get(topic)) for place, topic in enumerate(_TOPICS)]
+    told = [
+        bytes((place,)) + json_text.encode(values.get(topic) or {"x": 1.5, "y": 10**30, "by": None})
+        for place, topic in enumerate(_TOPICS)
+    ]
+    return [*golden, *told], feed
+
+
 def _as_config(data: bytes) -> object:
     return parse_config(data.decode("utf-8", "replace"), Path("swarm.toml"))
 
@@ -385,9 +433,6 @@ TARGETS = (
            (PayloadError,)),
     Target("Bluetooth: HCI events", ("swarm/bluetooth/hci.py",), simple(_HCI, hci.reading, hci.written_supervision),
            (FrameError,)),
-    Target("D-Bus messages", ("swarm/onboard/bootstrap/dbus_wire.py",),
-           simple(_DBUS, dbus_wire.decode, text(dbus_wire.split), lambda data: dbus_wire.unmarshal("a{sv}", data)),
-           (dbus_wire.WireError,)),
     Target("Intel HEX", ("services/balancer/core/intel_hex.py",),
            simple([_HEX], text(lambda each: intel_hex.parse(each, 28 * 1024))), (LocalError,)),
     Target("recordings (MCAP)",
@@ -398,6 +443,8 @@ TARGETS = (
            simple([json_text.encode({"t": 1.5, "a": [1, {"b": None}]})], json_text.decode),
            (ValueError, RecursionError)),
     Target("recordings of the thesis (CSV)", (), _csv, (RecordingError,)),
+    Target("live page: what robots say", ("laptop/view/picture.py", "swarm/recording/core/json_text.py"), _pages,
+           room=48),
     Target("swarm.toml", ("swarm/config/load.py",), simple([_CONFIG], _as_config), (ConfigError,), room=8),
     Target("calibration file", ("services/dwm/core/calibration_file.py",),
            simple([_CALIBRATION], text(lambda each: calibration_file.parse(each, "x"))), (ConfigError,)),

@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from bench.rows import Row
-from laptop.cli.measure.i2c_direct import measure
 from services.balancer import realtime
 from services.balancer.balancer import Balancer
 from services.balancer.core.body import body_model
 from services.balancer.core.display import ScreenText
 from services.balancer.drivers import Balboa
+from services.balancer.measure_i2c import measure
 from services.balancer.slack_tasks import SlackTasks
 from sim.core.balboa import BalboaBody
 from sim.core.devices import SimulatedRobot, draw_errors

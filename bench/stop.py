@@ -24,7 +24,7 @@ from bench.rows import Row
 from bench.stop_estop import NewerStop
 from bench.stop_robots import RobotsOnALine
 from bench.transfer import FULL as TRANSFER
-from laptop.cli.stop import halt_ssh
+from laptop.cli import halt as halt_ssh
 from laptop.view import control
 from swarm import clock
 from swarm.app.overlays import Overlays

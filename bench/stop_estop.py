@@ -4,8 +4,8 @@ It stands in for `swarm estop` where a robot must obey a release that it does no
 """
 
 from laptop.cli import main
-from laptop.cli.stop import halt
 from swarm.frozen import frozen
+from swarm.onboard import halt
 
 
 @frozen

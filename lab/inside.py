@@ -20,8 +20,8 @@ addopts = --strict-markers
 
 
 def furnish(machine: Machine) -> None:
-    """Put the tests and the lab's tools into the machine's /share; the project itself is the installed release."""
-    for name in ("lab", "tests/conftest.py", "tests/lab"):
+    """Put the tests, the lab's tools and what robots do not carry into the machine's /share."""
+    for name in ("lab", "sim", "laptop", "tests/conftest.py", "tests/lab"):
         source, target = ROOT / name, machine.share / name
         if source.is_dir():
             shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)

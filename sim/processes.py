@@ -113,10 +113,13 @@ class Processes:
         self.children: list[Child] = []
 
     def add(self, robot: str, service: str, arguments: list[str], directory: Path) -> None:
-        """Start `python -m arguments` as `service` of `robot`, whose runtime directory is `directory`."""
+        """Start `python -P -m arguments` as `service` of `robot`, whose runtime directory is `directory`.
+
+        With -P nothing in the folder in which a user has typed the command takes the place of one of our modules.
+        """
         own = {"SWARM_ROBOT": robot, "SWARM_RUNTIME": str(directory), "SWARM_STATE": str(directory / DISK)}
         environment = {**self._environment, **own}
-        child = Child(robot, service, [sys.executable, "-m", *arguments], environment, directory)
+        child = Child(robot, service, [sys.executable, "-P", "-m", *arguments], environment, directory)
         try:
             child.start()
         except OSError as error:

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 from functools import cache
@@ -170,6 +171,14 @@ def ask(bus: "Bus", key: str, **parameters: object) -> bytes:
     return answers[0]
 
 
+def _read_on(sock: socket.socket) -> None:
+    """Take what comes until the socket is shut down."""
+    with contextlib.suppress(OSError):
+        sock.settimeout(None)
+        while sock.recv(4096):
+            pass
+
+
 class Processes:
     """Starts Python processes of the project for a runtime directory and ends them with the test."""
 
@@ -211,6 +220,8 @@ class Processes:
         while True:
             try:
                 if until in sock.recv(4096).decode():
+                    # As systemd does. A socket that nobody reads takes ten messages, then holds each sender up for 1 s.
+                    threading.Thread(target=_read_on, args=(sock,), daemon=True).start()
                     return process
             except TimeoutError:
                 if process.poll() is not None or time.monotonic() > deadline:
@@ -232,6 +243,8 @@ class Processes:
                 with contextlib.suppress(OSError):
                     stream.close()
         for sock in self._sockets:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)  # wakes who reads it
             sock.close()
 
 

@@ -1,28 +1,31 @@
 """Our programs' processes, forked from one Python that has imported all of them: importing is most of what starting one
 takes, and tests start hundreds.
 
-`start` is `subprocess.Popen`, and what it starts is a child of this process as any other, with its own environment,
+`start` is as `subprocess.Popen`, and what it starts is a child of this process as any other, with its own environment,
 folder and streams. Simulations that it starts fork their robots' services, too; others (a few in
 tests/sim/test_end_to_end.py and elsewhere) start the same services by `python -m`.
 """
 
 import atexit
+import contextlib
 import ctypes
 import gc
 import importlib
 import json
 import os
 import runpy
+import select
 import signal
 import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 PACKAGES = (
     "services.apps",
@@ -37,7 +40,6 @@ MODULES = (
     "laptop.cli.runs.sim",
     "laptop.cli.z_sub",
     "services.balancer.bridge",
-    "services.dwm.tool",
     "sim.body",
 )
 SIMULATIONS = ("laptop.cli.runs.sim", "bench.talking_sim")
@@ -55,33 +57,127 @@ _one = threading.Lock()
 
 
 def start(command: Sequence[str], env: Mapping[str, str] = os.environ, **streams: Any) -> "subprocess.Popen[Any]":
-    """Start `python WORDS`, the quicker way where that is the same."""
+    """Start `python [-P] -m MODULE WORDS`, the quicker way where that is the same."""
     python, *words = command
+    words = words[1:] if words[0] == "-P" else words
     plain = python == sys.executable and words[0] == "-m" and words[1] in (*PACKAGES, *MODULES, COMMAND)
     # Another path may bring another `sitecustomize`.
     same = plain and env.get("PYTHONPATH") == os.environ.get("PYTHONPATH") and "PYTHONHASHSEED" not in env
-    return (_Forked if same else subprocess.Popen)(list(command), env=dict(env), **streams)
+    if not same:
+        return subprocess.Popen(list(command), env=dict(env), **streams)
+    return cast("subprocess.Popen[Any]", Forked(words[1:], dict(env), **streams))
 
 
-class _Forked(subprocess.Popen[Any]):
-    """A process that the fork server has forked."""
+class Forked:
+    """A process that the fork server has forked, with those parts of `subprocess.Popen` that tests use."""
 
-    def _execute_child(self, args: Any, *rest: Any) -> None:
-        """In place of fork and exec."""
-        environment, pipes = rest[5], rest[9:15]  # both ends of each, as its caller has them
-        streams = [number if given < 0 else given for number, given in enumerate((pipes[0], pipes[3], pipes[5]))]
-        order = json.dumps([args[2:], str(Path.cwd()), environment]).encode()
-        with _one:
-            control = _fork_server()
-            # Whoever is between the fork server and the program ends at once, and its orphan is to be ours.
-            ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
-            socket.send_fds(control, [order], streams)
-            self.pid = int(control.recv(_ROOM))
-            ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 0)
-        if (group := rest[-1]) >= 0:
-            os.setpgid(self.pid, group)
-        self._child_created = True
-        self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
+    def __init__(
+        self, words: list[str], env: dict[str, str], *, stdin: Any = None, stdout: Any = None, stderr: Any = None,
+        text: bool = False, process_group: int | None = None,
+    ) -> None:  # fmt: skip
+        """`words`: the module and its arguments. Each stream is None, a file, PIPE or DEVNULL of `subprocess`."""
+        self.args = words
+        self.returncode: int | None = None
+        with contextlib.ExitStack() as theirs:
+            self.stdin, given = _stream(stdin, 0, text, theirs)
+            self.stdout, out = _stream(stdout, 1, text, theirs)
+            self.stderr, err = _stream(stderr, 2, text, theirs)
+            self.pid = _order(words, env, [given, out, err])
+        self._end = os.pidfd_open(self.pid)
+        if process_group is not None:
+            os.setpgid(self.pid, process_group)
+
+    def poll(self) -> int | None:
+        """The exit code, negative for a signal; None while it runs."""
+        if self.returncode is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self.returncode = os.waitstatus_to_exitcode(status)
+                os.close(self._end)
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end; `subprocess.TimeoutExpired` where it does not come in time."""
+        if self.poll() is None and not select.select([self._end], [], [], timeout)[0]:
+            raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
+        code = self.poll()
+        assert code is not None
+        return code
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal where it still runs."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Send SIGTERM."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Send SIGKILL."""
+        self.send_signal(signal.SIGKILL)
+
+    def communicate(self, given: Any = None, timeout: float | None = None) -> tuple[Any, Any]:
+        """Write what is given, read both streams to their ends, and wait."""
+        said: dict[str, Any] = {}
+
+        def read(name: str, stream: Any) -> None:
+            said[name] = stream.read()
+            stream.close()
+
+        names = [name for name in ("stdout", "stderr") if getattr(self, name) and not getattr(self, name).closed]
+        readers = [threading.Thread(target=read, args=(name, getattr(self, name)), daemon=True) for name in names]
+        for reader in readers:
+            reader.start()
+        if self.stdin and not self.stdin.closed:
+            with contextlib.suppress(BrokenPipeError):
+                if given:
+                    self.stdin.write(given)
+                self.stdin.close()
+        end = None if timeout is None else time.monotonic() + timeout
+        for reader in readers:
+            reader.join(None if end is None else max(0.0, end - time.monotonic()))
+            if reader.is_alive():
+                raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
+        self.wait(None if end is None else max(0.1, end - time.monotonic()))
+        return said.get("stdout"), said.get("stderr")
+
+    def __enter__(self) -> "Forked":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for stream in (self.stdin, self.stdout, self.stderr):
+            if stream:
+                stream.close()
+        self.wait()
+
+
+def _stream(wanted: Any, number: int, text: bool, theirs: contextlib.ExitStack) -> tuple[Any, int]:
+    """Our end of a stream, None where it is no pipe, and the descriptor that the process gets."""
+    if wanted is None:
+        return None, number
+    if wanted == subprocess.DEVNULL:
+        descriptor = os.open(os.devnull, os.O_RDWR)
+        theirs.callback(os.close, descriptor)
+        return None, descriptor
+    if wanted != subprocess.PIPE:
+        return None, wanted if isinstance(wanted, int) else wanted.fileno()
+    ours, its = os.pipe()[:: 1 if number else -1]
+    theirs.callback(os.close, its)
+    return os.fdopen(ours, ("r" if number else "w") + ("" if text else "b")), its
+
+
+def _order(words: list[str], env: dict[str, str], streams: list[int]) -> int:
+    """Have the fork server fork a process with these streams; returns its pid. It is a child of this process."""
+    order = json.dumps([words, str(Path.cwd()), env]).encode()
+    with _one:
+        control = _fork_server()
+        # Whoever is between the fork server and the program ends at once, and its orphan is to be ours.
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+        socket.send_fds(control, [order], streams)
+        pid = int(control.recv(_ROOM))
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 0)
+    return pid
 
 
 def _fork_server() -> socket.socket:

@@ -47,6 +47,13 @@ class _Inode:
         return list(dict.fromkeys([self.synced, self.now, *halves]))
 
 
+@dataclass(frozen=True)
+class Link:
+    """A symbolic link: there with its target, or not there."""
+
+    target: str
+
+
 @dataclass
 class _Folder:
     """Names: those on the disk for certain, and the changes since."""
@@ -67,7 +74,7 @@ class State(NamedTuple):
     cut: bool
     """Whether the power failed; else the process was killed, and the disk is as the process left it."""
     tree: dict[str, Any]
-    """Names; bytes for a file, a tree for a folder."""
+    """Names; bytes for a file, a tree for a folder, a `Link`."""
 
     def lay_out(self, place: Path) -> Path:
         """Write it into an empty folder."""
@@ -81,6 +88,8 @@ def _lay_out(tree: dict[str, Any], place: Path) -> None:
     for name, content in tree.items():
         if isinstance(content, bytes):
             (place / name).write_bytes(content)
+        elif isinstance(content, Link):
+            (place / name).symlink_to(content.target)
         else:
             _lay_out(content, place / name)
 
@@ -106,6 +115,8 @@ class Disk:
         return (state for state in self._states if state.calls >= after)
 
     def _look(self, path: Path) -> Any:
+        if path.is_symlink():
+            return Link(str(path.readlink()))
         if path.is_dir():
             return _Folder({each.name: self._look(each) for each in path.iterdir()})
         data = path.read_bytes()
@@ -210,6 +221,15 @@ class Disk:
 
             return on_sync
 
+        def on_sync_all() -> None:  # the real one would wait for all that others write on this machine
+            _sync(self._top)
+            self._note("sync")
+
+        def on_symlink(target: Any, path: Any, *more: Any, **named: Any) -> None:
+            real["symlink"](target, path, *more, **named)
+            if (found := self._find(path)) is not None:
+                change(found[0], f"symlink {found[1]}", **{found[1]: Link(os.fspath(target))})
+
         def move(name: str) -> Any:
             def on_move(old: Any, new: Any) -> None:
                 real[name](old, new)
@@ -239,6 +259,8 @@ class Disk:
             "ftruncate": on_truncate,
             "fsync": sync("fsync"),
             "fdatasync": sync("fdatasync"),
+            "sync": on_sync_all,
+            "symlink": on_symlink,
             "replace": move("replace"),
             "rename": move("rename"),
             "unlink": on_unlink,
@@ -251,19 +273,32 @@ class Disk:
 
 
 _CALLS = (
-    "open", "close", "write", "pwrite", "posix_fallocate", "ftruncate", "fsync", "fdatasync", "replace", "rename",
-    "unlink", "mkdir",
+    "open", "close", "write", "pwrite", "posix_fallocate", "ftruncate", "fsync", "fdatasync", "sync", "symlink",
+    "replace", "rename", "unlink", "mkdir",
 )  # fmt: skip
 
 
 def _now(node: Any) -> Any:
+    if isinstance(node, Link):
+        return node
     if isinstance(node, _Folder):
         return {name: _now(each) for name, each in node.now.items()}
     return node.now
 
 
+def _sync(node: Any) -> None:
+    if isinstance(node, _Folder):
+        node.synced, node.changes = node.now, []
+        for each in node.synced.values():
+            _sync(each)
+    elif isinstance(node, _Inode):
+        node.synced = node.now
+
+
 def _possible(node: Any) -> list[Any]:
-    if not isinstance(node, _Folder):
+    if isinstance(node, Link):
+        return [node]
+    if isinstance(node, _Inode):
         return list(node.contents())
     trees = []
     for names in (node.synced, *node.changes):

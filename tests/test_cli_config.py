@@ -10,8 +10,11 @@ import pytest
 
 import swarm
 from laptop.cli import main
-from laptop.cli.commands import COMMANDS, Command, CommandGroup, help_of, names
+from laptop.cli.commands import SECTIONS
 from swarm.config.example import EXAMPLE
+from swarm.onboard.command_line import Command, CommandGroup, commands_of, help_of, names
+
+COMMANDS = commands_of(SECTIONS)
 
 
 def run(*arguments):
@@ -102,7 +105,7 @@ def test_help_of_a_group_lists_its_commands(group, capsys):
 
 def test_stop_is_estop():
     assert COMMANDS["stop"].module == COMMANDS["estop"].module
-    assert [name for name in names() if name.split()[-1] == "stop"] == ["app stop", "services stop", "stop"]
+    assert [name for name in names(COMMANDS) if name.split()[-1] == "stop"] == ["app stop", "services stop", "stop"]
 
 
 def test_the_completion_script_completes_commands_and_those_of_groups():

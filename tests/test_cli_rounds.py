@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from laptop.cli.mesh.epoch import EpochView
-from laptop.cli.mesh.topology import ROUND, TopologyViews
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import AppEpoch, Topology
 from swarm.messages.codec import encode
+from swarm.onboard.ask import ROUND, Answers
 
 TOPOLOGY = Topology(0.0, 0, 0, "", False, 0.0, (), (), (), (), {})
 EPOCH = AppEpoch(0.0, 0, 0, ("r0",), (), (), False, 0)
@@ -19,8 +18,8 @@ EPOCH = AppEpoch(0.0, 0, 0, ("r0",), (), (), False, 0)
 @pytest.mark.parametrize(
     ("topic", "answer", "asking"),
     [
-        ("mesh/topology", TOPOLOGY, lambda found: TopologyViews(found)),
-        ("app/consensus/epoch", EPOCH, lambda found: EpochView(found, "consensus")),
+        ("mesh/topology", TOPOLOGY, lambda found: Answers(found, Topology, "mesh", "topology")),
+        ("app/consensus/epoch", EPOCH, lambda found: Answers(found, AppEpoch, "app/consensus", "epoch")),
     ],
     ids=["topology", "epoch"],
 )

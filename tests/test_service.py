@@ -9,7 +9,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import Processes, stop, wait_until
@@ -17,8 +19,8 @@ from conftest import Processes, stop, wait_until
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Status
 from swarm.messages.codec import decode
-from swarm.process import log
-from swarm.process.service import notify
+from swarm.process import log, service
+from swarm.process.service import FEED_S, notify
 
 SERVICE = """
 import sys, threading
@@ -133,6 +135,20 @@ def test_systemd_is_notified(runtime: Path, processes: Processes) -> None:
         tell(process, "stop")
         assert sock.recv(1024) == b"STOPPING=1\nSTATUS=stopping"
     assert process.wait(60) == 0
+
+
+def test_systemds_watchdog_is_not_flooded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each message makes a socket and wakes systemd; a service may get 2000 things done in a second."""
+    told: list[float] = []
+    now = 0.0
+    monkeypatch.setattr(service.clock, "now", lambda: now)
+    monkeypatch.setattr(service, "notify", lambda _: told.append(now))
+    fed = SimpleNamespace(_fed_at=float("-inf"))
+    for step in range(1000):
+        now = step * 0.01
+        service.Service.watchdog(fed)  # type: ignore[arg-type]
+    assert told[0] == 0.0
+    assert all(FEED_S <= b - a < 2 * FEED_S for a, b in pairwise(told))
 
 
 def test_an_abstract_notify_socket(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,13 +4,12 @@ import argparse
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from conftest import Processes, wait_until
 
-from laptop.cli.hand import kill
+from laptop.cli import hand
 from swarm.errors import BusError, LocalError
 from swarm.process.simulations import claim, default_run_dir, is_live, pid_file, pid_of, robots
 
@@ -123,8 +122,8 @@ def victim(processes: Processes, run: Path, service: str) -> subprocess.Popen[st
 
 def call(run: Path, *arguments: str) -> int:
     parser = argparse.ArgumentParser()
-    kill.add_arguments(parser)
-    return kill.run(parser.parse_args([*arguments, "--run-dir", str(run)]))
+    hand.add_arguments(parser)
+    return hand.run(parser.parse_args(["kill", *arguments, "--run-dir", str(run)]))
 
 
 @pytest.mark.parametrize("service", ["bus", "mesh", "app/consensus"])
@@ -132,7 +131,7 @@ def test_kill(processes: Processes, run: Path, service: str, capsys: pytest.Capt
     process = victim(processes, run, service)
     assert call(run, "r0", service) == 0
     assert process.wait(60) == -signal.SIGKILL
-    assert capsys.readouterr().out == f"{service} of r0 (pid {process.pid}): SIGKILL\n"
+    assert capsys.readouterr().out == f"r0: {service} (pid {process.pid}): SIGKILL\n"
     with pytest.raises(LocalError, match=f"{service} of r0 is not running at this moment"):
         call(run, "r0", service)
 
@@ -176,11 +175,3 @@ def test_what_kill_refuses(run: Path, runtime: Path) -> None:
     pid_file(run, "r0", "app/b").touch()
     with pytest.raises(LocalError, match="expected app/NAME: r0 runs app/a, app/b"):
         call(run, "r0", "app")
-
-
-def test_the_module_is_a_verb() -> None:
-    code = (
-        "import argparse; from laptop.cli.hand import kill\n"
-        "kill.add_arguments(argparse.ArgumentParser()); print(kill.HELP)"
-    )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == kill.HELP

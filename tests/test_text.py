@@ -135,7 +135,7 @@ def test_what_a_robot_writes_to_its_journal_is_kept_in_printable_form(text: str)
 
 def test_an_error_that_names_what_a_peer_has_sent_is_printable(tmp_path: Path) -> None:
     """As the command line and a service end with it."""
-    for program in ("laptop.cli:main()", "swarm.process.edges:run(main)"):
+    for program in ("swarm.onboard.command_line:main({})", "swarm.process.edges:run(main)"):
         module, _, call = program.partition(":")
         code = (
             f"import {module} as module\nfrom swarm.errors import LocalError\n"

@@ -172,7 +172,7 @@ def test_all_robots_of_a_simulation(processes: Processes, runtime: Path) -> None
         (run_dir / "swarm.toml").write_text(processes.config.read_text())
         with Bus.of(run_dir / "r0") as bus0, Bus.of(run_dir / "r1") as bus1:
             several = processes.start(*Z_SUB, "swarm/*/balancer/*", "--json", SWARM_RUNTIME="")
-            one = processes.start(*Z_SUB, "swarm/*/balancer/*", "--robot", "r1", "--count", "5", SWARM_RUNTIME="")
+            one = processes.start(*Z_SUB, "swarm/*/balancer/*", "--robots", "r1", "--count", "5", SWARM_RUNTIME="")
             seen: set[str] = set()
             assert several.stdout is not None
             while seen != {"r0", "r1"}:
@@ -189,7 +189,7 @@ def test_all_robots_of_a_simulation(processes: Processes, runtime: Path) -> None
             wait_until(ended)
             assert all("[r1] swarm/r9/balancer/leds" in line for line in one.communicate()[0].splitlines())
         assert "no robot 'r7' in the simulation, there are r0, r1" in refused(
-            processes, "--robot", "r7", SWARM_RUNTIME=""
+            processes, "--robots", "r7", SWARM_RUNTIME=""
         )
     _, errors = several.communicate(timeout=60)
     assert several.returncode == 0
@@ -200,12 +200,12 @@ def test_what_it_refuses(processes: Processes, runtime: Path) -> None:
     no_robot = "no simulation is running here (looked in "
     assert no_robot in refused(processes, SWARM_RUNTIME="") or Path("/run/swarm").is_dir()
     assert f"no simulation is running in {runtime}/x" in refused(processes, "--run-dir", f"{runtime}/x")
-    assert "r99 is no robot of" in refused(processes, "--robot", "r99")  # it would be reached by ssh
+    assert "r99 is no robot of" in refused(processes, "--robots", "r99")  # it would be reached by ssh
     assert "expected unixsock-stream/PATH" in refused(processes, "-e", "tcp/localhost:7447")
     assert "key 'swarm//x'" in refused(processes, "swarm//x")
-    assert "use one of them" in refused(processes, "-e", "unixsock-stream//x", "--robot", "r0")
-    assert "expected a whole number above 0" in refused(processes, "--count", "0")
-    assert "expected seconds above 0" in refused(processes, "--seconds", "nan")
+    assert "use one of them" in refused(processes, "-e", "unixsock-stream//x", "--robots", "r0")
+    assert "expected 1 or more" in refused(processes, "--count", "0")
+    assert "expected above 0 s" in refused(processes, "--seconds", "nan")
     assert "at most 107" in refused(processes, SWARM_RUNTIME="/tmp/" + "x" * 110)
 
 

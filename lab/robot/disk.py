@@ -83,6 +83,9 @@ def robots(image: Image, folder: Path, config: str, key: Path) -> Image:
     for pattern in CARRIED:
         for source in ours.glob(pattern):
             disk.file(source, f"{PLACE}/lab/{source.relative_to(ours)}")
+    for pattern in ("sim/**/*.py", "laptop/**/*.py"):  # robots carry neither; the devices are simulated
+        for source in ours.parent.glob(pattern):
+            disk.file(source, f"{PLACE}/{source.relative_to(ours.parent)}")
     for unit in OURS:
         disk.file(HERE / f"units/{unit}.service", f"{UNITS}/{unit}.service")
     disk.file(HERE / "units/balancer.conf", f"{UNITS}/swarm-balancer.service.d/90-lab.conf")

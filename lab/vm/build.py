@@ -166,7 +166,8 @@ def _lock(file: IO[str]) -> bool:
 INSTALL = """
 set -eu
 mkdir -p /run/lab /etc/systemd/system/swarm-balancer.service.d
-printf '[Service]\\nExecStart=\\nExecStart=/opt/swarm/current/bin/python -m sim.body\\n' \
+printf '%s\\n' '[Service]' 'Environment=PYTHONPATH=/opt/release/simulated' 'ExecStart=' \
+    'ExecStart=/opt/swarm/current/bin/python -m sim.body' \
     >/etc/systemd/system/swarm-balancer.service.d/90-lab.conf
 /opt/release/install --name r0 --config /opt/release/lab.toml
 systemctl disable --quiet swarm.target swarm-bus swarm-mesh swarm-balancer swarm-dwm
@@ -204,6 +205,7 @@ def _image(folder: Path, base: Future[Path], linux: Future[Path]) -> None:
     sh("tar", "-C", unpacked, "--strip-components=1", "-xf", artefact)
     Path(artefact).unlink()
     (unpacked / "lab.toml").write_text(CONFIG)
+    shutil.copytree(ROOT / "sim", unpacked / "simulated/sim", ignore=shutil.ignore_patterns("__pycache__"))
     code, said = container.boot(root, INSTALL, 300)
     if code:
         raise LocalError(f"the release could not be installed in the lab's machine: {said[-2000:]}")

@@ -2,7 +2,8 @@
 
 import argparse
 
-from laptop.cli.commands import COMMANDS, CommandGroup
+from laptop.cli.commands import SECTIONS
+from swarm.onboard.command_line import CommandGroup, commands_of
 
 HELP = "print a script with which bash or zsh complete commands"
 
@@ -13,29 +14,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the script."""
+    """Print the script: it completes names of commands, then those of a group, then files."""
     del args
-    print(script(), end="")
-    return 0
-
-
-def script() -> str:
-    """Return the script: names of commands, then those of a group, then files."""
+    commands = commands_of(SECTIONS)
     groups = "".join(
         f'        {name}) words="{" ".join(each.commands)}" ;;\n'
-        for name, each in COMMANDS.items()
+        for name, each in commands.items()
         if isinstance(each, CommandGroup)
     )
-    return f"""[ -n "$ZSH_VERSION" ] && autoload -U +X compinit bashcompinit && compinit && bashcompinit
+    print(
+        f"""[ -n "$ZSH_VERSION" ] && autoload -U +X compinit bashcompinit && compinit && bashcompinit
 _swarm() {{
     local words=""
     if [ "$COMP_CWORD" -eq 1 ]; then
-        words="{" ".join(COMMANDS)}"
+        words="{" ".join(commands)}"
     elif [ "$COMP_CWORD" -eq 2 ]; then
         case "${{COMP_WORDS[1]}}" in
 {groups}        esac
     fi
     COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
 }}
-complete -o default -F _swarm swarm
-"""
+complete -o default -F _swarm swarm"""
+    )
+    return 0

@@ -1,4 +1,4 @@
-"""`z_sub` on a laptop: the program of a robot, which also watches real robots over ssh (`--robot NAME`)."""
+"""`z_sub` on a laptop: the program of a robot, which also watches real robots over ssh (`--robots NAME`)."""
 
 import argparse
 from typing import NoReturn

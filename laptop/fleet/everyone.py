@@ -2,19 +2,20 @@
 
 import argparse
 import asyncio
-import json
 import sys
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TypeVar
 
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts
 from swarm.config import Config, load
 from swarm.errors import LocalError
 from swarm.frozen import frozen
-from swarm.process.terminal import write_lines
+from swarm.onboard.arguments import add_json, add_robots, number, show
+from swarm.process.terminal import columns, write_lines
 
 
 @frozen
@@ -29,31 +30,58 @@ class RobotOutcome:
     """What was told of it on the way."""
 
 
+T = TypeVar("T")
+
 ReportProgress = Callable[[str], None]
 """Says how far a robot has come."""
 Job = Callable[[Host, ReportProgress], Awaitable[str]]
 """Does the work on one robot and returns a line about it; raises `HostError`."""
 
 
+FAILURES = (TimeoutError, *MISUNDERSTOOD)
+"""What a job may raise without harm to the other robots; a `HostError` is one of them."""
+
+
+def failure(error: BaseException, timeout_s: float) -> str:
+    """Return in words why a job has failed on a robot."""
+    if isinstance(error, TimeoutError):
+        return f"not done within {timeout_s:g} s (--timeout)"
+    return str(error) if isinstance(error, HostError) else misunderstood(error)
+
+
 def add_arguments(parser: argparse.ArgumentParser, *, timeout_s: float) -> None:
-    """What all commands for robots have in common."""
-    parser.add_argument("--robots", metavar="r0,r3", help="only these (default: all of the config)")
+    """Declare what all commands for robots have in common."""
+    add_robots(parser, "only these (default: all of the config)")
+    add_json(parser)
+    add_way(parser, timeout_s=timeout_s)
+
+
+def add_way(parser: argparse.ArgumentParser, *, timeout_s: float) -> None:
+    """Declare how robots are reached, and how long each may take."""
     parser.add_argument("--config", type=Path, metavar="FILE", help="default: SWARM_CONFIG, else /etc/swarm/swarm.toml")
     parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
-    parser.add_argument("--timeout", type=float, default=timeout_s, metavar="S", help=f"for each robot ({timeout_s:g})")
-    parser.add_argument("--json", action="store_true", help="the outcomes as one JSON object, nothing else")
+    text = f"for each robot ({timeout_s:g})"
+    parser.add_argument("--timeout", type=number(0, unit="s", above=True), default=timeout_s, metavar="S", help=text)
 
 
-def chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
-    """The config and robots that the arguments name, and the way to them."""
-    if args.timeout <= 0:
-        raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
-    config = load(args.config)
+def chosen(args: argparse.Namespace, *, addressed: bool = True) -> tuple[Config, tuple[Host, ...], Ssh]:
+    """The config and robots that the arguments name, and the way to them.
+
+    Without `addressed` the config may lack Bluetooth addresses.
+    """
+    config = load(args.config, addressed=addressed)
     return config, hosts(config, args.robots), Ssh(args.ssh_config)
 
 
+def named(args: argparse.Namespace) -> None:
+    """Take the robots that were given as arguments (`args.which`) for those of `--robots`; raises `LocalError`."""
+    if args.which and args.robots:
+        raise LocalError("--robots names robots, and so do the arguments: one of them")
+    args.robots = args.which or args.robots
+
+
 async def each(
-    robots: Sequence[Host], job: Job, timeout_s: float, tell: Callable[[Host, str], None]
+    robots: Sequence[Host], job: Job, timeout_s: float, tell: Callable[[Host, str], None] = lambda *_: None
 ) -> list[RobotOutcome]:
     """Run the job on all robots at once; `timeout_s` for each. What one robot does not do harms no other."""
 
@@ -64,18 +92,28 @@ async def each(
             lines.append(text)
             tell(host, text)
 
+        text, problem = "", ""
         try:
             async with asyncio.timeout(timeout_s):
-                text, ok = await job(host, say), True
-        except HostError as error:
-            text, ok = str(error), False
-        except TimeoutError:
-            text, ok = f"not done within {timeout_s:g} s (--timeout)", False
-        except MISUNDERSTOOD as error:
-            text, ok = misunderstood(error), False
-        return RobotOutcome(host.robot, ok, text, round(time.monotonic() - began, 3), tuple(lines))
+                text = await job(host, say)
+        except FAILURES as error:
+            problem = failure(error, timeout_s)
+        return RobotOutcome(host.robot, not problem, problem or text, round(time.monotonic() - began, 3), tuple(lines))
 
     return list(await asyncio.gather(*(one(host) for host in robots)))
+
+
+def gather(
+    robots: Sequence[Host], ask: Callable[[Host], Awaitable[T]], timeout_s: float
+) -> tuple[list[RobotOutcome], dict[str, T]]:
+    """Ask all robots at once; returns how it went on each, and the answers by robot."""
+    answers: dict[str, T] = {}
+
+    async def job(host: Host, _: ReportProgress) -> str:
+        answers[host.robot] = await ask(host)
+        return ""
+
+    return asyncio.run(each(robots, job, timeout_s)), answers
 
 
 def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
@@ -88,18 +126,13 @@ def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
 
     began = time.monotonic()
     outcomes = asyncio.run(each(robots, job, args.timeout, tell))
-    if args.json:
-        rows = {outcome.robot: {k: v for k, v in asdict(outcome).items() if k != "robot"} for outcome in outcomes}
-        sys.stdout.write(json.dumps({"robots": rows, "seconds": round(time.monotonic() - began, 3)}) + "\n")
-    else:
-        write_lines(table(outcomes))
+    rows = {outcome.robot: {k: v for k, v in asdict(outcome).items() if k != "robot"} for outcome in outcomes}
+    show(args, {"robots": rows, "seconds": round(time.monotonic() - began, 3)}, table(outcomes))
     return 0 if all(outcome.ok for outcome in outcomes) else 1
 
 
 def table(outcomes: Sequence[RobotOutcome]) -> list[str]:
     """One row a robot."""
-    width = max(len(outcome.robot) for outcome in outcomes)
-    return [
-        f"{outcome.robot:<{width}}  {'ok    ' if outcome.ok else 'FAILED'}  {outcome.seconds:6.1f} s  {outcome.text}"
-        for outcome in outcomes
-    ]
+    return columns(
+        [(each.robot, "ok" if each.ok else "FAILED", f"{each.seconds:6.1f} s", each.text) for each in outcomes]
+    )

@@ -5,6 +5,7 @@ the name of the one to run, and the request. Its output is JSON, one object a li
 last the result. Nothing is left behind on the robot.
 """
 
+import importlib.util
 import json
 import shlex
 from asyncio import Event
@@ -14,7 +15,7 @@ from typing import Any
 
 import swarm
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
-from swarm.errors import PayloadError
+from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
 
 PACKAGE = "swarm.onboard.bootstrap"
@@ -27,14 +28,12 @@ load = json.loads(sys.stdin.buffer.readline())
 class Sent(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(self, name, path, target=None):
         if name in load["modules"]:
-            package = load["modules"][name] is None
+            package = any(other.startswith(name + ".") for other in load["modules"])
             return importlib.machinery.ModuleSpec(name, self, origin=name, is_package=package)
     def create_module(self, spec):
         return None
     def exec_module(self, module):
-        source = load["modules"][module.__name__]
-        if source is not None:
-            exec(compile(source, module.__name__, "exec"), module.__dict__)
+        exec(compile(load["modules"][module.__name__], module.__name__, "exec"), module.__dict__)
 def tell(message):
     sys.stdout.write(json.dumps(message) + "\\n")
     sys.stdout.flush()
@@ -56,11 +55,30 @@ _REASONS = (
 )  # fmt: skip
 
 
+_WITH_DBUS = ("pairing", "examine")
+"""Modules that speak to bluetoothd."""
+_DBUS = ("auth", "bus", "bus_messages", "fds", "low_level", "wrappers", "io.blocking", "io.common")
+"""The modules of jeepney that are needed for it."""
+
+
+def _dbus() -> dict[str, str]:
+    """The sources of jeepney, by module; they are read and not imported."""
+    found = importlib.util.find_spec("jeepney")
+    if found is None or found.origin is None:
+        raise LocalError("there is no jeepney here, which speaks to bluetoothd: pip install jeepney")
+    folder = Path(found.origin).parent
+    paths = {f"jeepney.{name}": folder.joinpath(*name.split(".")).with_suffix(".py") for name in _DBUS}
+    paths |= {"jeepney": folder / "__init__.py", "jeepney.io": folder / "io" / "__init__.py"}
+    return {name: path.read_text() for name, path in paths.items()}
+
+
 def program(main: str, request: object) -> bytes:
     """The first line of the bootstrap's input: module `main` of `swarm.onboard.bootstrap`, and its request."""
     parts = PACKAGE.split(".")
-    modules: dict[str, str | None] = {".".join(parts[: n + 1]): None for n in range(len(parts))}
+    modules = {".".join(parts[: n + 1]): "" for n in range(len(parts))}
     modules |= {f"{PACKAGE}.{path.stem}": path.read_text() for path in _FOLDER.glob("*.py") if path.stem != "__init__"}
+    if main in _WITH_DBUS:
+        modules |= _dbus()
     modules["swarm.files"] = (_LIBRARY / "files.py").read_text()
     line = json.dumps({"modules": modules, "main": f"{PACKAGE}.{main}", "request": request})
     return line.encode() + b"\n"

@@ -35,6 +35,14 @@ class HostError(RemoteError):
     """A robot could not be reached, or did not do what it was told; the text says why and what to do."""
 
 
+class CommandError(HostError):
+    """A command has ended with another code than 0."""
+
+    def __init__(self, code: int, words: str) -> None:
+        super().__init__(words or f"exit code {code}")
+        self.code = code
+
+
 @frozen
 class Host:
     """One robot as ssh knows it."""
@@ -53,13 +61,11 @@ class Done:
     err: str
 
 
-def hosts(config: Config, only: str | None = None) -> tuple[Host, ...]:
-    """The robots of the config, or those of the comma-separated list `only`; raises `LocalError` for an unknown one."""
-    names = config.names if only is None else tuple(name for name in only.split(",") if name)
+def hosts(config: Config, only: Sequence[str] | None = None) -> tuple[Host, ...]:
+    """The robots of the config, or those that are named; raises `LocalError` for an unknown one."""
+    names = dict.fromkeys(only or config.names)
     if unknown := [name for name in names if name not in config.names]:
         raise LocalError(f"{unknown[0]} is no robot of {config.path}; there are {', '.join(config.names)}")
-    if not names:
-        raise LocalError("--robots names no robot")
     return tuple(Host(name, config.robot(name).host or name) for name in names)
 
 
@@ -83,11 +89,12 @@ class Ssh:
         *,
         feed: Sequence[bytes] = (),
         on_line: Callable[[str], None] | None = None,
+        on_complaint: Callable[[str], None] | None = None,
         hold: asyncio.Event | None = None,
         on_data: Callable[[bytes], None] | None = None,
     ) -> Done:
         """Run a command; `feed` is its input. `on_line` gets its output as it comes, line by line, or `on_data` as raw
-        bytes; it is not collected then.
+        bytes; it is not collected then. `on_complaint` gets the lines of its standard error, which is collected anyway.
 
         With `hold` the input stays open after `feed` until that is set, or the command has ended.
 
@@ -99,7 +106,7 @@ class Ssh:
         assert process.stdout is not None
         assert process.stderr is not None
         reading = asyncio.ensure_future(_read(process.stdout, on_line, on_data))
-        complaining = asyncio.ensure_future(_read(process.stderr))
+        complaining = asyncio.ensure_future(_read(process.stderr, on_complaint, keep=True))
         writing = asyncio.ensure_future(_write(process.stdin, feed, hold))
         try:
             try:
@@ -127,6 +134,23 @@ class Ssh:
         if done.code != 0:
             raise HostError(last_words(done.err) or last_words(done.out) or f"exit code {done.code}")
         return done.out
+
+    async def follow(self, host: Host, command: str, tell: Callable[[str], None], *, feed: Sequence[bytes] = ()) -> int:
+        """Run a command that must succeed and tell its output line by line; returns the number of lines.
+
+        Raises `HostError` with its exit code and last words where it does not succeed.
+        """
+        count, last = 0, ""
+
+        def line(text: str) -> None:
+            nonlocal count, last
+            count, last = count + 1, text
+            tell(text)
+
+        done = await self.run(host, command, feed=feed, on_line=line)
+        if done.code != 0:
+            raise CommandError(done.code, last_words(done.err) or last_words(last))
+        return count
 
 
 async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
@@ -162,29 +186,27 @@ async def _read(
     stream: asyncio.StreamReader,
     on_line: Callable[[str], None] | None = None,
     on_data: Callable[[bytes], None] | None = None,
+    *,
+    keep: bool = False,
 ) -> str:
-    if on_data is not None:
-        while data := await stream.read(_CHUNK):
-            on_data(data)
-        return ""
-    if on_line is None:
-        parts, size = [], 0
-        while data := await stream.read(_CHUNK):
-            parts.append(data)
-            size += len(data)
-            if size > _LONGEST:
-                raise HostError(f"it says more than {_LONGEST >> 20} MiB")
-        return b"".join(parts).decode(errors="replace")
-    rest = b""
+    """Return what is read, where nobody takes it as it comes or it is to be kept; raises `HostError` for too much."""
+    kept = bytearray()
+    rest = bytearray()
     while data := await stream.read(_CHUNK):
-        *lines, rest = (rest + data).split(b"\n")
-        if len(rest) > _LONGEST:
-            raise HostError(f"it says a line of more than {_LONGEST >> 20} MiB")
-        for line in lines:
-            on_line(line.decode(errors="replace"))
-    if rest:
+        if on_data is not None:
+            on_data(data)
+            continue
+        if on_line is None or keep:
+            kept += data
+        if on_line is not None:
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                on_line(line.decode(errors="replace"))
+        if max(len(rest), len(kept)) > _LONGEST:
+            raise HostError(f"it says {'more' if on_line is None else 'a line of more'} than {_LONGEST >> 20} MiB")
+    if rest and on_line is not None:
         on_line(rest.decode(errors="replace"))
-    return ""
+    return kept.decode(errors="replace")
 
 
 _REASONS = (

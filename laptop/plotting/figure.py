@@ -1,11 +1,17 @@
 """Pictures of commands: matplotlib is there where the `lab` extra is, and only imported when it is used."""
 
+import argparse
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from swarm.errors import LocalError
+
+
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    """Declare `--plot`."""
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it: .png, .pdf or .svg")
 
 
 @contextlib.contextmanager

@@ -101,7 +101,7 @@ class SimulationFeed(RealTime):
         if not is_live(directory):
             raise LocalError(
                 f"no simulation is running in {directory}: start one with `swarm sim`, or name "
-                "--run-dir; real robots: --robot NAME"
+                "--run-dir; real robots: --robots NAME"
             )
         super().__init__()
         self.picture = Picture()

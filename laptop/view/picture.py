@@ -7,11 +7,14 @@ Robots may say anything: a message whose fields have not the types of its key is
 the events. So pages find numbers, texts and lists where they look for them, or nothing.
 """
 
-from collections import deque
+import contextlib
+import sys
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
+from laptop.view.history import History
 from swarm.errors import PayloadError
 from swarm.messages import type_of
 from swarm.messages.codec import unpack
@@ -21,14 +24,11 @@ from swarm.messages.keys import parse
 from swarm.process.text import printable
 
 MAX_EVENTS = 500
-HISTORY_S = 120.0
-"""How far back numbers are kept for a chart that is opened late, s."""
-
-HISTORY_STEP_S = 0.2
-"""s between two entries of it at least."""
-
 MAX_TOPICS = 256
 """Keys of one robot that are shown; an app that publishes under ever new ones must not fill the memory."""
+
+MAX_SIZE = 1 << 20
+"""Bytes of the newest samples of one robot together, for the same reason."""
 
 MAX_SERVICES = 64
 """Services of one robot that are shown, for the same reason."""
@@ -100,7 +100,9 @@ class Picture:
         """Time of the newest sample."""
         self._topics: dict[str, dict[str, tuple[int, object]]] = {}
         self._alive: dict[str, dict[str, bool]] = {}
-        self._history: dict[tuple[str, str], deque[tuple[float, object]]] = {}
+        self._sizes: Counter[str] = Counter()
+        """Bytes of the newest samples, by robot."""
+        self._history: dict[str, History] = {}
         self._hops: dict[str, int] = {}
         self._numbered = 0
         self._told: dict[str, dict[str, str]] = {}
@@ -119,10 +121,12 @@ class Picture:
         name, packed = f"{service}/{topic}", _Packed(payload)
         if name in _TOLD or name.endswith(_TOLD_OF_ALL):
             value = self._open(robot, name, packed)
-            if value is not _NOTHING and self._keep(robot, name, value, now):
-                self._read(robot, name, value, now)
-        else:
-            self._keep(robot, name, packed, now)
+            if value is _NOTHING or not self._keep(robot, name, packed):
+                return
+            self._read(robot, name, value, now)
+        elif not self._keep(robot, name, packed):
+            return
+        self._history.setdefault(robot, History()).add(name, payload, now)
 
     def passed(self, sender: str, receiver: str, count: int) -> None:
         """How many messages have passed between the two so far, from whoever counts them."""
@@ -131,9 +135,9 @@ class Picture:
             self._hops[hop] = count
 
     def put(self, robot: str, topic: str, value: object, now: float) -> None:
-        """A decoded sample."""
+        """A decoded sample. It has no history."""
         self._now = now
-        if self._fits(robot, topic, value) and self._keep(robot, topic, value, now):
+        if self._fits(robot, topic, value) and self._keep(robot, topic, value):
             self._read(robot, topic, value, now)
 
     def refuse(self, robot: str, what: str, why: object) -> None:
@@ -143,19 +147,16 @@ class Picture:
             self._named.add((robot, what))
             self.note(self._now, robot, "warning", f"{what} is left out, and whatever is like it: {why}")
 
-    def _keep(self, robot: str, topic: str, value: object, now: float) -> bool:
-        """Whether it is kept."""
+    def _keep(self, robot: str, topic: str, value: object) -> bool:
+        """Whether it is kept as the newest."""
         topics = self._topics.setdefault(robot, {})
-        if topic not in topics and len(topics) >= MAX_TOPICS:
+        size = self._sizes[robot] + _size(value) - _size(topics.get(topic, (0, None))[1])
+        if size > MAX_SIZE or (topic not in topics and len(topics) >= MAX_TOPICS):
             self.refused += 1
             return False
         self.version += 1
         topics[topic] = self.version, value
-        history = self._history.setdefault((robot, topic), deque())
-        if not history or now >= history[-1][0] + HISTORY_STEP_S or now < history[-1][0]:
-            history.append((now, value))
-            while history[0][0] < now - HISTORY_S:
-                history.popleft()
+        self._sizes[robot] = size
         return True
 
     def _open(self, robot: str, topic: str, value: object) -> object:
@@ -166,22 +167,20 @@ class Picture:
         if value.value is None:
             value.value = _NOTHING
             try:
-                message = json_value(unpack(value.payload), MAX_BYTES)
+                message = _message(topic, value.payload)
             except PayloadError as error:
                 if _kind(topic) is None:
                     self.refused += 1  # an app's own bytes
                 else:
                     self.refuse(robot, topic, error)
             else:
-                if self._fits(robot, topic, message):
-                    value.value = message
+                value.value = message
         return value.value
 
     def _fits(self, robot: str, topic: str, message: object) -> bool:
         """Whether a decoded message has the types of its key, as far as it goes."""
         try:
-            if (kind := _kind(topic)) is not None:
-                check_fields(kind, message)
+            _check(topic, message)
         except PayloadError as error:
             self.refuse(robot, topic, error)
             return False
@@ -190,7 +189,8 @@ class Picture:
     def _read(self, robot: str, topic: str, value: object, now: float) -> None:
         """Note what a person should read."""
         told = self._told.setdefault(robot, {})
-        for level, text, subject in _news(topic, value):
+        for level, said, about in _news(topic, value):
+            text, subject = printable(said), printable(about)
             before = told.get(subject)
             if before != text and (before is not None or len(told) < MAX_SUBJECTS):
                 told[subject] = text
@@ -244,8 +244,11 @@ class Picture:
 
     def history(self, robot: str, topic: str) -> list[tuple[float, object]]:
         """What a key held in the last two minutes, oldest first."""
-        rows = ((t, self._open(robot, topic, packed)) for t, packed in self._history.get((robot, topic), ()))
-        return [(t, value) for t, value in rows if value is not _NOTHING]
+        found = []
+        for t, payload in self._history[robot].rows(topic) if robot in self._history else ():
+            with contextlib.suppress(PayloadError):
+                found.append((t, _message(topic, payload)))
+        return found
 
     def trail(self, robot: str, topic: str, seconds: float, now: float) -> list[tuple[float, float]]:
         """The way that a robot has come, m."""
@@ -267,13 +270,35 @@ def _kind(topic: str) -> type | None:
         return None
 
 
+def _check(topic: str, message: object) -> None:
+    if (kind := _kind(topic)) is not None:
+        check_fields(kind, message)
+
+
+def _message(topic: str, payload: bytes) -> object:
+    """What a sample says; raises `PayloadError`."""
+    message = json_value(unpack(payload), MAX_BYTES)
+    _check(topic, message)
+    return message
+
+
+def _size(value: object) -> int:
+    """Bytes that a robot has sent for it."""
+    return len(value.payload) if isinstance(value, _Packed) else 0
+
+
 def places(history: Iterable[tuple[float, object]], since: float) -> Iterator[tuple[float, float]]:
     """Where a robot has been since a time, m, by what a key with `x` and `y` held."""
     for t, value in history:
         if t >= since and isinstance(value, dict):
             x, y = value.get("x"), value.get("y")
-            if isinstance(x, int | float) and isinstance(y, int | float):
+            if _is_place(x) and _is_place(y):
                 yield float(x), float(y)
+
+
+def _is_place(value: object) -> TypeGuard[float]:
+    """Whether it is a number that a float can be, which a number of a recording need not be."""
+    return isinstance(value, int | float) and -sys.float_info.max <= value <= sys.float_info.max
 
 
 def _news(topic: str, value: object) -> Iterator[tuple[str, str, str]]:

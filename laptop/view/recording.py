@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from laptop.view.feed import config_of
-from laptop.view.picture import HISTORY_S, TRAIL_S, Event, Picture, places
+from laptop.view.history import HISTORY_S
+from laptop.view.picture import TRAIL_S, Event, Picture, places
 from swarm.errors import RecordingError, SwarmError
 from swarm.messages.json_values import json_value
 from swarm.messages.keys import parse as parse_key

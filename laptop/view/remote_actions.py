@@ -14,7 +14,7 @@ from typing import Any
 
 import msgpack
 
-from laptop.cli.app import param
+from laptop.cli import param
 from laptop.fleet import apps
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from laptop.cli.hand import kill
+from laptop.cli import hand, kill_service
 from laptop.view.feed import SimulationFeed
 from laptop.view.robot_actions import PageAction, cut, named
-from sim.control import app_requests, link_cuts, send_action
+from sim.control import app_requests, send_action
 from sim.core.actions import Lay, Press, Push
 from swarm.messages.codec import Value
 
@@ -52,13 +52,12 @@ class SimulatedActions:
 
     def _kill(self, asked: Mapping[str, Any]) -> str:
         robot = self._robot(asked)
-        service, pid = kill.end(self._feed.directory / robot, str(asked["service"]), "KILL")
+        service, pid = kill_service.end(self._feed.directory / robot, str(asked["service"]), "KILL")
         return f"{robot}: killed {service} (pid {pid})"
 
     def _cut(self, asked: Mapping[str, Any]) -> str:
         ends, seconds = cut(asked, self._feed.buses)
-        for robot, peer in (ends, ends[::-1]):
-            link_cuts.silence(self._feed.directory, robot, peer, seconds)
+        hand.cut(self._feed.directory, *ends, seconds)
         return f"{' - '.join(ends)}: " + (f"cut for {seconds:g} s" if seconds else "mended")
 
     def _order(self, act: str, asked: Mapping[str, Any]) -> str:

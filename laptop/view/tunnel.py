@@ -19,7 +19,7 @@ from swarm.errors import LocalError
 from swarm.messages.codec import encode
 from swarm.onboard.lookout import MAX_COMMAND
 
-PROGRAM = "sudo -n /opt/swarm/current/bin/python -m swarm.onboard.lookout"
+PROGRAM = "sudo -n /opt/swarm/current/bin/python -P -m swarm.onboard.lookout"
 RETRY_S = (1.0, 2.0, 5.0)
 """s until the first, second and all later tries again."""
 

@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
+from services.apps.app_status import LOOK_EVERY, AppStatus
 from services.apps.changes import Changes
 from services.apps.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, place_of, version
 from services.apps.host import LockstepHost, Part
-from services.apps.lockstep_driver import CLOSE_WITHIN, LOOK_EVERY, REPEAT, Place
+from services.apps.lockstep_driver import CLOSE_WITHIN, Place
 from services.apps.observer import Observer, StepRecord
 from services.apps.runner import Runner
 from services.apps.storage import Storage
@@ -24,13 +25,12 @@ from swarm.app.event_app import ChannelView as ChannelView
 from swarm.app.event_app import channels_of
 from swarm.app.overlays import Message, Overlays
 from swarm.app.robot import Robot
-from swarm.bus.throttle import APP_STATE_S, THROTTLED, Throttle
 from swarm.config import Config
 from swarm.core.asynchronous import HANG, Asynchronous, HandlerCall, Publish
 from swarm.core.lockstep_frames import Channel
 from swarm.errors import FrameError, SwarmError
 from swarm.messages import AppProgress, AppState, Topology
-from swarm.messages.codec import Value, encode
+from swarm.messages.codec import Value
 from swarm.messages.keys import key
 from swarm.process.runtime import Runtime, listen
 
@@ -90,13 +90,9 @@ class EventHost:
         self._views: dict[str, ChannelView] = {each: getattr(app, each) for each in channels_of(type(app))}
         self._worker = runtime.worker("handlers")
         self._latest = key(self.robot, f"app/{name}", "latest", channel.text)
-        self._state_key, self._progress_key = (key(self.robot, f"app/{name}", topic) for topic in ("state", "progress"))
-        self._throttle = Throttle(self._bus, self._state_key, APP_STATE_S)
-        self._state: AppState | None = None
+        self._status = AppStatus(runtime, f"app/{name}", lambda: self.progress, self._look_at_state)
         self._changed_at = runtime.now
         """When the last handler returned."""
-        self._told: tuple[object, ...] = ()
-        self._told_at = -math.inf
         self._recorded = -1
         self._timer = math.inf
         self._closed = self._over = self._hung = False
@@ -114,8 +110,6 @@ class EventHost:
         else:
             for peer in neighbours:
                 self._bus.subscribe(key(peer, f"app/{name}", "latest", "*"), self._on_latest)
-        self._bus.serve(self._state_key, self._answer_state)
-        self._bus.serve(self._progress_key, lambda *_: encode(self.progress))
         self._hear_events(overlays, devices)
 
     @property
@@ -133,8 +127,7 @@ class EventHost:
         """Let the app begin."""
         self._core.begin(self._runtime.now)
         self._perform()
-        keys = (self._state_key, f"{self._state_key}/{THROTTLED}", self._progress_key)
-        self._runtime.every(LOOK_EVERY, self.look, keys)
+        self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
         self._runtime.at(self._runtime.now + REMIND, self._remind)
         self._runtime.ready()
 
@@ -154,22 +147,13 @@ class EventHost:
 
     def look(self) -> None:
         """Publish state and progress where they are new, or were told a while ago."""
-        now, core = self._runtime.now, self._core
-        self._look_for_hang(now)
-        repeat = now - self._told_at >= REPEAT
-        if (repeat or self._state is None or self._state.t != self._changed_at) and self._refresh():
-            self._bus.publish(self._state_key, self._state)
-            self._throttle.publish(self._state, now, news=repeat)
-        news = self._report()
-        if repeat:
-            for name, count in {**core.counters, "unreadable": self.runner.unreadable}.items():
+        self._look_for_hang(self._runtime.now)
+        repeated, new = self._status.look()
+        if repeated:
+            for name, count in {**self._core.counters, "unreadable": self.runner.unreadable}.items():
                 self._runtime.counters[f"latest_{name}"] = count
-        if repeat or news != self._told:
-            phase, peers, reason = news
-            self._bus.publish(self._progress_key, AppProgress(now, phase, core.k, peers, reason))
-            if self._observer is not None and news != self._told:
-                self._observer.progressed(self)
-            self._told, self._told_at = news, now
+        if new and self._observer is not None:
+            self._observer.progressed(self)
 
     # What happens
 
@@ -274,6 +258,8 @@ class EventHost:
         if runner.period is not None and runner.period != core.period:
             core.set_period(runner.period, now)
         core.returned(own, now, finished=runner.finished)
+        if self._status.late:
+            self._status.publish_state()
         self._observe()
         self._perform()
         if core.phase == "done":
@@ -356,20 +342,14 @@ class EventHost:
         call = self._core.running
         return "" if call is None else self.runner.hangs(place_of(call, self._core.k), self._worker.thread, HANG)
 
-    def _refresh(self) -> bool:
-        """Bring the state up to date; False where that is impossible, since a handler runs or there is none yet."""
+    def _look_at_state(self) -> AppState | None:
         if self._core.phase in ("starting", "fault") or self._worker.busy:
-            return False
+            return None
         try:
-            self._state = AppState(self._changed_at, self._core.k, self.runner.state(), self.runner.result())
+            return AppState(self._changed_at, self._core.k, self.runner.state(), self.runner.result())
         except SwarmError as error:
             self._app_failed(error)
-            return False
-        return True
-
-    def _answer_state(self, *_: object) -> bytes | None:
-        self._refresh()
-        return None if self._state is None else encode(self._state)
+            return None
 
     def _report(self) -> tuple[str, tuple[str, ...], str]:
         """Phase, robots waited for, reason."""

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import NamedTuple
 
+from services.apps.app_status import LOOK_EVERY, REPEAT, AppStatus
 from services.apps.ballots import told
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
 from services.apps.core.terms import Terms
@@ -14,7 +15,6 @@ from services.apps.runner import Runner
 from services.apps.storage import Storage
 from services.apps.topology import TopologyWatch
 from swarm.app.run_options import RunOptions
-from swarm.bus.throttle import APP_STATE_S, THROTTLED, Throttle
 from swarm.config import Config
 from swarm.core.epoch_actions import MembershipOrder, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epoch_notes import LOST, Epoch, first
@@ -27,11 +27,6 @@ from swarm.messages.codec import Value, encode
 from swarm.messages.keys import key
 from swarm.process.runtime import Runtime
 
-LOOK_EVERY = 0.1
-"""s between two looks whether there is another state to be published: it goes to people and programs that watch. At
-25 Hz this took a fifth of an app's CPU time."""
-REPEAT = 1.0
-"""s between two messages of progress and state when nothing changes; a measurement that late is given as a reason."""
 CLOSE_WITHIN = 2.0
 """s that a running step has when the process is to end."""
 STUCK = 10.0
@@ -67,43 +62,6 @@ class Place(NamedTuple):
 
 class LockstepDriver:
     """Drives one lockstep, from the first state or a snapshot to the last iteration."""
-
-    __slots__ = (
-        "_bus",
-        "_channel",
-        "_closed",
-        "_counted",
-        "_due_at_advance",
-        "_epoch_key",
-        "_measured",
-        "_measurements",
-        "_measuring_since",
-        "_muted",
-        "_notes",
-        "_observer",
-        "_on_change",
-        "_performing",
-        "_prefix",
-        "_progress_key",
-        "_runtime",
-        "_snapshots",
-        "_state",
-        "_state_key",
-        "_sync",
-        "_throttle",
-        "_timer",
-        "_told",
-        "_told_at",
-        "_votes",
-        "_worker",
-        "app",
-        "latest",
-        "part",
-        "robot",
-        "run",
-        "runner",
-        "watch",
-    )
 
     def __init__(
         self,
@@ -158,17 +116,8 @@ class LockstepDriver:
         self._timer = _NEVER
         topics = f"app/{app}/{part}" if part else f"app/{app}"
         self._counted = f"{part}_sync" if part else "sync"
-        self._state_key, self._progress_key = key(self.robot, topics, "state"), key(self.robot, topics, "progress")
         self._epoch_key = key(self.robot, topics, "epoch")
-        self._throttle = Throttle(self._bus, self._state_key, APP_STATE_S)
-        self._state: AppState | None = None
-        """The newest one that was asked for."""
-        self._due_at_advance = False
-        """Whether the state is to be published with the next iteration, since a step ran when it was due."""
-        self._told: tuple[object, ...] = ()
-        self._told_at = -_NEVER
-        self._bus.serve(self._state_key, self._answer_state)
-        self._bus.serve(self._progress_key, lambda *_: encode(self.progress))
+        self._status = AppStatus(runtime, topics, lambda: self.progress, self._look_at_state)
         self._bus.serve(self._epoch_key, lambda *_: encode(self._epoch()))
 
     @property
@@ -192,8 +141,7 @@ class LockstepDriver:
             self._begin(saved, None)
         else:
             self._measure(0, self._start)
-        keys = (self._state_key, f"{self._state_key}/{THROTTLED}", self._progress_key)
-        self._runtime.every(LOOK_EVERY, self.look, keys)
+        self._runtime.every(LOOK_EVERY, self.look, self._status.keys)
 
     def close(self) -> bool:
         """Let go of the files. A step that runs is waited for, but not for ever; False if it did not end."""
@@ -246,16 +194,10 @@ class LockstepDriver:
         since = self._worker.running_since
         if since is not None and now - since >= STUCK:
             self._fail(self.runner.hangs(f"iteration {run.k}", self._worker.thread, STUCK))
-        repeat = now - self._told_at >= REPEAT
-        if repeat:
+        repeated, _ = self._status.look()
+        if repeated:
             for name, count in run.counters.items():
                 self._runtime.counters[f"{self._counted}_{name.replace(' ', '_')}"] = count
-        if repeat or self._state is None or self._state.k != run.k:
-            self._publish_state()
-        phase, k, peers, reason = self._report()
-        if repeat or (phase, peers, reason) != self._told:
-            self._told, self._told_at = (phase, peers, reason), now
-            self._bus.publish(self._progress_key, AppProgress(now, phase, k, peers, reason))
 
     # The app's steps
 
@@ -391,8 +333,8 @@ class LockstepDriver:
                 self._app_failed(error)
                 return
             self._observer.advanced(self, line)
-        if self._due_at_advance:
-            self._publish_state()
+        if self._status.late:
+            self._status.publish_state()
 
     def _switched(self, epoch: Epoch) -> None:
         self._runtime.log.info("epoch %d from iteration %d on: %s", epoch.counter, epoch.k, " ".join(epoch.members))
@@ -426,28 +368,15 @@ class LockstepDriver:
 
     # What is told
 
-    def _publish_state(self) -> None:
-        """Publish the state; with the next iteration where a step runs."""
-        self._due_at_advance = not self._refresh()
-        if not self._due_at_advance and self._state is not None:
-            self._bus.publish(self._state_key, self._state)
-            self._throttle.publish(self._state, self._runtime.now, news=self.run.phase == "done")
-
-    def _refresh(self) -> bool:
-        """Bring the state up to date; False where that is impossible, since a step runs."""
+    def _look_at_state(self) -> AppState | None:
         run, runner = self.run, self.runner
-        if run.phase in ("running", "done") and run.begun:
-            if self._worker.busy:
-                return False
-            try:
-                self._state = AppState(run.computed_at, runner.k, runner.state(), runner.result())
-            except SwarmError as error:
-                self._app_failed(error)
-        return True
-
-    def _answer_state(self, *_: object) -> bytes | None:
-        self._due_at_advance |= not self._refresh()
-        return None if self._state is None else encode(self._state)
+        if run.phase not in ("running", "done") or not run.begun or self._worker.busy:
+            return None
+        try:
+            return AppState(run.computed_at, runner.k, runner.state(), runner.result())
+        except SwarmError as error:
+            self._app_failed(error)
+            return None
 
     def _report(self) -> tuple[str, int, tuple[str, ...], str]:
         """Phase, iteration, robots waited for, reason."""

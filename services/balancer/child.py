@@ -132,7 +132,7 @@ class Bridge:
         our_stops.setblocking(False)
         environment = {name: value for name, value in os.environ.items() if name not in _NOT_FOR_THE_BRIDGE}
         environment["SWARM_PARENT"] = str(os.getpid())
-        command = [sys.executable, "-m", MODULE, str(theirs.fileno()), str(their_stops.fileno())]
+        command = [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), str(their_stops.fileno())]
         pid = os.fork()
         if pid == 0:
             try:

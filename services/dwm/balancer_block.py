@@ -13,7 +13,6 @@ from swarm.messages import ModuleAnswer, Uwb, read
 from swarm.messages.keys import key
 from swarm.process.service import Service
 
-_WATCHDOG_PERIOD = 1.0
 _POLL = 0.25
 """s between looks at whether to stop: a signal does not wake a queue."""
 
@@ -36,7 +35,6 @@ def serve(service: Service) -> None:
     bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
     requests = ModuleRequests(service, lambda: arrived.put(None), repeats=True)
     block, localizer = Block(clock.now()), Localizer(service, clock.now())
-    watchdog_at = clock.now()
     service.ready()
     while not service.stopping.is_set():
         try:
@@ -55,9 +53,7 @@ def serve(service: Service) -> None:
                 service.degraded(event.reason)
             else:
                 localizer.report(event.location, now - event.age)
-        if now >= watchdog_at:
-            service.watchdog()
-            watchdog_at = now + _WATCHDOG_PERIOD
+        service.watchdog()
 
 
 def _pass_on(service: Service, requests: ModuleRequests) -> None:

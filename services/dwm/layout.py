@@ -76,7 +76,7 @@ def _measure(
         return survey.take_turns(lines, seconds, calibrate, wait, _say)
     if len(lines) != 1:
         raise LocalError(
-            "which robot's tag is carried? say --robot NAME, or give the anchors' ports: --port A --port B"
+            "which robot's tag is carried? say --robots NAME, or give the anchors' ports: --port A --port B"
         )
     if len(anchors) < 3:
         raise LocalError("list the anchors' addresses in swarm.toml first (their places may be rough)")

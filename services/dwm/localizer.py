@@ -40,7 +40,7 @@ def load_calibration(config: Config, robot: str) -> Calibration:
     except OSError as error:
         raise ConfigError(
             f"{path}: the calibration of {robot} cannot be read ({error.strerror}); make it with "
-            f"swarm calibrate distance --robot {robot}, or take `calibration` out of [dwm]"
+            f"swarm calibrate distance --robots {robot}, or take `calibration` out of [dwm]"
         ) from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is no text") from None

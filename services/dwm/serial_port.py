@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import serial
 
 BAUD = 115200
-_WATCHDOG_PERIOD = 1.0
 _FIRST_PAUSE = 0.1
 _MAX_PAUSE = 2.0
 _WRITE_TIMEOUT = 0.1
@@ -64,7 +63,6 @@ def _poll(service: Service, port: "serial.Serial", localizer: Localizer, request
     """Runs the poller until the service is to stop; raises `OSError` when the port goes away."""
     poller = Poller(service.config.dwm.rate, clock.now())
     port.reset_input_buffer()
-    watchdog_at = clock.now()
     while not service.stopping.is_set():
         now = clock.now()
         wait = min(max(0.0, poller.next_deadline() - now), _MAX_WAIT)
@@ -80,9 +78,7 @@ def _poll(service: Service, port: "serial.Serial", localizer: Localizer, request
             poller.handle_timer(now)
         if data := poller.to_send():
             port.write(data)
-        if now >= watchdog_at:
-            service.watchdog()
-            watchdog_at = now + _WATCHDOG_PERIOD
+        service.watchdog()
         for event in poller.events():
             if isinstance(event, ModuleHealth):
                 _tell(service, port.name, event)

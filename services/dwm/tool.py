@@ -6,7 +6,6 @@ codes: 0 all is well, 1 something is wrong or a module did not answer, 2 the com
 
 import argparse
 import contextlib
-import json
 import os
 import sys
 import time
@@ -25,40 +24,27 @@ from services.dwm.line import BusLine, ModuleConnection, NoAnswerError, PortLine
 from services.dwm.localizer import known_modules, load_calibration
 from swarm.config import Config, load
 from swarm.config.load import DEFAULT_PATH
-from swarm.errors import ConfigError, LocalError, SwarmError
+from swarm.errors import ConfigError, LocalError
 from swarm.onboard import buses
+from swarm.onboard.arguments import add_json, show
 from swarm.process.simulations import CONFIG
-from swarm.process.terminal import guard
 
 SECONDS = 3.0
 """s that `check` and `anchors` listen to ranges."""
 
 
-def main() -> None:
-    """Our own errors are one line and exit code 2, never a traceback."""
-    guard()
-    try:
-        code = _run(_options())
-    except NoAnswerError as error:
-        sys.stderr.write(f"swarm: {error}\n")
-        code = 1
-    except SwarmError as error:
-        sys.stderr.write(f"swarm: {error}\n")
-        code = 2
-    except KeyboardInterrupt:
-        code = 130
-    sys.exit(code)
+HELP = "look at UWB modules, set them up, find what is wrong"
 
 
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="swarm dwm", description="UWB modules: look, set up, find what is wrong.")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what can be done, each with its arguments."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, (text, _) in VERBS.items():
         verb = verbs.add_parser(name, help=text, description=text)
         buses.add_arguments(verb)
+        add_json(verb)
         verb.add_argument("--port", action="append", metavar="PATH", help="a module at a serial port of this machine")
         verb.add_argument("--config", type=Path, metavar="FILE", help="swarm.toml (the simulation's, or the usual one)")
-        verb.add_argument("--json", action="store_true", help="one JSON object")
         if name == "configure":
             role = verb.add_mutually_exclusive_group()
             role.add_argument("--tag", action="store_true", help="make it a tag (else: as swarm.toml says)")
@@ -70,15 +56,18 @@ def _options() -> argparse.Namespace:
             verb.add_argument("--ranges", type=Path, metavar="FILE", help="with --auto: lines `D001 D002 1.94` (m)")
         if name in ("anchors", "check"):
             verb.add_argument("--seconds", type=float, metavar="S", help="s of listening (3; with --auto 5 at a place)")
-    return parser.parse_args()
 
 
-def _run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
+    """0 where all is well, 1 where something is wrong or a module did not answer."""
     config = _config(args)
-    with contextlib.ExitStack() as stack:
-        lines = [] if getattr(args, "ranges", None) else list(_lines(args, stack))
-        code: int = VERBS[args.verb][1](args, config, lines)
-        return code
+    try:
+        with contextlib.ExitStack() as stack:
+            lines = [] if getattr(args, "ranges", None) else list(_lines(args, stack))
+            return VERBS[args.verb][1](args, config, lines)
+    except NoAnswerError as error:
+        sys.stderr.write(f"swarm: {error}\n")
+        return 1
 
 
 def _config(args: argparse.Namespace) -> Config | None:
@@ -99,8 +88,8 @@ def _config(args: argparse.Namespace) -> Config | None:
 
 
 def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[ModuleConnection]:
-    if args.port and (args.robot or args.run_dir):
-        raise LocalError("--port is a module of this machine, --robot and --run-dir are others': use one of them")
+    if args.port and (args.robots or args.run_dir):
+        raise LocalError("--port is a module of this machine, --robots and --run-dir are others': use one of them")
     found: Iterator[ModuleConnection] = (
         (PortLine(path) for path in args.port)
         if args.port
@@ -122,11 +111,10 @@ def _info(args: argparse.Namespace, config: Config | None, lines: Sequence[Modul
             told[line.name] = _as_json(configure.inspect(line))
         except NoAnswerError as error:
             told[line.name] = {"problem": str(error)}
-    if args.json:
-        _out(json.dumps(told))
-    else:
-        for name, fields in told.items():
-            _out("\n".join([name, *(f"  {field:<12} {value}" for field, value in _flat(fields))]))
+    text: list[str] = []
+    for name, fields in told.items():
+        text += [name, *(f"  {field:<12} {value}" for field, value in _flat(fields))]
+    show(args, told, text)
     return 1 if any("problem" in fields for fields in told.values()) else 0
 
 
@@ -173,14 +161,11 @@ def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[
             told[line.name] = {"address": info.address, "changes": changes, "missing": missing}
         except NoAnswerError as error:
             told[line.name] = {"problem": str(error)}
-    if args.json:
-        _out(json.dumps(told))
-    else:
-        for name, fields in told.items():
-            words = fields.get("problem") or "; ".join(fields["changes"]) or "is as it shall be"
-            _out(
-                f"{name} {fields.get('address', '')}: {words}" + "".join(f"\n  {m}" for m in fields.get("missing", []))
-            )
+    text: list[str] = []
+    for name, fields in told.items():
+        words = fields.get("problem") or "; ".join(fields["changes"]) or "is as it shall be"
+        text += [f"{name} {fields.get('address', '')}: {words}", *(f"  {m}" for m in fields.get("missing", []))]
+    show(args, told, text)
     return 1 if any("problem" in fields or fields["missing"] for fields in told.values()) else 0
 
 
@@ -206,14 +191,13 @@ def _wish(args: argparse.Namespace, config: Config | None, line: ModuleConnectio
 
 def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     told = {line.name: findings_of(line, config, args.seconds or SECONDS) for line in lines}
-    if args.json:
-        _out(json.dumps({name: [asdict(finding) for finding in found] for name, found in told.items()}))
-    else:
-        for name, found in told.items():
-            _out(f"{name}: {'all is well' if not found else ''}".rstrip())
-            for finding in found:
-                mark = "wrong" if finding.fatal else "note"
-                _out(f"  {mark:<5}  {finding.code}: {finding.text}\n         {finding.remedy}")
+    text: list[str] = []
+    for name, found in told.items():
+        text.append(f"{name}: {'all is well' if not found else ''}".rstrip())
+        for finding in found:
+            mark = "wrong" if finding.fatal else "note"
+            text += [f"  {mark:<5}  {finding.code}: {finding.text}", f"         {finding.remedy}"]
+    show(args, {name: [asdict(finding) for finding in found] for name, found in told.items()}, text)
     return 1 if any(finding.fatal for found in told.values() for finding in found) else 0
 
 
@@ -259,7 +243,9 @@ def _of_calibration(config: Config | None, robot: str | None) -> list[ModuleFind
     try:
         load_calibration(config, robot)
     except ConfigError as error:
-        return [ModuleFinding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robot {robot}`")]
+        return [
+            ModuleFinding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robots {robot}`")
+        ]
     return []
 
 
@@ -270,7 +256,7 @@ def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Mo
     if args.auto:
         from services.dwm.layout import lay_out  # needs numpy, which no robot has
 
-        return lay_out(args, config, lines, _calibrate(config, args.robot), _wait)
+        return lay_out(args, config, lines, _calibrate(config, args.robots[0] if args.robots else None), _wait)
     if args.ranges:
         raise LocalError("--ranges goes with --auto")
     told: dict[str, Any] = {}
@@ -280,11 +266,10 @@ def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Mo
             told[line.name] = _seen(survey.sample(line, args.seconds or SECONDS, _wait), config, robot)
         except NoAnswerError as error:
             told[line.name] = {"problem": str(error)}
-    if args.json:
-        _out(json.dumps(told))
-    else:
-        for name, rows in told.items():
-            _out(f"{name}: {rows['problem']}" if "problem" in rows else "\n".join([name, *_table(rows)]))
+    text: list[str] = []
+    for name, rows in told.items():
+        text += [f"{name}: {rows['problem']}"] if "problem" in rows else [name, *_table(rows)]
+    show(args, told, text)
     return 1 if any("problem" in rows or len(rows) < diagnosis.ENOUGH for rows in told.values()) else 0
 
 
@@ -335,10 +320,6 @@ def _wait(seconds: float) -> None:
     time.sleep(max(0.0, seconds))
 
 
-def _out(text: str) -> None:
-    sys.stdout.write(text + "\n")
-
-
 Verb = Callable[[argparse.Namespace, Config | None, Sequence[ModuleConnection]], int]
 
 VERBS: dict[str, tuple[str, Verb]] = {
@@ -347,6 +328,3 @@ VERBS: dict[str, tuple[str, Verb]] = {
     "anchors": ("the modules that are ranged to, and --auto: where they are", _anchors),
     "check": ("what is wrong, and what to do", _check),
 }
-
-if __name__ == "__main__":
-    main()

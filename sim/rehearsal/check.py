@@ -125,7 +125,7 @@ def text(found: Mapping[str, Any]) -> str:
 
 
 def _rehearse(options: argparse.Namespace, seed: str) -> list[Json]:
-    command = [sys.executable, "-m", "sim.rehearsal.examine", options.app]
+    command = [sys.executable, "-P", "-m", "sim.rehearsal.examine", options.app]
     command += ["--robots", str(options.robots), "--iterations", str(options.iterations)]
     for setting in options.set:
         command += ["--set", setting]

@@ -18,9 +18,10 @@ from types import FrameType
 from typing import Any, TypeVar
 
 from services.apps import loader
+from services.apps.event_runner import EventRunner
 from services.apps.runner import Runner
 from sim.rehearsal import tracing, trends
-from sim.rehearsal.events import EventRehearsal, Unit
+from sim.rehearsal.events import EventRehearsal
 from sim.rehearsal.scene import scene
 from sim.rehearsal.sync import SyncRehearsal
 from swarm.app import settings
@@ -29,7 +30,7 @@ from swarm.app.settings import Setting
 from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.core.asynchronous import HandlerCall
+from swarm.core.asynchronous import HandlerCall, NeighbourState
 from swarm.errors import AppError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -275,33 +276,35 @@ def _events(task: Task, finding: _Finding) -> None:
     times: list[float] = []
     histories: dict[str, list[Any]] = {}
 
-    def call(unit: Unit, what: HandlerCall) -> bytes:
-        begin = time.process_time()
-        try:
-            own = _limited(app.source, lambda: Unit.call(unit, what))
-        except AppError as error:
-            if f"{app.source}, line" not in str(error):
-                finding.line = tracing.line_of(type(unit.app), what.handler)
-            raise
-        times.append(time.process_time() - begin)
-        histories.setdefault(unit.name, []).append(unit.result())
-        finding.digests.append(_digest([unit.name.encode(), own]))
-        return own
+    class Examined(EventRunner):
+        def call(self, call: HandlerCall, k: int, known: Sequence[NeighbourState]) -> bytes:
+            begin = time.process_time()
+            try:
+                own = _limited(app.source, lambda: EventRunner.call(self, call, k, known))
+            except AppError as error:
+                if f"{app.source}, line" not in str(error):
+                    finding.line = tracing.line_of(type(self.app), call.handler)
+                raise
+            times.append(time.process_time() - begin)
+            name = self.app.robot.name
+            histories.setdefault(name, []).append(self.result())
+            finding.digests.append(_digest([name.encode(), own]))
+            return own
 
-    swarm = EventRehearsal(app, task.scene(finding.graph), call=call)
+    swarm = EventRehearsal(app, task.scene(finding.graph), Examined)
     may_go_on = _limit()
     presses = [(1.0 + index, name, "abc"[index % 3]) for index, name in enumerate(swarm.units)]
     for second in range(1, int(SECONDS) + 1):
         if not may_go_on():
             break
         for at, name, button in presses:
-            if at == second and "on_button" in swarm.units[name].runner.handled:
+            if at == second:
                 swarm.units[name].press(button)
         swarm.run(float(second))
         for unit in swarm.units.values():
             if unit.fault:
                 raise AppError(unit.fault)
-    finding.iterations = max(unit.core.k for unit in swarm.units.values())
+    finding.iterations = max(unit.host.progress.k for unit in swarm.units.values())
     if times:
         finding.step_mean, finding.step_worst = sum(times) / len(times), max(times)
     finding.trend = trends.judge(histories)

@@ -7,7 +7,7 @@ from pathlib import Path
 from services.apps.loader import LoadedApp
 from swarm import config as configuration
 from swarm.app.sync_app import BaseApp as AnyApp
-from swarm.config import Anchor, Config, RobotConfig
+from swarm.config import Anchor, Config, MeshConfig, RobotConfig
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import Measurement
@@ -44,10 +44,11 @@ def scene(
     return Config(
         path=Path("swarm.toml"),
         network="rehearsal",
-        robots=tuple(RobotConfig(name) for name in names),
+        robots=tuple(RobotConfig(name, link=f"sim:{name}") for name in names),
         edges=Graph.of_shape(topology, names).edges,
         relay=configuration.types.DEFAULT_RELAY,
         anchors=ANCHORS,
+        mesh=MeshConfig(insecure=True),
         apps={app.name: configuration.AppConfig(common, own)},
     )
 

@@ -81,6 +81,9 @@ class VirtualRobot:
         return self.sent_before + self.mesh.sent
 
 
+MakeRunner = Callable[[EventApp, str], EventRunner]
+
+
 class Launch(NamedTuple):
     """How an app's hosts are started."""
 
@@ -89,7 +92,9 @@ class Launch(NamedTuple):
     run_options: RunOptions
     recording: ThesisRecording | None
     """That the app replays."""
-    observer: Observer
+    observer: Observer | None
+    runner: MakeRunner | None = None
+    """What makes the runner of an event-driven app, in place of `EventRunner`."""
 
 
 class VirtualWorld:
@@ -182,7 +187,7 @@ class VirtualWorld:
             self.time.soon(self._begin, robot, launch)
 
     def _begin(self, robot: str, launch: Launch) -> None:
-        app, run, run_options, recording, observer = launch
+        app, run, run_options, recording, observer, make_runner = launch
         config, epoch, there = self.config, topology.CONFIGURED, self.robots[robot]
         if config.auto:
             assert isinstance(there.mesh, VirtualMesh)  # an automatic topology is found by meshes
@@ -205,7 +210,7 @@ class VirtualWorld:
         instance.robot.recording = self.records.get((robot, app.name))
         host: LockstepHost | EventHost
         if isinstance(instance, EventApp):
-            events = EventRunner(instance, app.source)
+            events = (make_runner or EventRunner)(instance, app.source)
             host = EventHost(
                 *(runtime, app.name, events, place, self.config, there.storage, observer), links_change=config.auto
             )

@@ -2,31 +2,30 @@
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from swarm.config import load, who_am_i
 from swarm.errors import LocalError
+from swarm.onboard.arguments import add_robots, add_run_dir
 from swarm.process.paths import DEFAULT_RUNTIME, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--robot` and `--run-dir`."""
-    parser.add_argument("--robot", metavar="NAME", help="this robot's view (of a simulation; else the own robot)")
-    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
+    """Declare `--robots` and `--run-dir`."""
+    add_robots(parser, "of a simulation (all); on a robot only itself")
+    add_run_dir(parser)
 
 
 def find(arguments: argparse.Namespace) -> dict[str, Path]:
-    """Runtime directory by robot: all simulated ones, or `--robot`, or the own. Raises `LocalError`."""
-    wanted: str | None = arguments.robot
+    """Return the runtime directory by robot: of a simulation's robots, or of the own. Raises `LocalError`."""
+    wanted: Sequence[str] = arguments.robots or ()
     if os.environ.get("SWARM_RUNTIME") and arguments.run_dir is None:
         return {_checked(who_am_i(load()), wanted): runtime_dir()}
     directory = (arguments.run_dir or default_run_dir()).absolute()
     if is_live(directory):
-        found = robots(directory)
-        if wanted is not None and wanted not in found:
-            raise LocalError(f"no robot {wanted!r} in the simulation, there are {', '.join(found)}")
-        return found if wanted is None else {wanted: found[wanted]}
+        return chosen(robots(directory), wanted)
     if arguments.run_dir is not None or not DEFAULT_RUNTIME.is_dir():
         raise LocalError(
             f"no simulation is running in {directory}"
@@ -35,7 +34,14 @@ def find(arguments: argparse.Namespace) -> dict[str, Path]:
     return {_checked(who_am_i(load()), wanted): DEFAULT_RUNTIME}
 
 
-def _checked(me: str, wanted: str | None) -> str:
-    if wanted not in (None, me):
-        raise LocalError(f"this is {me}; ask {wanted} itself, for example by ssh")
+def chosen(found: dict[str, Path], wanted: Sequence[str]) -> dict[str, Path]:
+    """Return those of a simulation's robots that are wanted, all where none is named. Raises `LocalError`."""
+    if strange := [name for name in wanted if name not in found]:
+        raise LocalError(f"no robot {strange[0]!r} in the simulation, there are {', '.join(found)}")
+    return {name: found[name] for name in wanted} if wanted else found
+
+
+def _checked(me: str, wanted: Sequence[str]) -> str:
+    if wanted and list(wanted) != [me]:
+        raise LocalError(f"this is {me}; ask {' '.join(wanted)} itself, for example by ssh")
     return me

@@ -1,7 +1,7 @@
 """`z_sub KEY...`: watch the bus of a robot, or of all simulated robots, decoded.
 
 On a robot it watches the bus of /run/swarm (or SWARM_RUNTIME); while a simulation runs, the buses of all its robots.
-From a laptop `--robot NAME` watches a real robot's, through ssh (z_sub_ssh.py).
+From a laptop `--robots NAME` watches a real robot's, through ssh (laptop/cli/z_sub_ssh.py).
 """
 
 import argparse
@@ -19,7 +19,8 @@ from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, SwarmError
 from swarm.messages.keys import EVERYTHING
-from swarm.onboard import samples
+from swarm.onboard import buses, samples
+from swarm.onboard.arguments import add_robots, add_run_dir, number, whole
 from swarm.onboard.samples import BusSample
 from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
@@ -76,39 +77,26 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("keys", nargs="*", metavar="KEY", help=f"key expressions, default {EVERYTHING}")
     parser.add_argument("-k", "--key", action="append", default=[], metavar="KEY", help="the same as an option")
     where = parser.add_argument_group("which bus")
-    where.add_argument("--robot", action="append", metavar="NAME", help="only this robot's: a simulated one, or by ssh")
-    where.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
+    add_robots(where, "only theirs: of a simulation, or of real robots by ssh")
+    add_run_dir(where)
     where.add_argument("-e", "--endpoint", help="this one: unixsock-stream/PATH")
     where.add_argument("--config", type=Path, metavar="FILE", help="by ssh: where the robots' hosts are (swarm.toml)")
     where.add_argument("--ssh-config", type=Path, metavar="FILE", help="by ssh: in place of ~/.ssh/config")
     output = parser.add_argument_group("output")
     output.add_argument("--rate", action="store_true", help="rates by key, once a second, in place of samples")
     output.add_argument("--json", action="store_true", help="one JSON object a line")
-    output.add_argument("--count", type=_count, metavar="N", help="end after N samples")
-    output.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
+    output.add_argument("--count", type=whole(1), metavar="N", help="end after N samples")
+    output.add_argument("--seconds", type=number(0, unit="s", above=True), metavar="S", help="end after S seconds")
     output.add_argument("--while-input", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
-    if options.endpoint and (options.robot or options.run_dir):
-        parser.error("--endpoint names one bus, --robot and --run-dir a simulation: use one of them")
+    if options.endpoint and (options.robots or options.run_dir):
+        parser.error("--endpoint names one bus, --robots and --run-dir a simulation: use one of them")
     return options
-
-
-def _seconds(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        if 0 < (value := float(text)) < float("inf"):
-            return value
-    raise argparse.ArgumentTypeError(f"{text!r}: expected seconds above 0")
-
-
-def _count(text: str) -> int:
-    if text.isdecimal() and int(text) > 0:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number above 0")
 
 
 def _is_far(options: argparse.Namespace) -> bool:
     """Whether a real robot is meant that is not this one."""
-    if not options.robot or options.run_dir:
+    if not options.robots or options.run_dir:
         return False
     return bool(options.config or options.ssh_config) or not is_live(default_run_dir().absolute())
 
@@ -117,12 +105,12 @@ def _source(options: argparse.Namespace) -> Source:
     """Which buses are meant; raises `LocalError` where there is none."""
     if options.endpoint:
         return lambda: {"": options.endpoint}
-    in_simulation = bool(options.robot or options.run_dir)
+    in_simulation = bool(options.robots or options.run_dir)
     if os.environ.get("SWARM_RUNTIME") and not in_simulation:
         return lambda: {"": bus_endpoint(runtime_dir())}
     directory = (options.run_dir or default_run_dir()).absolute()
     if is_live(directory):
-        return lambda: _simulated(directory, options.robot)
+        return lambda: _simulated(directory, options.robots)
     if in_simulation:
         raise LocalError(f"no simulation is running in {directory}")
     if DEFAULT_RUNTIME.is_dir():
@@ -136,11 +124,9 @@ def _source(options: argparse.Namespace) -> Source:
 def _simulated(directory: Path, wanted: Sequence[str] | None) -> Mapping[str, str] | None:
     if not is_live(directory):
         return None
-    found = robots(directory)
     # Nothing is found until the simulation has written its config.
-    if found and wanted and (strange := set(wanted) - found.keys()):
-        raise LocalError(f"no robot {min(strange)!r} in the simulation, there are {', '.join(found)}")
-    return {name: bus_endpoint(path) for name, path in found.items() if not wanted or name in wanted}
+    found = robots(directory)
+    return {name: bus_endpoint(path) for name, path in buses.chosen(found, (found and wanted) or ()).items()}
 
 
 class _Watch:
@@ -258,8 +244,8 @@ class _Rates:
 
     def _print(self) -> None:
         span, self._since = clock.now() - self._since, clock.now()
-        for (robot, key), (number, size) in sorted(self._counts.items()):
-            sys.stdout.write(self._line(robot, key, number / span, size / span) + "\n")
+        for (robot, key), (count, size) in sorted(self._counts.items()):
+            sys.stdout.write(self._line(robot, key, count / span, size / span) + "\n")
         sys.stdout.flush()
 
     def _line(self, robot: str, key: str, rate: float, volume: float) -> str:

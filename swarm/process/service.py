@@ -29,6 +29,9 @@ from swarm.process.text import printable
 
 __all__ = ["Service", "die_with_parent", "notify", "run"]
 
+FEED_S = 0.5
+"""Seconds between two messages to systemd's watchdog at least: the shortest time that a unit is given is 3 s."""
+
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -53,6 +56,7 @@ class Service:
         self.stopping = threading.Event()
         self._lock = threading.Lock()
         self._state, self._reason, self._since = "starting", "", clock.now()
+        self._fed_at = float("-inf")
         self._watch_signals()
         self._status_key = key(self.robot, name, "status")
         self.bus = Bus.of(self.runtime)
@@ -78,8 +82,11 @@ class Service:
         self.stopping.set()
 
     def watchdog(self) -> None:
-        """Tell systemd of real progress; call it where work was done, not from a timer."""
-        notify("WATCHDOG=1")
+        """Tell systemd of real progress, at most each `FEED_S`; call it where work was done, not from a timer."""
+        now = clock.now()
+        if now >= self._fed_at + FEED_S:
+            self._fed_at = now
+            notify("WATCHDOG=1")
 
     def status(self) -> Status:
         """The state as it is now."""

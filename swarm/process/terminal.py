@@ -7,7 +7,7 @@ lines: a table whose cells others have named is written by `write_lines`, which 
 
 import sys
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TextIO
 
 from swarm.process.text import printable
@@ -45,6 +45,16 @@ def guard() -> None:
 def write_lines(lines: Iterable[str]) -> None:
     """Write each of these to standard output as one line."""
     sys.stdout.write("".join(printable(line, None) + "\n" for line in lines))
+
+
+def columns(rows: Sequence[Sequence[str]], *, right: bool = False) -> list[str]:
+    """Return a line for each row, its cells in columns that are as wide as their widest cell."""
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    lines = (
+        "  ".join(cell.rjust(width) if right else cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    )
+    return [line.rstrip() for line in lines]
 
 
 def steer(stream: TextIO, codes: str) -> None:

@@ -12,7 +12,6 @@ import pytest
 from apps_rig import NAMES, Rig
 
 from laptop.cli import main
-from laptop.cli.app import param as swarm_param
 from swarm.messages import (
     AppOutput,
     AppParameters,
@@ -24,6 +23,7 @@ from swarm.messages import (
     SetVelocity,
 )
 from swarm.messages.codec import decode, encode
+from swarm.onboard import param as swarm_param
 
 MakeRig = Callable[..., Rig]
 

@@ -3,16 +3,20 @@
 import math
 import re
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from memory_swarm import TARGET, MemorySwarm, config_of
 from test_localization import exact, noisy
 
 from services.apps import loader
-from sim.rehearsal.events import EventRehearsal
+from sim.rehearsal import EventRehearsal, rehearse
+from sim.virtual.bus import VirtualBus
 from swarm.errors import AppError
 from swarm.messages import SetDisplay, SetLeds
+from swarm.messages.codec import decode
 
+M = TypeVar("M")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -143,28 +147,40 @@ def test_example_find_target(measure: object, within: float) -> None:
         assert math.dist((result["x"], result["y"]), TARGET) < within
 
 
+def commands(swarm: EventRehearsal, what: str, kind: type[M]) -> dict[str, list[tuple[float, M]]]:
+    """What an app tells each robot's balancer to do, with the times; it fills up while the swarm runs."""
+    found: dict[str, list[tuple[float, M]]] = {name: [] for name in swarm.units}
+    for name, messages in found.items():
+        VirtualBus(swarm.world.robots[name].router).subscribe(
+            f"swarm/{name}/balancer/set/{what}",
+            lambda key, payload, messages=messages: messages.append((swarm.world.time.now, decode(kind, payload, key))),
+        )
+    return found
+
+
 def test_example_button_count() -> None:
-    swarm = EventRehearsal(loader.load(str(EXAMPLES / "button_count.py")), config_of(3))
+    swarm = rehearse(EXAMPLES / "button_count.py", robots=3)
+    assert isinstance(swarm, EventRehearsal)
+    shown = commands(swarm, "display", SetDisplay)
     swarm.run(1.0)
     swarm.units["r1"].press("b")
     swarm.run(2.0)
     swarm.units["r2"].press("a")
     swarm.run(3.0)
-    for unit in swarm.units.values():
+    for name, unit in swarm.units.items():
         assert unit.app.presses == 2
-        assert "2 presses\nlast: a on r2" in [message.text for _, message in unit.bus.sent(SetDisplay)]
+        assert "2 presses\nlast: a on r2" in [message.text for _, message in shown[name]]
 
 
 def test_example_follow_leds() -> None:
-    robots = {"r0": {"first": True}}
-    swarm = EventRehearsal(
-        loader.load(str(EXAMPLES / "follow_leds.py")), config_of(4, app="follow_leds", robots=robots)
-    )
+    swarm = rehearse(EXAMPLES / "follow_leds.py", robots=4, values={"r0": {"first": True}})
+    assert isinstance(swarm, EventRehearsal)
+    shown = commands(swarm, "leds", SetLeds)
     swarm.run(10.0)
     lit = {}
     for name, unit in swarm.units.items():
-        assert unit.core.phase == "running"
-        lit[name] = next(time for time, leds in unit.bus.sent(SetLeds) if leds.green)
+        assert unit.host.progress.phase == "running"
+        lit[name] = next(time for time, leds in shown[name] if leds.green)
     assert lit["r0"] < lit["r1"] < lit["r2"] < lit["r3"] < 3.0
 
 

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_intel_hex import firmware, to_hex
 
-from laptop.fleet import flash
-from services.balancer import atmega, usb_port
+from services.balancer import atmega, flash, usb_port
 from services.balancer.core import avr109, balboa, image
 from services.balancer.core.image import Image
 from swarm.errors import LocalError, RemoteError

@@ -8,7 +8,7 @@ import pytest
 from test_balancer_registers import Bench
 from test_slack_tasks import Ticking
 
-from laptop.cli.measure import i2c, i2c_direct
+from services.balancer import measure_i2c as i2c
 from services.balancer.core.rates import FAILURES, check_measurement
 from services.balancer.core.transfers import duration
 from sim.i2c import SimulatedBus
@@ -19,13 +19,13 @@ from swarm.messages import I2CRates, MeasureI2C, ModuleRequest
 @pytest.mark.parametrize("size", [1, 8, 28])
 def test_rates_in_the_simulation_are_those_of_the_wire(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench()
-    monkeypatch.setattr(i2c_direct.clock, "now", lambda: bench.now)
+    monkeypatch.setattr(i2c.clock, "now", lambda: bench.now)
 
     def sleep(seconds: float) -> None:
         bench.now += seconds
 
     bench.balboa._sleep = sleep
-    found = i2c_direct.measure(bench.bus, bench.balboa, MeasureI2C("t", size, 10))
+    found = i2c.measure(bench.bus, bench.balboa, MeasureI2C("t", size, 10))
     assert (found.count, found.failed, found.problem, found.ticket) == (10, 0, "", "t")
     # 100 kHz, 9 bits a byte, START and STOP; the ATmega's hold of 25 us with each byte; pauses of 150 us.
     read_s = (4 + 9 * (3 + size)) * 10e-6 + (3 + size) * 25e-6 + 2 * 150e-6
@@ -37,14 +37,14 @@ def test_rates_in_the_simulation_are_those_of_the_wire(size: int, monkeypatch: p
 def test_failed_transfers_are_counted_and_not_in_the_rates() -> None:
     bench = Bench()
     bench.robot.failures = [121, 0, 0, 110, 0, 5]
-    found = i2c_direct.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
+    found = i2c.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
     assert (found.count, found.failed, found.problem) == (3, 3, "")
 
 
 def test_a_dead_bus_is_given_up() -> None:
     bench = Bench()
     bench.robot.failures = [121] * 100
-    found = i2c_direct.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
+    found = i2c.measure(bench.bus, bench.balboa, MeasureI2C("t", 4, 3))
     assert (found.read, found.write, found.failed) == (None, None, FAILURES)
     assert found.problem == "I2C: Remote I/O error"
 
@@ -151,7 +151,7 @@ def test_without_a_balancer_the_bus_is_taken_directly(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     real = Real()
-    monkeypatch.setattr(i2c_direct, "KernelBus", real.open)
+    monkeypatch.setattr(i2c, "KernelBus", real.open)
     monkeypatch.setattr(i2c.buses, "find", lambda _: {"r4": i2c.DEFAULT_RUNTIME})
     monkeypatch.setattr(i2c, "_answers", lambda *_: False)
     monkeypatch.setattr(i2c, "PATIENCE", 0.0)

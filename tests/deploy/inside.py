@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 RIG = Path("/rig")
+SIMULATED = RIG / "simulated"
+"""What robots do not carry: the simulated body in the place of the real one, and the laptop's questions."""
 RUN = Path("/run/rig")
 PYTHON = "/opt/swarm/current/bin/python"
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
@@ -85,7 +87,7 @@ def ready(unit: str) -> bool:
 
 def ask(program: str) -> str:
     """A few lines of Python on r0's bus."""
-    return sh(PYTHON, "-c", program)
+    return sh("env", f"PYTHONPATH={SIMULATED}", PYTHON, "-c", program)
 
 
 def state(topic: str) -> dict[str, Any]:
@@ -137,7 +139,8 @@ def surroundings(phase: str) -> None:
         return
     drop_in = Path("/etc/systemd/system/swarm-balancer.service.d/90-rig.conf")
     drop_in.parent.mkdir(exist_ok=True)
-    drop_in.write_text(f"[Service]\nExecStart=\nExecStart={PYTHON} -m sim.body\n")
+    lines = f"Environment=PYTHONPATH={SIMULATED}\nExecStart=\nExecStart={PYTHON} -m sim.body\n"
+    drop_in.write_text(f"[Service]\n{lines}")
     # A disk of its own for the recordings, so small that it can be filled.
     DISK.mkdir(parents=True, exist_ok=True)
     sh("mount", "-t", "tmpfs", "-o", "size=96m", "recordings", str(DISK))
@@ -145,7 +148,7 @@ def surroundings(phase: str) -> None:
 
 def module() -> subprocess.Popen[str]:
     """Start r0's UWB module."""
-    environment = {**os.environ, "SWARM_CONFIG": "/rig/r0.toml", "SWARM_ROBOT": "r0"}
+    environment = {**os.environ, "PYTHONPATH": str(SIMULATED), "SWARM_CONFIG": "/rig/r0.toml", "SWARM_ROBOT": "r0"}
     process = subprocess.Popen([PYTHON, "-c", MODULE], env=environment, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     expect(process.stdout.readline() == "ready\n", "the simulated module does not start")

@@ -126,6 +126,8 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     subprocess.run(["tar", "-xf", made.stdout.split()[-1], "-C", str(inside)], check=True)
     for file in (HERE / "inside.py", APP):
         shutil.copy(file, inside)
+    for name in ("sim", "laptop"):
+        shutil.copytree(ROOT / name, inside / "simulated" / name, ignore=shutil.ignore_patterns("__pycache__"))
     (inside / "arguments").write_text(" ".join(ARGUMENTS))
     new_key_file(inside / "swarm.key", int(time.time()))
     shutil.copy(inside / "swarm.key", work / "swarm.key")

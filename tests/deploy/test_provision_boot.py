@@ -59,7 +59,7 @@ UsePAM no
 BODY = """[Service]
 ExecStart=
 ExecStart=/opt/swarm/current/bin/python -m sim.body
-Environment=SWARM_RUNTIME=/run/swarm SWARM_SIM_LYING=front
+Environment=SWARM_RUNTIME=/run/swarm SWARM_SIM_LYING=front PYTHONPATH=/rig/simulated
 """
 """The simulated body lies on its front: one that stands would fall where a busy machine holds up its loop, which has no
 real-time priority in a container, and the doctor would rightly say so."""
@@ -124,6 +124,7 @@ def pi(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory)
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
+    shutil.copytree(ROOT / "sim", root / "rig/simulated/sim", ignore=shutil.ignore_patterns("__pycache__"))
     sh("chroot", root, "chown", "-R", "pi:pi", "/home/pi")
     (folder / "known_hosts").write_text(f"[127.0.0.1]:{port} {host_key}")
     (folder / "ssh_config").write_text(
@@ -224,7 +225,7 @@ def test_status_and_z_sub_see_its_services(pi: Booted, capsys: pytest.CaptureFix
     assert row["mode"] == "idle"
     assert row["release"].startswith("0.1.0-")
     assert row["battery_v"] > 5.0
-    watch = ["--robot", "r0", "swarm/*/balancer/state", "--count", "3", "--seconds", "60", "--json"]
+    watch = ["--robots", "r0", "swarm/*/balancer/state", "--count", "3", "--seconds", "60", "--json"]
     lines = [json.loads(line) for line in sh(sys.executable, "-m", "laptop.cli.z_sub", *watch, *where).splitlines()]
     assert [line["key"] for line in lines] == ["swarm/r0/balancer/state"] * 3
     assert lines[0]["value"]["ticks"] < lines[2]["value"]["ticks"]

@@ -56,7 +56,7 @@ def board(swarm, runtime, monkeypatch):
 
 
 def calibrate(processes, *arguments):
-    return processes.start("-m", "services.dwm.calibrate", *arguments, "--robot", "r0")
+    return processes.start("-m", "services.dwm.calibrate", *arguments, "--robots", "r0")
 
 
 class Person:

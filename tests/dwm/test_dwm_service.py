@@ -138,7 +138,7 @@ def test_a_calibration_is_loaded_and_one_of_other_anchors_refused(processes, boa
     processes.config.write_text(text.replace("window = 10", 'window = 10\ncalibration = "{robot}.toml"', 1))
     process = processes.start("-m", "services.dwm")
     assert process.wait(60) == 2
-    assert "swarm calibrate distance --robot r0" in process.stderr.read()
+    assert "swarm calibrate distance --robots r0" in process.stderr.read()
     evidence = Evidence("linear", "2026-11-21T06:00:00", 3, 9, "00", {}, 0.0, ())
     file = CalibrationFile("r0", layout_of(anchors), (), (RangeModel(1.0, 5.0), evidence))
     (runtime / "r0.toml").write_text(text_of(file))

@@ -40,7 +40,7 @@ def run(processes):
     """Run what `swarm dwm ...` becomes; gives exit code, what it said, and on stderr."""
 
     def run(*arguments, answer=""):
-        process = processes.start("-m", "services.dwm.tool", *map(str, arguments))
+        process = processes.start("-m", "laptop.cli", "dwm", *map(str, arguments))
         said, error = process.communicate(answer, timeout=60)
         assert "Traceback" not in error
         return process.returncode, json.loads(said or "null") if "--json" in arguments else said, error
@@ -241,7 +241,7 @@ def test_the_phone_apps_auto_positioning_is_used_where_it_was_done(run, board, r
 
 
 def test_a_tag_is_carried_from_anchor_to_anchor(run, service, board, processes):
-    process = processes.start("-m", "services.dwm.tool", "anchors", "--auto", "--seconds", "2", "--json")
+    process = processes.start("-m", "laptop.cli", "dwm", "anchors", "--auto", "--seconds", "2", "--json")
     for place in ((0.0, 0.0), (1.94, 0.0), (1.0, 1.94)):
         assert "beside anchor" in process.stderr.readline()
         board.update_pose("r0", *place, 0.0)

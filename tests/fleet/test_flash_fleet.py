@@ -1,13 +1,12 @@
 """`swarm flash` over ssh: what each robot is told to run, and what it says."""
 
-import sys
 from pathlib import Path
 
 import pytest
 from fake_robots import FakeRobots, outcomes
 from needs import needs_ssh
 
-from laptop.fleet import flash
+from laptop.cli import main
 from services.balancer.core import balboa, image
 
 pytest_plugins = ["fleet_fixtures"]
@@ -23,23 +22,20 @@ def firmware(tmp_path: Path) -> Path:
     return path
 
 
-def run(monkeypatch: pytest.MonkeyPatch, robots: FakeRobots, *arguments: str) -> int:
+def run(robots: FakeRobots, *arguments: str) -> int:
     robots.ready()
     fleet = ["--config", str(robots.config), "--ssh-config", str(robots.ssh_config)]
-    monkeypatch.setattr(sys, "argv", ["flash", *arguments, *fleet])
     with pytest.raises(SystemExit) as end:
-        flash.main()
+        main(["flash", *arguments, *fleet])
     return int(str(end.value.code))
 
 
-def test_every_robot_flashes_its_own(
-    robots: FakeRobots, firmware: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_robot_flashes_its_own(robots: FakeRobots, firmware: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("r0", "r1"):
         robots.add(name)
         robots.script(name, "sudo", 'printf "%s\\n" "$*" > $HOME/asked; cat > $HOME/got; echo "50 %"; echo "100 %"')
     robots.script("r1", "sudo", "cat > /dev/null; echo 'swarm: no bootloader has come to a USB port' >&2; exit 1")
-    assert run(monkeypatch, robots, str(firmware), "--json") == 1
+    assert run(robots, str(firmware), "--json") == 1
     found = outcomes(capsys)
     assert (found["r0"]["ok"], found["r0"]["text"]) == (True, "revision 7 runs")
     assert found["r0"]["lines"] == ["50 %", "100 %"]
@@ -49,14 +45,12 @@ def test_every_robot_flashes_its_own(
     assert (home / "got").read_text() == firmware.read_text()
 
 
-def test_a_wrong_file_reaches_no_robot(
-    robots: FakeRobots, firmware: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_file_reaches_no_robot(robots: FakeRobots, firmware: Path, capsys: pytest.CaptureFixture[str]) -> None:
     home = robots.add("r0")
     robots.script("r0", "sudo", "touch $HOME/asked")
     firmware.write_text(firmware.read_text().replace("\n:00000001FF", ""))
-    assert run(monkeypatch, robots, str(firmware)) == 2
+    assert run(robots, str(firmware)) == 2
     assert "balboa.hex: no end: the file is not whole" in capsys.readouterr().err
-    assert run(monkeypatch, robots, "missing.hex") == 2
+    assert run(robots, "missing.hex") == 2
     assert "missing.hex cannot be read" in capsys.readouterr().err
     assert not (home / "asked").exists()

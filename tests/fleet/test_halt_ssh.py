@@ -7,7 +7,7 @@ import pytest
 from fake_robots import FakeRobots, Run
 from needs import needs_ssh
 
-from laptop.cli.stop import halt_ssh
+from laptop.cli import halt as halt_ssh
 
 pytest_plugins = ["fleet_fixtures"]
 pytestmark = needs_ssh

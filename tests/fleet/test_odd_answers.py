@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from laptop.cli import halt as halt_ssh
 from laptop.cli.robots import status
-from laptop.cli.stop import halt_ssh
 from laptop.fleet import collect, everyone, versions
 from laptop.fleet.core import doctor
 from laptop.fleet.core.checkup import ExaminedRobot

@@ -1,4 +1,4 @@
-"""`z_sub --robot NAME` through real ssh servers, to real buses; nothing stays behind on a robot."""
+"""`z_sub --robots NAME` through real ssh servers, to real buses; nothing stays behind on a robot."""
 
 import contextlib
 import json
@@ -80,7 +80,7 @@ def gone(home: Path) -> bool:
 
 def test_one_robot(robots: FakeRobots, add: Callable[[str], Path]) -> None:
     home = add("r0")
-    process = start(robots, "--robot", "r0", "swarm/*/balancer/**", "--count", "2")
+    process = start(robots, "--robots", "r0", "swarm/*/balancer/**", "--count", "2")
     code, output, errors = finish(process, home)
     assert (code, errors) == (0, "")
     assert [line.split()[1] for line in output.splitlines()] == ["swarm/r0/balancer/leds"] * 2
@@ -89,12 +89,12 @@ def test_one_robot(robots: FakeRobots, add: Callable[[str], Path]) -> None:
 def test_several_robots_one_of_them_away(robots: FakeRobots, add: Callable[[str], Path]) -> None:
     homes = [add("r0"), add("r1")]
     robots.add("r2", up=False)
-    process = start(robots, "--robot", "r0", "--robot", "r1", "--robot", "r2", "--json", "--count", "3")
+    process = start(robots, "--robots", "r0", "--robots", "r1", "--robots", "r2", "--json", "--count", "3")
     code, output, errors = finish(process, *homes)
     assert (code, errors) == (2, "z_sub: r2: it runs no ssh server (or another port)\n")
     lines = [json.loads(line) for line in output.splitlines()]
     assert sorted(line["robot"] for line in lines) == ["r0"] * 3 + ["r1"] * 3
-    process = start(robots, "--robot", "r0", "--robot", "r1", "--count", "1")
+    process = start(robots, "--robots", "r0", "--robots", "r1", "--count", "1")
     _, output, _ = finish(process, *homes)
     assert sorted(line[:5] for line in output.splitlines()) == ["[r0] ", "[r1] "]
 
@@ -103,7 +103,7 @@ def test_several_robots_one_of_them_away(robots: FakeRobots, add: Callable[[str]
 def test_nothing_stays_behind(robots: FakeRobots, add: Callable[[str], Path], number: signal.Signals) -> None:
     """Ctrl-C, or a laptop that dies, while there is nothing to be told."""
     home = add("r0")
-    process = start(robots, "--robot", "r0")
+    process = start(robots, "--robots", "r0")
     bus = Bus.of(home)
     assert process.stdout is not None
     wait_until((home / "started").exists)
@@ -118,7 +118,7 @@ def test_nothing_stays_behind(robots: FakeRobots, add: Callable[[str], Path], nu
 def test_a_bus_that_is_not_there_is_told(robots: FakeRobots) -> None:
     home = robots.add("r0", hook=f"export PYTHONPATH={os.environ.get('PYTHONPATH', os.getcwd())}")  # noqa: PTH109
     robots.script("r0", "sudo", FAR.format(python=sys.executable))
-    process = start(robots, "--robot", "r0")
+    process = start(robots, "--robots", "r0")
     assert process.stderr is not None
     assert process.stderr.readline() == f"z_sub: r0: unixsock-stream/{home}/bus.sock is not there, waiting for it\n"
     process.send_signal(signal.SIGINT)
@@ -128,12 +128,12 @@ def test_a_bus_that_is_not_there_is_told(robots: FakeRobots) -> None:
 
 def test_what_is_wrong_is_said(robots: FakeRobots) -> None:
     robots.add("r0", known=False)
-    code, output, errors = finish(start(robots, "--robot", "r0"))
+    code, output, errors = finish(start(robots, "--robots", "r0"))
     assert (code, output) == (2, "")
     assert errors == "z_sub: r0: its host key has changed; if set up anew: ssh-keygen -R r0\n"
-    code, _, errors = finish(start(robots, "--robot", "r7"))
+    code, _, errors = finish(start(robots, "--robots", "r7"))
     assert (code, errors) == (2, f"z_sub: r7 is no robot of {robots.config}; there are r0\n")
     robots.add("r1")
     robots.script("r1", "sudo", "echo 'sudo: a password is required' >&2; exit 1")
-    code, _, errors = finish(start(robots, "--robot", "r1"))
+    code, _, errors = finish(start(robots, "--robots", "r1"))
     assert (code, errors) == (2, "z_sub: r1: sudo: a password is required\n")

@@ -102,9 +102,9 @@ class Laptop:
 
     @contextmanager
     def watch(self, robot: str, keys: str) -> Iterator[Callable[[str, Callable[[Any], object]], Any]]:
-        """Watch by `z_sub --robot`. What this gives waits for a payload for which the condition is true."""
+        """Watch by `z_sub --robots`. What this gives waits for a payload for which the condition is true."""
         process = subprocess.Popen(
-            self.words(f"z_sub {keys} --robot {robot} --json"),
+            self.words(f"z_sub {keys} --robots {robot} --json"),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,

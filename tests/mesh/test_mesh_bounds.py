@@ -13,11 +13,12 @@ from test_mesh_large import inject, line
 from topology_world import TopologyWorld
 
 from services.mesh.core.bulk import pieces, transfers
+from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import OFFER, MessageId, Packet
-from services.mesh.core.link import clock, heartbeat
+from services.mesh.core.link import clock, round_trips
 from services.mesh.core.link.clock import ClockClaim, ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly
-from services.mesh.core.link.heartbeat import Pulse
+from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.overlays import unicast
 from services.mesh.core.overlays.echo import MAX_WAVES
 from services.mesh.core.overlays.robot_overlays import RobotOverlays
@@ -27,7 +28,6 @@ from services.mesh.core.routing.topology import MAX_STEP, Advertisement
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_MESSAGE, MAX_PAYLOAD, UNICAST, Heartbeat
 from services.mesh.core.wire.packets import Spread, UnicastMessage
-from services.mesh.core.wire.seen_numbers import SeenNumbers
 from swarm.errors import FrameError
 from swarm.messages.codec import encode
 
@@ -214,9 +214,9 @@ def claim(**fields: object) -> ClockClaim:
 @pytest.mark.parametrize(
     "lie",
     [
-        {"offset": heartbeat.MAX_APART, "rate": 1e-3},
-        {"offset": -heartbeat.MAX_APART, "rate": -1e-3},
-        {"error": heartbeat.MAX_APART},
+        {"offset": round_trips.MAX_APART, "rate": 1e-3},
+        {"offset": -round_trips.MAX_APART, "rate": -1e-3},
+        {"error": round_trips.MAX_APART},
         {"at": (2**64 - 2**12) * 1e-6, "rate": -1e-3},
         {"epoch": 2**32 - 1, "hop": 254},
     ],
@@ -226,7 +226,7 @@ def test_what_a_robot_makes_of_a_claim_is_no_bad_frame_for_the_next_one(lie: dic
     mesh_clock = ClockSync("r1", 2, frozenset(("r0", "r1", "r2")))
     for second in range(30):
         now = 1e6 + second
-        mesh_clock.sample("r0", now, 0.06, heartbeat.MAX_APART)
+        mesh_clock.sample("r0", now, 0.06, round_trips.MAX_APART)
         mesh_clock.hear("r0", claim(**{"epoch": second + 1, **lie}), now)
         told = mesh_clock.claim("r2", now)
         assert decode_claim(encode_claim(told)[3:]).root in ("r0", "r1")

@@ -6,9 +6,9 @@ import pytest
 from conftest import wait_until
 from test_mesh_process import SYNC, Build, Robot, Swarm, build, free_port, log_of
 
-from laptop.cli.mesh import show, tables
 from swarm.config.keyfile import new_key_file
 from swarm.messages import read
+from swarm.onboard.mesh import show, tables
 
 __all__ = ["build"]
 

@@ -10,12 +10,13 @@ from test_mesh_overlay_process import LINE, wait_here
 from test_mesh_process import Build, build
 from test_mesh_stop import Swarm, at, swarm
 
-from laptop.cli.mesh import show, tables
-from laptop.cli.mesh.collected import CollectedMesh, MeshView
-from laptop.cli.mesh.graph_plot import places
+from laptop.cli import mesh as mesh_command
+from laptop.cli.mesh import places
 from swarm.core.graph import Graph
 from swarm.errors import LocalError
 from swarm.messages import Clock, GraphRobot, Links, LinkState
+from swarm.onboard.mesh import show, tables
+from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 
 __all__ = ["build", "swarm"]
 
@@ -129,7 +130,7 @@ def test_from_one_robot_the_whole_swarm_is_seen(
     assert shown["robots"]["r1"]["counters"]["flood_sent"] > 0
     assert plot.stat().st_size > 5000
     with pytest.raises(LocalError, match=r"nowhere/x\.png"):
-        show.run(argparse_of(runtime / "nowhere/x.png"))
+        mesh_command.run(argparse_of(runtime / "nowhere/x.png"))
     robot = robots["r3"]
     assert robot.mesh is not None
     robot.mesh.kill()
@@ -138,4 +139,4 @@ def test_from_one_robot_the_whole_swarm_is_seen(
 
 
 def argparse_of(plot: Path) -> "show.argparse.Namespace":
-    return show.argparse.Namespace(run_dir=None, robot=None, json=True, plot=plot)
+    return show.argparse.Namespace(run_dir=None, robots=None, json=True, plot=plot)

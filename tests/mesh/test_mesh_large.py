@@ -41,7 +41,7 @@ def idle(world: World) -> bool:
         each = bot.overlays._large
         busy = (
             each._exchange._fetches or each._exchange._sources or each._exchange._waiting or each._floods._coming
-        ) or (each._transfers._keys or each._transfers._count or each._transfers._bytes)
+        ) or (each._transfers._keys or each._transfers._own.messages or each._transfers._own.size)
         if busy:
             return False
     return True
@@ -182,8 +182,8 @@ def test_what_may_not_come_in_is_refused_before_a_piece_was_sent() -> None:
     world = World(line(3))
     world.settle()
     ends: list[str] = []
-    world.bots["r0"].overlays._unicast._ended = lambda token, to, problem: ends.append(problem)
-    world.bots["r0"].overlays._unicast.transfers._ended = world.bots["r0"].overlays._unicast._ended
+    large = world.bots["r0"].overlays._unicast.transfers
+    large._own._ended = lambda token, to, problem: ends.append(problem)
     for key in ("swarm/r2/balancer/set/mode", "swarm/r2/balancer/set/allowed"):
         world.step("r0", lambda each, key=key: each.send("r2", key, large(1), BULK, world.now, latest=False))
     world.run(3.0)

@@ -12,9 +12,9 @@ from test_mesh_overlay_process import LINE, wait_here
 from test_mesh_process import Build, build
 from test_mesh_stop import Swarm, at, swarm
 
-from laptop.cli.measure.figures import Figures, of_bursts, of_times
-from laptop.cli.measure.links import path
 from swarm.errors import LocalError
+from swarm.onboard.measure.figures import Figures, of_bursts, of_times
+from swarm.onboard.measure.links import path
 
 __all__ = ["build", "swarm"]
 
@@ -118,7 +118,7 @@ def test_links_and_paths_are_measured_over_each_overlay(
         (("rtt", "r1", "r2"), "this is r0"),
         (("rtt", "r0"), "expected two robots"),
         (("rtt", "r1", "r2", "r3"), "from which robot to which"),
-        (("rssi", "r1"), "this link has no radio"),
+        (("radio", "r1"), "this link has no radio"),
     ):
         code, text = swarm("measure", *wrong, "--count", "1")
         assert code == 2, text

@@ -7,7 +7,7 @@ import msgpack
 from conftest import Processes, wait_until
 from test_mesh_process import Build, build
 
-from laptop.cli.mesh import show, tables
+from swarm.onboard.mesh import show, tables
 
 __all__ = ["build"]
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.mesh.core.bulk import pieces
+from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, MessageId, Packet
 from services.mesh.core.overlays import stop
 from services.mesh.core.overlays.stop import Halt, Mark
@@ -19,7 +20,6 @@ from services.mesh.core.routing.topology import Advertisement
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import MAX_PAYLOAD
 from services.mesh.core.wire.packets import Ack, EchoPacket, Spread, UnicastMessage
-from services.mesh.core.wire.seen_numbers import SeenNumbers
 from swarm.errors import FrameError
 
 DOCUMENT = Path(__file__).parents[2] / "docs/overlays.md"

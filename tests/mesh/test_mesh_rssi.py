@@ -1,4 +1,4 @@
-"""`swarm measure rssi`: the bytes of the HCI, a stand-in for the kernel's raw HCI sockets, and what is said where a
+"""`swarm measure radio`: the bytes of the HCI, a stand-in for the kernel's raw HCI sockets, and what is said where a
 link has no radio. What this cannot show is a real controller's answer."""
 
 import argparse
@@ -16,12 +16,13 @@ from hci_controller import ADAPTERS, HANDLE, PEER, Controller, complete
 from hypothesis import given
 from hypothesis import strategies as st
 
-from laptop.cli.measure import rssi
-from laptop.cli.measure.rssi import Signal
+from laptop.cli import radio as command
 from swarm.bluetooth import adapter as adapters
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter
 from swarm.errors import FrameError, LocalError
+from swarm.onboard.measure import radio
+from swarm.onboard.measure.radio import Signal
 
 # -- bytes ---------------------------------------------------------------------------------------------------
 
@@ -72,8 +73,8 @@ def test_the_adapter_of_the_address_is_asked(controller: Controller) -> None:
     each = signal(controller)
     assert (controller.bound, controller.filtered) == (3, hci.FILTER)
     pauses: list[float] = []
-    assert rssi.sample(each, 3, pauses.append) == [-60, -61, 5]
-    assert pauses == [rssi.PERIOD] * 2
+    assert radio.sample(each, 3, pauses.append) == [-60, -61, 5]
+    assert pauses == [radio.PERIOD] * 2
 
 
 def test_what_others_ask_the_adapter_is_not_taken_for_the_answer(controller: Controller) -> None:
@@ -132,7 +133,8 @@ insecure = true
 def args(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> argparse.Namespace:
     (runtime / "swarm.toml").write_text(CONFIG)
     monkeypatch.setenv("SWARM_CONFIG", str(runtime / "swarm.toml"))
-    return argparse.Namespace(count=3, json=True, plot=None)
+    monkeypatch.setattr(radio.links, "ends", lambda args: ("r0", args.peer, runtime / "r0"))
+    return argparse.Namespace(count=3, json=True, plot=None, peer="r1")
 
 
 def test_readings_are_printed(
@@ -142,24 +144,24 @@ def test_readings_are_printed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(rssi, "PERIOD", 0.0)
+    monkeypatch.setattr(radio, "PERIOD", 0.0)
     own = functools.partial(Adapter, open_socket=controller.open, ioctl=controller.ioctl)
-    monkeypatch.setattr(rssi, "Adapter", own)
+    monkeypatch.setattr(radio, "Adapter", own)
     controller.values = [-60, -58, -62]
-    assert rssi.run(args, "r0", "r1", runtime / "r0") == 0
+    assert command.run(args) == 0
     assert json.loads(capsys.readouterr().out)["rssi"] == [-60, -58, -62]
     args.json, args.plot = False, runtime / "rssi.png"
     monkeypatch.setenv("MPLCONFIGDIR", str(runtime))
-    assert rssi.run(args, "r0", "r1", runtime / "r0") == 0
+    assert command.run(args) == 0
     assert "min -62, median -62, mean -62.0, max -62" in capsys.readouterr().out
     assert args.plot.stat().st_size > 1000
 
 
 def test_a_link_without_a_radio_is_said(args: argparse.Namespace, runtime: Path) -> None:
     with pytest.raises(LocalError, match=r"r0 - r2: this link has no radio: r2 is reached by tcp:127\.0\.0\.1:4100"):
-        rssi.run(args, "r0", "r2", runtime / "r0")
+        command.run(argparse.Namespace(**{**vars(args), "peer": "r2"}))
     with pytest.raises(LocalError, match="there is no robot r7, there are r0 r1 r2"):
-        rssi.run(args, "r0", "r7", runtime / "r0")
+        command.run(argparse.Namespace(**{**vars(args), "peer": "r7"}))
 
 
 def test_a_kernel_without_bluetooth_is_said(
@@ -168,6 +170,6 @@ def test_a_kernel_without_bluetooth_is_said(
     def refuse(*_: object) -> None:
         raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
 
-    monkeypatch.setattr(rssi, "Adapter", refuse)
+    monkeypatch.setattr(radio, "Adapter", refuse)
     with pytest.raises(LocalError, match="this kernel has no Bluetooth"):
-        rssi.run(args, "r0", "r1", runtime / "r0")
+        command.run(args)

@@ -11,9 +11,9 @@ from test_mesh_overlay_process import LINE, wait_here
 from test_mesh_process import Build, Robot, build
 
 from laptop.cli import main
-from laptop.cli.stop import halt
-from laptop.cli.stop.halt import HaltRow
 from swarm.messages import BalancerState, GraphRobot, Stop, read
+from swarm.onboard import halt
+from swarm.onboard.halt import Row
 from swarm.process.simulations import LOCK, claim
 
 __all__ = ["build"]
@@ -79,10 +79,10 @@ def test_what_counts_as_obeyed(
 
 def test_the_table_says_who_has_not_obeyed_and_why() -> None:
     rows = [
-        HaltRow("r0", "here", True, "fault", True),
-        HaltRow("r1", "here", True, "balancing", False),
-        HaltRow("r2", "silent", None, None, False),
-        HaltRow("r3", "gone", None, None, False),
+        Row("r0", "here", True, "fault", True),
+        Row("r1", "here", True, "balancing", False),
+        Row("r2", "silent", None, None, False),
+        Row("r3", "gone", None, None, False),
     ]
     text = halt.table(rows, stop=True)
     assert text[1].split() == ["r0", "here", "yes", "fault"]
@@ -148,7 +148,7 @@ def test_a_run_directory_reaches_robots_whose_meshes_are_dead(build: Build, swar
         robots["r2"].start()
         code, text = swarm("estop", "again", "--run-dir", str(robots.runtime), "--timeout", "20")
         assert code == 0, text
-        code, text = swarm("arm", "--run-dir", str(robots.runtime), "--robot", "r2", "--timeout", "20")
+        code, text = swarm("arm", "--run-dir", str(robots.runtime), "--robots", "r2", "--timeout", "20")
         assert code == 0, text
     code, text = swarm("estop", "--run-dir", str(robots.runtime))
     assert code == 2

@@ -55,7 +55,7 @@ def test_a_topology_is_set_on_one_robot_and_seen_on_another(build: Build, comman
         code, text = command("show", *place)
         assert code == 0, text
         assert "version 0: r0-r1 r1-r2 r2-r3" in text
-        code, text = command("set", "loop", *place, "--robot", "r0")
+        code, text = command("set", "loop", *place, "--robots", "r0")
         assert code == 0, text
         wait_until(lambda: seen and seen[-1].version == 1 and seen[-1].up == ("r0", "r2"), what="r3 has it")
         assert (seen[-1].issuer, seen[-1].wanted) == ("r0", ("r0", "r2"))
@@ -78,7 +78,7 @@ def test_a_topology_is_set_on_one_robot_and_seen_on_another(build: Build, comman
             (("set", "line", "--after", "1"), "swarm: r0: version 2 is in force, not 1"),
             (("set", "r0-r1", "nonsense!"), "swarm: 'nonsense!' is no link: write r0-r1"),
         ):
-            code, text = command(*wrong, *place, "--robot", "r0")
+            code, text = command(*wrong, *place, "--robots", "r0")
             assert code == 2
             assert text.startswith(reason), text
         # Whoever is silent is named, and the command says by its code that not all is well.
@@ -95,7 +95,7 @@ def test_a_kill_in_the_middle_and_a_restart_of_all_keep_the_newest_topology(buil
     swarm.start()
     (swarm.runtime / LOCK).touch()
     with claim(swarm.runtime):
-        place = ("--run-dir", str(swarm.runtime), "--robot", "r0")
+        place = ("--run-dir", str(swarm.runtime), "--robots", "r0")
         command("set", "r0-r1", "r0-r2", "r0-r3", *place, "--timeout", "0")
         mesh = swarm["r3"].mesh
         assert mesh is not None

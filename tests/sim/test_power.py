@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from laptop.cli.hand import reboot
+from laptop.cli import hand
 from sim.control import power_switch
 from sim.power_server import Power
 from sim.processes import Processes
@@ -99,15 +99,15 @@ def test_the_command_asks_the_simulation_that_runs(
     tmp_path: Path, processes: Processes, switches: Power, capsys: pytest.CaptureFixture[str]
 ) -> None:
     parser = argparse.ArgumentParser()
-    reboot.add_arguments(parser)
+    hand.add_arguments(parser)
     (tmp_path / "sim.lock").touch()
     (tmp_path / "swarm.toml").write_text('[[robots]]\nname = "r0"\n')
     with pytest.raises(LocalError, match="no simulation is running"):
-        reboot.run(parser.parse_args(["r0", "--run-dir", str(tmp_path)]))
+        hand.run(parser.parse_args(["reboot", "r0", "--run-dir", str(tmp_path)]))
     with claim(tmp_path):
         with pytest.raises(LocalError, match="no robot 'r9'"):
-            reboot.run(parser.parse_args(["r9", "--run-dir", str(tmp_path)]))
-        assert reboot.run(parser.parse_args(["r0", "--off", "0.5", "--run-dir", str(tmp_path)])) == 0
+            hand.run(parser.parse_args(["reboot", "r9", "--run-dir", str(tmp_path)]))
+        assert hand.run(parser.parse_args(["reboot", "r0", "--off", "0.5", "--run-dir", str(tmp_path)])) == 0
     assert capsys.readouterr().out == "r0: off, and on again in 0.5 s\n"
     switches.look(1.0)
     assert not pid_file(tmp_path, "r0", "bus").exists()

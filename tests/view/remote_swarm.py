@@ -94,7 +94,7 @@ class Swarm:
     def view(self, *names: str) -> Robots:
         self.far.ready()
         config = load(self.far.config)
-        self._views.append(Robots(config, hosts(config, ",".join(names)), Ssh(self.far.ssh_config)))
+        self._views.append(Robots(config, hosts(config, names), Ssh(self.far.ssh_config)))
         return self._views[-1]
 
     def control(self, view: Robots) -> Control:

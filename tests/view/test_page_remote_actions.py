@@ -39,7 +39,7 @@ def click(page: Any, name: str) -> None:
 
 
 def test_apps_links_and_services_of_real_robots(swarm: Swarm) -> None:
-    options = ("--robot", "r0", "--config", swarm.far.config, "--ssh-config", swarm.far.ssh_config)
+    options = ("--robots", "r0", "--config", swarm.far.config, "--ssh-config", swarm.far.ssh_config)
     with chromium() as browser, shown(browser, *options, "--control") as page:
         expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
         for robot, links in (("r0", "1/1"), ("r1", "2/2"), ("r2", "1/1")):

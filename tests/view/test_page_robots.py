@@ -46,7 +46,7 @@ def swarm(processes: Processes, tmp_path: Path) -> Iterator[Swarm]:
 
 
 def test_robots_that_live_obey_leave_and_are_out_of_reach(swarm: Swarm) -> None:
-    options = ("--robot", "r0", "--config", swarm.far.config, "--ssh-config", swarm.far.ssh_config, "--control")
+    options = ("--robots", "r0", "--config", swarm.far.config, "--ssh-config", swarm.far.ssh_config, "--control")
     with chromium() as browser, shown(browser, *options) as page:
         expect(page.locator("#connection")).to_have_text("live", timeout=PATIENCE_MS)
         for robot, links in (("r0", "1/1"), ("r1 (mesh)", "2/2"), ("r2 (mesh)", "1/1")):

@@ -22,6 +22,7 @@ from laptop.view.questions import MAX_WAITING, Questions
 from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
 from swarm.messages import Stop
+from swarm.messages.codec import encode
 from swarm.process.simulations import claim
 
 LIVE = "/live?token=a-token"
@@ -74,12 +75,12 @@ def test_stop_of_a_page_that_reads_nothing_is_given_behind_a_flood_of_questions(
 ) -> None:
     monkeypatch.setattr(server, "RATE", 500.0)
     for t in range(100):
-        feed.picture.put("r0", "app/x/state", {"k": t, "text": "x" * 100_000}, float(t))
+        feed.picture.take("r0", "swarm/r0/app/x/own", encode({"k": t, "text": "x" * 60_000}), float(t))
 
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect(LIVE, max_msg_size=0)
-        for _ in range(3 * MAX_WAITING):  # 10 MB each, which nobody takes
-            await socket.send_json({"history": {"robot": "r0", "topic": "app/x/state"}})
+        for _ in range(3 * MAX_WAITING):  # 1 MB each, which nobody takes
+            await socket.send_json({"history": {"robot": "r0", "topic": "app/x/own"}})
         await socket.send_json({"do": {"act": "stop"}})
         await until(lambda: stops(feed) == [1, 1])
 

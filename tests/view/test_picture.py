@@ -2,25 +2,27 @@
 
 import json
 import math
+import tracemalloc
 
 import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from laptop.view.history import HISTORY_S, HISTORY_STEP_S, MAX_KEY, MAX_ROBOT, History
 from laptop.view.picture import (
-    HISTORY_S,
-    HISTORY_STEP_S,
     MAX_EVENTS,
     MAX_HOPS,
     MAX_SERVICES,
+    MAX_SIZE,
     MAX_SUBJECTS,
     MAX_TOPICS,
     Picture,
+    places,
 )
 from swarm.errors import PayloadError
 from swarm.messages import AppProgress, Links, LinkState, Pose, Status, topics
-from swarm.messages.codec import encode
+from swarm.messages.codec import MAX_PAYLOAD, encode
 from swarm.messages.fields import check_fields
 
 VALUES = st.recursive(
@@ -133,8 +135,8 @@ def test_memory_is_bounded() -> None:
         picture.alive("r0", "mesh", bool(number % 2), 0.0)
     assert len(picture.events) == MAX_EVENTS
     for number in range(10_000):
-        picture.put("r1", "dwm/pose", {"x": 1.0}, number * 0.1)
-    assert len(picture.history("r1", "dwm/pose")) <= HISTORY_S / HISTORY_STEP_S + 1
+        picture.take("r1", "swarm/r1/dwm/pose", encode({"x": 1.0}), number * 0.1)
+    assert 400 < len(picture.history("r1", "dwm/pose")) <= HISTORY_S / HISTORY_STEP_S + 1
 
 
 def test_a_trail_is_where_it_was_and_nothing_that_is_no_number() -> None:
@@ -214,3 +216,41 @@ def test_no_text_of_a_robot_steers_who_reads_its_events(text: str) -> None:
 def test_a_wrong_field_is_named_with_its_place() -> None:
     with pytest.raises(PayloadError, match=r"links\[1\].state: expected a text, got 4"):
         check_fields(Links, {"links": [{"peer": "r0"}, {"state": 4}]})
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 40), st.floats(-1.0, 3.0)), max_size=60))
+def test_a_history_ends_with_the_newest_and_is_bounded(samples: list[tuple[str, int, float]]) -> None:
+    history, now, newest = History(), 0.0, {}
+    for topic, size, step in samples:
+        now += step
+        history.add(topic, bytes(size << 14), now)
+        times = [t for t, _ in history.rows(topic)]
+        newest.setdefault(topic, now)
+        if not newest[topic] <= now < newest[topic] + HISTORY_STEP_S:
+            newest[topic] = now
+        assert times[-1] == newest[topic]
+        assert sum(len(payload) for _, payload in list(history.rows(topic))[1:]) <= MAX_KEY
+    assert sum(len(payload) for topic in newest for _, payload in history.rows(topic)) <= MAX_ROBOT + (3 << 20)
+
+
+def test_what_a_robot_says_at_its_most_takes_a_bounded_amount_of_memory() -> None:
+    """Two minutes of the largest messages under as many keys as there may be; a page asks for one key of empty maps."""
+    picture = Picture()
+    tracemalloc.start()
+    try:
+        for t in range(0, int(HISTORY_S), 4):
+            for number in range(MAX_TOPICS):
+                picture.take("r0", f"swarm/r0/app/x/mine/{number}", bytes(MAX_PAYLOAD), float(t))
+        kept = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert kept < MAX_SIZE + MAX_ROBOT + (1 << 20)
+    for t in range(int(HISTORY_S), 2 * int(HISTORY_S), 4):
+        picture.take("r1", "swarm/r1/app/x/mine/1", msgpack.packb([{}] * (MAX_PAYLOAD - 5)), float(t))
+    rows = picture.history("r1", "app/x/mine/1")
+    assert MAX_KEY - 2 * MAX_PAYLOAD <= len(rows) * MAX_PAYLOAD <= MAX_KEY
+
+
+def test_numbers_that_no_float_can_be_are_no_places() -> None:
+    rows: list[tuple[float, object]] = [(0.0, {"x": 10**400, "y": 0}), (1.0, {"x": 1, "y": 2})]
+    assert list(places(rows, 0.0)) == [(1.0, 2.0)]

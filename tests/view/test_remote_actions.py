@@ -46,7 +46,7 @@ class Far:
         """Look at these over ssh, at the others not at all."""
         self.robots.ready()
         config, ssh = load(self.robots.config), Ssh(self.robots.ssh_config)
-        self.view = Robots(config, hosts(config, ",".join(names)), ssh)
+        self.view = Robots(config, hosts(config, names), ssh)
         for tunnel in self.view.buses.values():
             tunnel.take(["bus", True])
         self.actions = RemoteActions(self.view, ssh)

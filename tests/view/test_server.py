@@ -126,7 +126,7 @@ def test_a_page_gets_all_first_and_then_what_changes_and_two_of_them_do_not_dist
 
 def test_a_page_may_ask_for_the_history_of_a_key(feed: SimulationFeed) -> None:
     for t in range(3):
-        feed.picture.put("r0", "balancer/state", {"tilt": 0.1 * t}, float(t))
+        feed.picture.take("r0", "swarm/r0/balancer/state", encode({"tilt": 0.1 * t}), float(t))
 
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
@@ -297,9 +297,9 @@ def test_the_command_says_that_there_is_nothing_to_see(tmp_path: Path, capsys: p
     for words, said in (
         (["--run-dir", str(tmp_path)], "no simulation is running"),
         ([str(tmp_path)], "no recording"),
-        (["--robot", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
-        (["--robot", "r0", str(tmp_path)], "--robot looks at real robots"),
-        (["--config", "swarm.toml"], "name one with --robot"),
+        (["--robots", "r0", "--config", str(tmp_path / "none.toml")], "there is no such file"),
+        (["--robots", "r0", str(tmp_path)], "--robots looks at real robots"),
+        (["--config", "swarm.toml"], "name one with --robots"),
         ([str(tmp_path), "--control"], "nothing to control"),
     ):
         with pytest.raises(SystemExit) as end:

@@ -9,6 +9,7 @@ from laptop.fleet import debs
 from laptop.fleet.core.wish import PACKAGES, SUITES
 from laptop.fleet.transfer import read_release
 from swarm.errors import LocalError
+from swarm.onboard.arguments import add_json, show
 
 HELP = "gather what robots without internet need, for swarm provision: packages, releases"
 
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pi-key", type=Path, metavar="FILE", help=f"of Raspberry Pi's archive, a robot's {debs.PI_KEYS[0]}"
     )
+    add_json(parser)
     parser.add_argument("--no-releases", action="store_true", help="packages only")
 
 
@@ -36,22 +38,26 @@ def run(args: argparse.Namespace) -> int:
     script = Path(swarm.__file__).parents[1] / "deploy/release"
     if not args.no_releases and not script.exists():
         raise LocalError(f"there is no {script}: call this from a checkout, or with --no-releases")
+    folders, releases, lines = {}, [], []
     for suite in dict.fromkeys(args.suite or SUITES):
         folder = args.folder / f"{suite}-{args.architecture}"
         sources = debs.archives(suite, args.mirror, key)
         count, size = debs.download(folder, sources, args.architecture, packages)
-        print(f"{folder}: {count} packages, {size / 1e6:.0f} MB")
+        folders[str(folder)] = {"packages": count, "bytes": size}
+        lines.append(f"{folder}: {count} packages, {size / 1e6:.0f} MB")
         if not args.no_releases:
-            _release(script, args.folder, MACHINES[args.architecture], SUITES[suite])
+            releases.append(str(_release(script, args.folder, MACHINES[args.architecture], SUITES[suite])))
+            lines.append(releases[-1])
     if key is None:
-        print(
+        lines.append(
             f"without Raspberry Pi's archive (--pi-key): robots need an image that has {' and '.join(debs.PI_PACKAGES)}"
         )
+    show(args, {"folders": folders, "releases": releases}, lines)
     return 0
 
 
-def _release(script: Path, folder: Path, machine: str, python: str) -> None:
-    """Make it there, in place of an older one for the same robots."""
+def _release(script: Path, folder: Path, machine: str, python: str) -> Path:
+    """Make it there, in place of an older one for the same robots; returns its path."""
     words = [str(script), "--machine", machine, "--python", python, str(folder)]
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode != 0:
@@ -61,4 +67,4 @@ def _release(script: Path, folder: Path, machine: str, python: str) -> None:
         other = read_release(path)
         if (other.machine, other.python) == (machine, python) and other.identity != made.identity:
             path.unlink()
-    print(made.path)
+    return made.path

@@ -4,7 +4,7 @@ import argparse
 
 from laptop.fleet import everyone
 from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host, HostError, last_words
+from laptop.fleet.ssh import CommandError, Host, HostError
 
 HELP = "run a shell command on every robot, over ssh"
 
@@ -21,16 +21,10 @@ def run(args: argparse.Namespace) -> int:
     command = " ".join(args.command)
 
     async def job(host: Host, tell: ReportProgress) -> str:
-        last = ""
-
-        def line(text: str) -> None:
-            nonlocal last
-            last = text
-            tell(text)
-
-        done = await ssh.run(host, command, on_line=line)
-        if done.code != 0:
-            raise HostError(f"exit code {done.code}: {last_words(done.err) or last_words(last)}")
+        try:
+            await ssh.follow(host, command, tell)
+        except CommandError as error:
+            raise HostError(f"exit code {error.code}: {error}") from None
         return ""
 
     return everyone.run(args, robots, job)

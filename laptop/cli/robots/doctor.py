@@ -1,13 +1,10 @@
 """`swarm doctor [ROBOT...]`: look at everything on a robot, and say what is wrong and what to do."""
 
 import argparse
-import asyncio
 import contextlib
 import hashlib
-import json
 import os
 import shlex
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -18,14 +15,14 @@ from laptop.fleet import everyone, remote
 from laptop.fleet.core import doctor, steps
 from laptop.fleet.core.checkup import ExaminedRobot, Finding
 from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
-from laptop.fleet.everyone import ReportProgress, RobotOutcome
 from laptop.fleet.provision import Rig
-from laptop.fleet.ssh import Host, HostError, Ssh, hosts
+from laptop.fleet.ssh import Host, HostError, Ssh
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_run_dir, show
 from swarm.process.simulations import CONFIG, default_run_dir, is_live, robots
-from swarm.process.terminal import write_lines
 
 HELP = "test everything on robots (or simulated ones), name what is wrong and what to do"
 
@@ -35,7 +32,7 @@ ROBOT_PYTHON = "/opt/swarm/current/bin/python"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which robots, and how much is said."""
     parser.add_argument("which", nargs="*", metavar="ROBOT", help="default: all of the simulation, or of the config")
-    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
+    add_run_dir(parser)
     parser.add_argument("--real", action="store_true", help="the robots of the config, though a simulation runs here")
     parser.add_argument("--all", action="store_true", help="show what is well, too")
     everyone.add_arguments(parser, timeout_s=60)
@@ -43,26 +40,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, rig: Rig | None = None) -> int:
     """0 where nothing is wrong (warnings are not), 1 where something is, or a robot cannot be asked."""
-    if args.timeout <= 0:
-        raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
-    if args.which and args.robots:
-        raise LocalError("--robots names robots, and so do the arguments: one of them")
-    only = ",".join(args.which) or args.robots
+    everyone.named(args)
     directory = (args.run_dir or default_run_dir()).absolute()
     if not args.real and is_live(directory):
-        found = _simulated(directory, only)
+        found = _simulated(directory, args.robots)
         problems: dict[str, str] = {}
     elif args.run_dir is not None:
         raise LocalError(f"no simulation is running in {directory}")
     else:
-        found, problems = _real(args, only, rig or Rig())
+        found, problems = _real(args, rig or Rig())
     report = {name: doctor.examine(robot) for name, robot in found.items()}
     swarm_problems = doctor.compare(list(found.values()))
-    if args.json:
-        rows = {name: {check: asdict(each) for check, each in its.items()} for name, its in report.items()}
-        sys.stdout.write(json.dumps({"robots": rows, "problems": problems, "swarm": swarm_problems}) + "\n")
-    else:
-        write_lines(text(report, problems, swarm_problems, everything=args.all))
+    rows = {name: {check: asdict(each) for check, each in its.items()} for name, its in report.items()}
+    lines = text(report, problems, swarm_problems, everything=args.all)
+    show(args, {"robots": rows, "problems": problems, "swarm": swarm_problems}, lines)
     wrong = any(each.state == "bad" for its in report.values() for each in its.values())
     return 1 if wrong or problems or swarm_problems else 0
 
@@ -93,20 +84,17 @@ def text(
 # -- simulated robots ------------------------------------------------------------------------------------------------
 
 
-def _simulated(directory: Path, only: str | None) -> dict[str, ExaminedRobot]:
+def _simulated(directory: Path, only: Sequence[str] | None) -> dict[str, ExaminedRobot]:
     from swarm.onboard.listen import listen
 
     config = load(directory / CONFIG)
-    there = robots(directory)
-    names = [name for name in only.split(",") if name] if only else list(there)
-    if unknown := [name for name in names if name not in there]:
-        raise LocalError(f"no robot {unknown[0]!r} in the simulation, there are {', '.join(there)}")
-    said = listen({name: there[name] for name in names})
+    there = buses.chosen(robots(directory), only or ())
+    said = listen(there)
     return {
         name: ExaminedRobot(
             name, config, None, said[name], disk=_free(there[name]), key=_key(config), addresses=_addresses(config)
         )
-        for name in names
+        for name in there
     }
 
 
@@ -135,18 +123,13 @@ def _addresses(config: Config) -> dict[str, str]:
 # -- real ones -------------------------------------------------------------------------------------------------------
 
 
-def _real(args: argparse.Namespace, only: str | None, rig: Rig) -> tuple[dict[str, ExaminedRobot], dict[str, str]]:
-    config = load(args.config, addressed=False)
-    wanted, ssh = hosts(config, only), Ssh(args.ssh_config)
-    found: dict[str, ExaminedRobot] = {}
-    common = ExaminedRobot("", config, None, None, digest=hashlib.sha256(config.path.read_bytes()).hexdigest())
-    common = replace(common, addresses=_addresses(config))
-
-    async def job(host: Host, tell: ReportProgress) -> str:
-        found[host.robot] = await _ask(ssh, host, replace(common, name=host.robot), rig)
-        return ""
-
-    outcomes: list[RobotOutcome] = asyncio.run(everyone.each(wanted, job, args.timeout, lambda *_: None))
+def _real(args: argparse.Namespace, rig: Rig) -> tuple[dict[str, ExaminedRobot], dict[str, str]]:
+    config, wanted, ssh = everyone.chosen(args, addressed=False)
+    digest = hashlib.sha256(config.path.read_bytes()).hexdigest()
+    common = ExaminedRobot("", config, None, None, digest=digest, addresses=_addresses(config))
+    outcomes, found = everyone.gather(
+        wanted, lambda host: _ask(ssh, host, replace(common, name=host.robot), rig), args.timeout
+    )
     problems = {each.robot: each.text for each in outcomes if not each.ok}
     return {name: found[name] for name in config.names if name in found and name not in problems}, problems
 
@@ -168,6 +151,6 @@ async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> Examined
     if system["current"]:
         python = rig.root.rstrip("/") + ROBOT_PYTHON
         with contextlib.suppress(HostError, PayloadError):  # an old release, or none that runs: `services` says so
-            said = await ssh.check(host, f"sudo -n {python} -m swarm.onboard.listen {shlex.quote(robot.name)}")
+            said = await ssh.check(host, f"sudo -n {python} -P -m swarm.onboard.listen {shlex.quote(robot.name)}")
             bus = read_json(said)
     return replace(robot, system=system, bus=bus, now=now, key=system.get("key"))

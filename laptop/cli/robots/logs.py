@@ -4,9 +4,10 @@ import argparse
 
 from laptop.fleet import everyone
 from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host, HostError, last_words
+from laptop.fleet.ssh import Host
 from laptop.fleet.units import unit
 from swarm.errors import LocalError
+from swarm.onboard.arguments import whole
 
 HELP = "the logs of all robots, over ssh"
 
@@ -17,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which services, and how much."""
     parser.add_argument("services", nargs="*", metavar="SERVICE", help="bus, mesh, balancer, dwm or an app; all")
     parser.add_argument("-f", "--follow", action="store_true", help="and what comes, until Ctrl-C")
-    parser.add_argument("-n", "--lines", type=int, default=20, help="of each robot (20)")
+    parser.add_argument("-n", "--lines", type=whole(0), default=20, help="of each robot (20)")
     everyone.add_arguments(parser, timeout_s=30)
 
 
@@ -25,8 +26,6 @@ def run(args: argparse.Namespace) -> int:
     """Lines as they come, each with its robot's name."""
     if args.follow and args.json:
         raise LocalError("--follow and --json do not go together: there is no end to report")
-    if args.lines < 0:
-        raise LocalError(f"--lines {args.lines}: expected 0 or more")
     _, robots, ssh = everyone.chosen(args)
     which = " ".join(f"--unit={name}" for name in map(unit, args.services)) or "--unit='swarm*'"
     command = f"journalctl --no-pager --output=short-iso --lines={args.lines} {which}"
@@ -34,16 +33,6 @@ def run(args: argparse.Namespace) -> int:
         command, args.timeout = command + " --follow", FOREVER_S
 
     async def job(host: Host, tell: ReportProgress) -> str:
-        count = 0
-
-        def line(text: str) -> None:
-            nonlocal count
-            count += 1
-            tell(text)
-
-        done = await ssh.run(host, command, on_line=line)
-        if done.code != 0:
-            raise HostError(last_words(done.err) or f"journalctl: exit code {done.code}")
-        return f"{count} lines"
+        return f"{await ssh.follow(host, command, tell)} lines"
 
     return everyone.run(args, robots, job)

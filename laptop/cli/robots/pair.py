@@ -2,19 +2,17 @@
 
 import argparse
 import asyncio
-import json
 import sys
 import time
-from typing import Any
 
 from laptop.fleet import everyone
 from laptop.fleet.core.pairing import check, edges, with_addresses
 from laptop.fleet.everyone import ReportProgress, RobotOutcome
 from laptop.fleet.pair import Pairing, look
-from laptop.fleet.ssh import Host, Ssh, hosts
-from swarm.config import Config, load, parse
+from swarm.config import Config, parse
 from swarm.errors import ConfigError, LocalError
 from swarm.files import atomic_write
+from swarm.onboard.arguments import show
 from swarm.process.terminal import write_lines
 
 HELP = "pair all neighbours over Bluetooth; write missing addresses into swarm.toml"
@@ -29,14 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """A line for each link; 0 where all are paired and trusted at both ends."""
-    if args.timeout <= 0:
-        raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
     if args.check and args.again:
         raise LocalError("--check changes nothing, --again does: one of them")
-    config = load(args.config, addressed=False)
-    robots, ssh = hosts(config, args.robots), Ssh(args.ssh_config)
+    config, robots, ssh = everyone.chosen(args, addressed=False)
     began = time.monotonic()
-    found, looks = asyncio.run(_look(ssh, robots, args.timeout))
+    found, looks = everyone.gather(robots, lambda host: look(ssh, host), args.timeout)
     wrong = check(config, {name: answer["address"] for name, answer in looks.items()})
     outcomes = [
         RobotOutcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each
@@ -48,13 +43,11 @@ def run(args: argparse.Namespace) -> int:
     wanted = edges(config, [host.robot for host in robots])
     pairing = Pairing(ssh, {host.robot: host for host in robots}, good, args.timeout, _tell(args.json))
     links = asyncio.run(pairing.carry_out(wanted, check=args.check, again=args.again))
-    if args.json:
-        rows = {each.robot: {"ok": each.ok, "text": each.text} for each in outcomes}
-        answer = {"robots": rows, "links": {f"{a} {b}": text or "paired" for (a, b), text in links.items()}}
-        sys.stdout.write(json.dumps(answer | {"seconds": round(time.monotonic() - began, 3)}) + "\n")
-    else:
-        write_lines(f"{each.robot}: {each.text}" for each in outcomes if not each.ok)
-        write_lines(f"{a} {b}  {'FAILED  ' + text if text else 'paired'}" for (a, b), text in links.items())
+    rows = {each.robot: {"ok": each.ok, "text": each.text} for each in outcomes}
+    answer = {"robots": rows, "links": {f"{a} {b}": text or "paired" for (a, b), text in links.items()}}
+    lines = [f"{each.robot}: {each.text}" for each in outcomes if not each.ok]
+    lines += [f"{a} {b}  {'FAILED  ' + text if text else 'paired'}" for (a, b), text in links.items()]
+    show(args, answer | {"seconds": round(time.monotonic() - began, 3)}, lines)
     return 0 if all(each.ok for each in outcomes) and not any(links.values()) else 1
 
 
@@ -65,19 +58,6 @@ def _tell(quiet: bool) -> ReportProgress:
             sys.stdout.flush()
 
     return tell
-
-
-async def _look(
-    ssh: Ssh, robots: tuple[Host, ...], timeout_s: float
-) -> tuple[list[RobotOutcome], dict[str, dict[str, Any]]]:
-    """Each robot's adapter and what it knows of others."""
-    looks = {}
-
-    async def job(host: Host, tell: ReportProgress) -> str:
-        looks[host.robot] = await look(ssh, host)
-        return ""
-
-    return await everyone.each(robots, job, timeout_s, lambda *_: None), looks
 
 
 def _complete(config: Config, addresses: dict[str, str], quiet: bool) -> Config:

@@ -11,7 +11,7 @@ from laptop.fleet.core.wish import DesiredRobot, wish
 from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.install import install, read_files
 from laptop.fleet.provision import Provisioning, Rig
-from laptop.fleet.ssh import Host, Ssh, hosts
+from laptop.fleet.ssh import Host, Ssh
 from swarm.config import Config, load
 from swarm.config.keyfile import read_keys
 from swarm.errors import ConfigError, LocalError
@@ -67,17 +67,14 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
 
 
 def _chosen(args: argparse.Namespace) -> tuple[Config, tuple[Host, ...], Ssh]:
-    if args.which and args.robots:
-        raise LocalError("--robots names robots, and so do the arguments: one of them")
-    if args.timeout <= 0:
-        raise LocalError(f"--timeout {args.timeout:g}: expected a time above 0")
-    config = load(args.config, addressed=False)
+    """The config, the robots with the addresses that were given for them, and the way to them."""
     addresses = dict(text.partition("=")[::2] for text in args.which)
     if len(addresses) < len(args.which):
         raise LocalError("a robot is named twice")
-    only = ",".join(addresses) if addresses else args.robots
-    found = tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in hosts(config, only))
-    return config, found, Ssh(args.ssh_config)
+    args.which = list(addresses)
+    everyone.named(args)
+    config, robots, ssh = everyone.chosen(args, addressed=False)
+    return config, tuple(replace(host, address=addresses.get(host.robot) or host.address) for host in robots), ssh
 
 
 def _unaddressed(config: Config) -> str | None:

@@ -1,16 +1,14 @@
 """`swarm run APP`: start an app on all robots. It goes on without the laptop; `swarm services stop APP` ends it."""
 
 import argparse
-import asyncio
 from pathlib import Path
 
 from laptop.fleet import apps, everyone
 from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.ssh import Host, Ssh
-from laptop.fleet.versions import Versions
+from laptop.fleet.ssh import Host
 from swarm.app import run_options
-from swarm.config import Config
 from swarm.errors import LocalError
+from swarm.onboard.arguments import whole
 
 HELP = "start an app on all robots, over ssh (swarm services stop APP ends it)"
 
@@ -18,7 +16,7 @@ HELP = "start an app on all robots, over ssh (swarm services stop APP ends it)"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The app, and how it runs."""
     parser.add_argument("app", help="the name of a built-in app, or a Python file of yours")
-    parser.add_argument("--iterations", type=int, metavar="K", help="the last iteration (without: no last one)")
+    parser.add_argument("--iterations", type=whole(0), metavar="K", help="the last iteration (without: no last one)")
     run_options.add_arguments(parser)
     parser.add_argument(
         "--set", dest="settings", action="append", default=[], metavar="[ROBOT.]NAME=VALUE",
@@ -32,12 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 where it was started on every robot; on none of them where they do not all run the same."""
     name, source = _app(args.app)
-    if args.iterations is not None and args.iterations < 0:
-        raise LocalError(f"--iterations {args.iterations}: expected 0 or more")
     config, robots, ssh = everyone.chosen(args)
     apps.check_settings(args.settings, config, name)
     if not args.force:
-        asyncio.run(_check_versions(ssh, robots, config, args.timeout))
+        # Who is not there is told by the start.
+        _, found = everyone.gather(robots, lambda host: apps.ask_versions(ssh, host), args.timeout)
+        if wrong := apps.differences(found, config):
+            raise LocalError(f"{wrong} (or --force)")
     arguments = [] if args.no_record else ["--record"]
     start = apps.AppStart(name, source, arguments=[*arguments, *run_options.of(args).arguments], settings=args.settings)
 
@@ -58,16 +57,3 @@ def _app(text: str) -> tuple[str, bytes | None]:
         return name, path.read_bytes()
     except OSError as error:
         raise LocalError(f"{path}: the app cannot be read: {error.strerror}") from None
-
-
-async def _check_versions(ssh: Ssh, robots: tuple[Host, ...], config: Config, timeout_s: float) -> None:
-    """Raises `LocalError` that names the robots where they differ."""
-    found: dict[str, Versions] = {}
-
-    async def job(host: Host, tell: ReportProgress) -> str:
-        found[host.robot] = await apps.ask_versions(ssh, host)
-        return ""
-
-    await everyone.each(robots, job, timeout_s, lambda *_: None)  # who is not there is told by the start
-    if wrong := apps.differences(found, config):
-        raise LocalError(f"{wrong} (or --force)")

@@ -1,17 +1,17 @@
 """`swarm status [--watch]`: one row a robot: services, battery, links, pose, app, recordings, release, firmware."""
 
 import argparse
-import asyncio
 import json
 import re
 import sys
-from collections.abc import Mapping
+import time
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from laptop.fleet import everyone
 from laptop.fleet.collect import RUNS
-from laptop.fleet.everyone import ReportProgress, RobotOutcome
+from laptop.fleet.everyone import RobotOutcome
 from laptop.fleet.ssh import Host, Ssh
 from laptop.fleet.units import SERVICES
 from swarm.errors import PayloadError
@@ -19,7 +19,7 @@ from swarm.frozen import frozen
 from swarm.messages import type_of
 from swarm.messages.fields import check_fields
 from swarm.messages.json_input import read_json
-from swarm.process.terminal import steer, write_lines
+from swarm.process.terminal import columns, steer, write_lines
 from swarm.recording.budget import shown
 
 HELP = "services, battery, links, pose, app, recordings and versions of all robots, over ssh"
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     """0 where every robot answers and all of its services run."""
     config, robots, ssh = everyone.chosen(args)
     while True:
-        outcomes, rows = asyncio.run(_look(ssh, robots, args.timeout))
+        outcomes, rows = everyone.gather(robots, partial(_look, ssh), args.timeout)
         if args.json:
             answer = {o.robot: asdict(rows[o.robot]) if o.robot in rows else {"problem": o.text} for o in outcomes}
             sys.stdout.write(json.dumps({"robots": answer}) + "\n")
@@ -80,19 +80,11 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.flush()
         if not args.watch:
             return 0 if all(o.ok and not rows[o.robot].failed for o in outcomes) else 1
-        asyncio.run(asyncio.sleep(WATCH_EVERY_S))
+        time.sleep(WATCH_EVERY_S)
 
 
-async def _look(
-    ssh: Ssh, robots: tuple[Host, ...], timeout_s: float
-) -> tuple[list[RobotOutcome], dict[str, StatusRow]]:
-    rows: dict[str, StatusRow] = {}
-
-    async def job(host: Host, tell: ReportProgress) -> str:
-        rows[host.robot] = parse(host.robot, await ssh.check(host, question(host.robot)))
-        return ""
-
-    return await everyone.each(robots, job, timeout_s, lambda *_: None), rows
+async def _look(ssh: Ssh, host: Host) -> StatusRow:
+    return parse(host.robot, await ssh.check(host, question(host.robot)))
 
 
 def question(robot: str) -> str:
@@ -135,51 +127,31 @@ def parse(robot: str, text: str) -> StatusRow:
         if state != "active":
             failed.append(short)
     failed += [name for name in SERVICES if name not in running]
-    body, atmega, pose = (newest.get(topic, {}) for topic in ("balancer/state", "balancer/firmware", "dwm/pose"))
+    body, atmega, pose, links = (
+        newest.get(topic, {}) for topic in ("balancer/state", "balancer/firmware", "dwm/pose", "mesh/links")
+    )
     runs = parts.get("runs", "").partition("\t")[0]
     progress = {
         key.split("/")[1]: value
         for key, value in newest.items()
         if key.startswith("app/") and value.keys() >= {"phase", "k"}
     }
+    # What is there has the types of its message; fields may be missing.
     return StatusRow(
         release=parts.get("release", "").strip().rpartition("/")[2],
         firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega.keys() >= {"layout", "revision"} else None,
         failed=sorted(failed),
-        battery_v=_number(body.get("battery")),
-        battery_left_s=_number(body.get("battery_left")),
-        mode=_text(body.get("mode")),
-        fault=_text(body.get("fault")),
-        links=_links(newest.get("mesh/links", {}).get("links")),
-        clashes=_names(newest.get("mesh/links", {}).get("clashes")),
-        pose=_place(pose),
+        battery_v=body.get("battery"),
+        battery_left_s=body.get("battery_left"),
+        mode=body.get("mode") or None,
+        fault=body.get("fault") or None,
+        links={link["peer"]: link["state"] for link in links.get("links", ()) if link.keys() >= {"peer", "state"}},
+        clashes=sorted(links.get("clashes", ())),
+        pose=[pose["x"], pose["y"]] if pose.get("quality") and pose.keys() >= {"x", "y"} else None,
         apps={app: {"phase": value["phase"], "k": value["k"]} for app, value in progress.items()},
         recorded=int(runs) if _BYTES.fullmatch(runs) else None,
         misunderstood=sorted(wrong),
     )
-
-
-def _number(value: object) -> float | None:
-    return value if isinstance(value, int | float) else None
-
-
-def _text(value: object) -> str | None:
-    return value if value and isinstance(value, str) else None
-
-
-def _place(pose: Mapping[str, Any]) -> list[float] | None:
-    place = [number for name in ("x", "y") if (number := _number(pose.get(name))) is not None]
-    return place if pose.get("quality") and len(place) == 2 else None
-
-
-def _links(rows: object) -> dict[str, str]:
-    links = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
-    found = ((_text(link.get("peer")), _text(link.get("state"))) for link in links)
-    return {peer: state for peer, state in found if peer and state}
-
-
-def _names(found: object) -> list[str]:
-    return sorted(found) if isinstance(found, dict) else []
 
 
 def _time(seconds: float) -> str:
@@ -214,5 +186,7 @@ def table(outcomes: list[RobotOutcome], rows: dict[str, StatusRow], budget: floa
                 row.firmware or "-",
             )
         )
-    width = [max(len(row[n]) for row in cells if len([cell for cell in row if cell]) > 2) for n in range(len(cells[0]))]
-    return ["  ".join(cell.ljust(n) for cell, n in zip(row, width, strict=True)).rstrip() for row in cells]
+    # A robot that cannot be asked has one long text, which would make its column as wide.
+    lines = columns([row if any(row[2:]) else (row[0], *[""] * 9) for row in cells])
+    at = lines[0].index(cells[0][1])
+    return [line if any(row[2:]) else f"{row[0]:<{at}}{row[1]}" for line, row in zip(lines, cells, strict=True)]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from laptop.cli.runs.import_csv import FILES
 from swarm.errors import LocalError, RecordingError
+from swarm.onboard.arguments import add_json, show
 from swarm.recording import thesis_csv
 from swarm.recording.core.writer import Writer
 from swarm.recording.file import LIBRARY
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--app", default="", metavar="NAME", help="where robots ran several (the one that the run is about)"
     )
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,18 +35,20 @@ def run(args: argparse.Namespace) -> int:
     if not (args.csv or args.table or args.mcap):
         raise LocalError("say what to make of the run: --csv DIR, --table DIR or --mcap FILE")
     recorded = Run(args.run, args.app)
+    made: list[Path] = []
     if args.csv:
-        _write(args.csv, _lines(recorded) or _layouts(recorded))
+        made += _write(args.csv, _lines(recorded) or _layouts(recorded))
     if args.table:
-        _write(args.table, _tables(recorded))
+        made += _write(args.table, _tables(recorded))
     if args.mcap:
         _merge(recorded, args.mcap)
-    for damage in recorded.damage:
-        print(f"note: {damage}")
+        made.append(args.mcap)
+    paths, damage = list(map(str, made)), list(recorded.damage)
+    show(args, {"files": paths, "damage": damage}, [*paths, *(f"note: {each}" for each in damage)])
     return 0
 
 
-def _write(place: Path, files: Mapping[str, str]) -> None:
+def _write(place: Path, files: Mapping[str, str]) -> list[Path]:
     if not files:
         raise RecordingError("no app's states are recorded in this run")
     for name, text in files.items():
@@ -52,7 +56,7 @@ def _write(place: Path, files: Mapping[str, str]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", newline="") as file:
             file.write(text)
-        print(path)
+    return [place / name for name in files]
 
 
 def _lines(recorded: Run) -> dict[str, str]:
@@ -125,4 +129,3 @@ def _merge(recorded: Run, path: Path) -> None:
             writer.write_text(sample.topic, sample.t, sample.data, recorded.schemas[sample.topic])
             file.write(writer.take())
         finish(writer, file)
-    print(path)

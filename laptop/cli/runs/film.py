@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarm.errors import LocalError
+from swarm.onboard.arguments import add_json, show
 from swarm.process.terminal import steer
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", type=float, dest="begin", metavar="S", help="second of the recording (the first)")
     parser.add_argument("--to", type=float, dest="end", metavar="S", help="second of the recording (the last)")
     parser.add_argument("--dark", action="store_true", help="in dark colours")
+    add_json(parser)
     parser.add_argument(
         "--chart", action="append", default=[], metavar="TOPIC:FIELD",
         help="with a chart, e.g. app/consensus/state:state.value; several, if you like",
@@ -74,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         asyncio.run(main())
     except asyncio.CancelledError:
         return 143
-    print(args.film)
+    show(args, {"film": str(args.film), "damage": list(feed.damage)}, [str(args.film)])
     return 0
 
 

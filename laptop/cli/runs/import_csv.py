@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from swarm.errors import LocalError, RecordingError
 from swarm.messages import AppState
+from swarm.onboard.arguments import add_json, show
 from swarm.recording import folder, thesis_csv
 from swarm.recording.reader import SUFFIX
 from swarm.recording.virtual_file import DirectRecording
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The folder, and where the run goes."""
     parser.add_argument("source", type=Path, metavar="CSVDIR", help="<k>.csv of each robot, or folders of such")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="the run's folder (runs/<name of CSVDIR>)")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
             _put(recording, name, kinds[name], text, topics[name])
     finally:
         recording.close()
-    print(output)
+    show(args, {"run": str(output), "files": len(texts)}, [str(output)])
     return 0
 
 

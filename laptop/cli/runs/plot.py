@@ -9,6 +9,7 @@ from typing import Any
 from laptop.plotting import events, journeys, mesh, places, states, style
 from laptop.plotting.figure import figure
 from swarm.errors import LocalError
+from swarm.onboard.arguments import add_json, show
 from swarm.recording.run import Run
 
 HELP = "draw a recorded run: states, map, mesh, LEDs, floods, ..."
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='what stands at the axis of a state, e.g. "value=x / m"')  # fmt: skip
     parser.add_argument("--between", nargs=2, type=float, metavar=("FROM", "TO"), help="only this time of the run, s")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="PNG, PDF or SVG (RUN-KIND.png)")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -65,9 +67,8 @@ def run(args: argparse.Namespace) -> int:
         for axes in made.axes if args.between else ():
             if axes.get_xlabel() == TIME:
                 axes.set_xlim(*args.between)
-    for damage in recorded.damage:
-        print(f"note: {damage}")
-    print(path)
+    damage = list(recorded.damage)
+    show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from laptop.fleet.ssh import Ssh, hosts
 from swarm.config import load
 from swarm.errors import LocalError
+from swarm.onboard.arguments import add_robots, add_run_dir
 from swarm.process.simulations import default_run_dir
 
 HELP = "see the running swarm, or a recorded run, in the browser"
@@ -18,10 +19,8 @@ HELP = "see the running swarm, or a recorded run, in the browser"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("recording", nargs="?", type=Path, metavar="RUN", help="a recorded run, not a running one")
-    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of a simulation started with one")
-    parser.add_argument(
-        "--robot", action="append", metavar="NAME", help="real robots, through this one by ssh (several: through each)"
-    )
+    add_run_dir(parser)
+    add_robots(parser, "real robots, through these by ssh")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="of the robots: SWARM_CONFIG or /etc/swarm/swarm.toml"
     )
@@ -59,10 +58,10 @@ def run(args: argparse.Namespace) -> int:
 
     feed: SimulationFeed | Robots | ViewedRecording
     control = None
-    if (args.config or args.ssh_config) and not args.robot:
-        raise LocalError("--config and --ssh-config are for real robots: name one with --robot")
-    if args.robot and (args.recording or args.run_dir):
-        raise LocalError("--robot looks at real robots: leave out the recording, and --run-dir")
+    if (args.config or args.ssh_config) and not args.robots:
+        raise LocalError("--config and --ssh-config are for real robots: name one with --robots")
+    if args.robots and (args.recording or args.run_dir):
+        raise LocalError("--robots looks at real robots: leave out the recording, and --run-dir")
     if (args.at is not None or args.chart) and args.screenshot is None:
         raise LocalError("--at and --chart are for --screenshot")
     if args.recording is not None:
@@ -71,9 +70,9 @@ def run(args: argparse.Namespace) -> int:
         feed = ViewedRecording(args.recording)
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
-    elif args.robot:
+    elif args.robots:
         config, ssh = load(args.config), Ssh(args.ssh_config)
-        feed = Robots(config, hosts(config, ",".join(dict.fromkeys(args.robot))), ssh)
+        feed = Robots(config, hosts(config, args.robots), ssh)
         control = Control(feed, RemoteActions(feed, ssh) if args.control else None)
     else:
         feed = SimulationFeed((args.run_dir or default_run_dir()).absolute())

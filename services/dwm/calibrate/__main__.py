@@ -37,7 +37,7 @@ def main() -> int:
     log.setup("calibrate")
     options = _options(sys.argv[1:])
     config = _config(options)
-    robot = options.robot
+    (robot,) = options.robots
     if robot not in config.names:
         raise LocalError(f"no robot {robot!r} in {config.path}, there are {', '.join(config.names)}")
     try:
@@ -142,7 +142,7 @@ def _session(options: argparse.Namespace, config: Config, robot: str, places: li
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
     path = options.samples or Path(f"calibration-{robot}-{stamp}.csv")
     if os.environ.get("SWARM_RUNTIME") and configuration.who_am_i(config) == robot:
-        options.robot = None  # its bus is the one of this environment
+        options.robots = None  # its bus is the one of this environment
     directory = next(iter(buses.find(options).values()))
     with Bus.of(directory) as bus:
         if not bus.wait_connected(5.0):
@@ -219,8 +219,8 @@ def _options(argv: list[str]) -> argparse.Namespace:
     found.add_argument("--place", nargs=2, type=float, metavar=("X", "Y"), required=True, help="where it stood, m")
     found.add_argument("--write", action="store_true", help="add it to the robot's calibration file")
     options = parser.parse_args(argv)
-    if options.robot is None:
-        parser.error("--robot NAME is needed: a calibration is one robot's")
+    if len(options.robots or ()) != 1:
+        parser.error("--robots NAME is needed: a calibration is one robot's")
     return options
 
 

@@ -85,7 +85,7 @@ def check(file: CalibrationFile, path: str, robot: str, anchors: Sequence[Anchor
         now = ", ".join(described(anchors)) or "none"
         raise ConfigError(
             f"{path}: was made with other anchors ({', '.join(file.anchors) or 'none'}; now: {now}). Put the anchors "
-            f"or [[anchors]] back, or calibrate anew: swarm calibrate position --robot {robot}"
+            f"or [[anchors]] back, or calibrate anew: swarm calibrate position --robots {robot}"
         )
 
 

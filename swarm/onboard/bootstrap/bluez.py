@@ -1,25 +1,32 @@
 """bluetoothd over D-Bus: adapters, devices, and an agent that says yes to one device and no to all others.
 
 BlueZ's interfaces org.bluez.Adapter1, Device1, AgentManager1 and Agent1 (org.bluez.*(5)). One thread: while an answer
-is waited for, bluetoothd's questions to the agent are answered.
+is waited for, bluetoothd's questions to the agent are answered. jeepney speaks D-Bus; the laptop sends it along.
 """
 
 from __future__ import annotations
 
-import os
 import select
-import socket
 import time
 from collections.abc import Callable
 from typing import Any
 
-from swarm.onboard.bootstrap import dbus_wire as wire
-from swarm.onboard.bootstrap.dbus_wire import DbusMessage
+from jeepney import (
+    DBusAddress,
+    HeaderFields,
+    Message,
+    MessageFlag,
+    MessageType,
+    new_error,
+    new_method_call,
+    new_method_return,
+)
+from jeepney.io.blocking import open_dbus_connection
 
-SYSTEM_BUS = "unix:path=/run/dbus/system_bus_socket"
 AGENT = "/org/balboa_swarm/agent"
 PROPERTIES = "org.freedesktop.DBus.Properties"
 _BLUEZ = "org.bluez"
+_AUTHENTICATED_S = 10.0
 
 
 class BluezError(Exception):
@@ -35,22 +42,18 @@ class Bluez:
 
     def __init__(self, adapter: str | None = None) -> None:
         """`adapter`: hci0, or the first; raises `BluezError` where there is no bus, no bluetoothd or no adapter."""
-        self._serial = 0
-        self._data = b""
         self._peer: str | None = None
-        self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._connect(os.environ.get("DBUS_SYSTEM_BUS_ADDRESS") or SYSTEM_BUS)
-            objects = self.objects()
-        except OSError as error:
-            self.close()
+            self._connection = open_dbus_connection("SYSTEM", auth_timeout=_AUTHENTICATED_S)
+        except (OSError, ValueError, RuntimeError) as error:
             raise BluezError("no-bus", f"no D-Bus: {error}") from None
+        try:
+            objects = self.objects()
+            paths = sorted(path for path, interfaces in objects.items() if _BLUEZ + ".Adapter1" in interfaces)
         except BluezError:
             self.close()
             raise
-        paths = sorted(path for path, interfaces in objects.items() if _BLUEZ + ".Adapter1" in interfaces)
-        if adapter is not None:
-            paths = [path for path in paths if path.endswith("/" + adapter)]
+        paths = [path for path in paths if adapter is None or path.endswith("/" + adapter)]
         if not paths:
             self.close()
             raise BluezError("no-adapter", "bluetoothd knows no Bluetooth adapter")
@@ -58,7 +61,7 @@ class Bluez:
 
     def close(self) -> None:
         """bluetoothd forgets our agent and our inquiry with the connection."""
-        self._sock.close()
+        self._connection.close()
 
     # -- bluetoothd ------------------------------------------------------------------------------------------------
 
@@ -127,13 +130,10 @@ class Bluez:
         while not done():
             look = min(time.monotonic() + every, end)
             while (left := look - time.monotonic()) > 0:
-                watched: list[Any] = [self._sock] if stop is None else [self._sock, stop]
-                ready = select.select(watched, [], [], left)[0]
-                if stop in ready:
+                if stop is not None and select.select([stop], [], [], 0)[0]:
                     return False
-                if ready:
-                    self._read()
-                    self._answer_all()
+                if (message := self._receive(left)) is not None:
+                    self._answer(message)
             if time.monotonic() >= end:
                 return done()
         return True
@@ -142,87 +142,47 @@ class Bluez:
 
     def call(
         self, path: str, interface: str, member: str, signature: str = "", body: list[Any] | None = None,
-        *, to: str = _BLUEZ, seconds: float = 30.0,
-    ) -> list[Any]:  # fmt: skip
-        """Call a method and return what it returns; raises `BluezError`."""
-        self._serial += 1
-        serial = self._serial
-        fields = {"path": path, "interface": interface, "member": member, "destination": to}
-        if signature:
-            fields["signature"] = signature
-        self._send(DbusMessage(wire.CALL, serial, fields, body or []))
+        *, seconds: float = 30.0,
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Call a method of bluetoothd and return what it returns; raises `BluezError`."""
+        message = new_method_call(DBusAddress(path, _BLUEZ, interface), member, signature or None, tuple(body or ()))
+        message.header.flags |= MessageFlag.no_auto_start  # a service that does not run would be waited for in vain
+        serial = next(self._connection.outgoing_serial)
+        self._connection.send(message, serial=serial)
         end = time.monotonic() + seconds
-        while True:
-            for message in self._messages():
-                if message.kind in (wire.RETURN, wire.ERROR) and message.fields.get("reply_to") == serial:
-                    if message.kind == wire.ERROR:
-                        text = str(message.body[0]) if message.body else ""
-                        raise BluezError(message.fields.get("error", ""), text)
-                    return message.body
-                self._answer(message)
-            left = end - time.monotonic()
-            if left <= 0 or not select.select([self._sock], [], [], left)[0]:
-                raise BluezError("no-answer", f"bluetoothd has not answered {member} within {seconds:g} s")
-            self._read()
+        while (answer := self._receive(end - time.monotonic())) is not None:
+            fields = answer.header.fields
+            if fields.get(HeaderFields.reply_serial) != serial:
+                self._answer(answer)
+            elif answer.header.message_type is MessageType.error:
+                raise BluezError(fields.get(HeaderFields.error_name, ""), str(answer.body[0]) if answer.body else "")
+            else:
+                return tuple(answer.body)
+        raise BluezError("no-answer", f"bluetoothd has not answered {member} within {seconds:g} s")
 
-    def _connect(self, addresses: str) -> None:
-        for address in addresses.split(";"):
-            kind, _, rest = address.partition(":")
-            options = dict(option.partition("=")[::2] for option in rest.split(","))
-            if kind == "unix" and "path" in options:
-                self._sock.connect(options["path"])
-                break
-        else:
-            raise BluezError("no-bus", f"no D-Bus: cannot use the address {addresses}")
-        self._sock.settimeout(10)
-        self._sock.sendall(b"\0AUTH EXTERNAL " + str(os.geteuid()).encode().hex().encode() + b"\r\n")
-        said = b""
-        while not said.endswith(b"\r\n"):
-            data = self._sock.recv(256)
-            if not data:
-                break
-            said += data
-        if not said.startswith(b"OK "):
-            raise BluezError("no-bus", f"D-Bus does not let us in: {said.decode(errors='replace').strip()}")
-        self._sock.sendall(b"BEGIN\r\n")
-        self.call("/org/freedesktop/DBus", "org.freedesktop.DBus", "Hello", to="org.freedesktop.DBus")
+    def _receive(self, seconds: float) -> Message | None:
+        """The next message; None where none comes within that time."""
+        try:
+            return self._connection.receive(timeout=max(0.0, seconds))
+        except TimeoutError:
+            return None
+        except OSError:
+            raise BluezError("no-bus", "D-Bus has closed the connection") from None
 
-    def _send(self, message: DbusMessage) -> None:
-        self._sock.sendall(wire.encode(message))
-
-    def _read(self) -> None:
-        data = self._sock.recv(1 << 16)
-        if not data:
-            raise BluezError("no-bus", "D-Bus has closed the connection")
-        self._data += data
-
-    def _messages(self) -> list[DbusMessage]:
-        found = []
-        while (length := wire.size(self._data)) is not None and length <= len(self._data):
-            found.append(wire.decode(self._data[:length]))
-            self._data = self._data[length:]
-        return found
-
-    def _answer_all(self) -> None:
-        for message in self._messages():
-            self._answer(message)
-
-    def _answer(self, message: DbusMessage) -> None:
+    def _answer(self, message: Message) -> None:
         """Answer a call to our agent; signals, and answers that nobody waits for any more, are dropped."""
-        if message.kind != wire.CALL:
+        if message.header.message_type is not MessageType.method_call:
             return
-        self._serial += 1
-        fields = {"reply_to": message.serial, "destination": message.fields.get("sender", "")}
-        member = message.fields.get("member", "")
+        fields = message.header.fields
+        member = fields.get(HeaderFields.member, "")
         about = message.body[0] if message.body else None
         asks = member in ("RequestAuthorization", "RequestConfirmation", "AuthorizeService")
         if member in ("Release", "Cancel") or (asks and about == self._peer):
-            self._send(DbusMessage(wire.RETURN, self._serial, fields))
-        elif message.fields.get("path") == AGENT and member.startswith(("Request", "Authorize", "Display")):
-            self._send(DbusMessage(wire.ERROR, self._serial, {**fields, "error": "org.bluez.Error.Rejected"}))
+            self._connection.send(new_method_return(message))
+        elif fields.get(HeaderFields.path) == AGENT and member.startswith(("Request", "Authorize", "Display")):
+            self._connection.send(new_error(message, "org.bluez.Error.Rejected"))
         else:
-            unknown = "org.freedesktop.DBus.Error.UnknownMethod"
-            self._send(DbusMessage(wire.ERROR, self._serial, {**fields, "error": unknown}))
+            self._connection.send(new_error(message, "org.freedesktop.DBus.Error.UnknownMethod"))
 
 
 def _plain(properties: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,5 @@
-"""Carries out changes on a robot, in order, until one fails; each file is whole or as it was.
+"""Carries out changes on a robot, in order, until one fails; each file is whole or as it was. The answer comes when all
+of it is on the disk.
 
 A change is a map with `do`:
     write   path, text, mode ("0644"): the file holds this text; beside it first, then renamed
@@ -8,6 +9,7 @@ A change is a map with `do`:
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +23,13 @@ class ChangeError(Exception):
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
     """Request: `steps`, pairs of a name and its changes. `problem` says why one failed (else empty), `step` which."""
+    try:
+        return _carry_out(request)
+    finally:
+        os.sync()  # what commands write (systemctl, hostnamectl, apt) need not be on the disk when they end
+
+
+def _carry_out(request: dict[str, Any]) -> dict[str, Any]:
     for step, changes in request["steps"]:
         try:
             for change in changes:

@@ -7,6 +7,7 @@ the robots. Who may pair is decided by address, for the time of one pairing only
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -28,16 +29,24 @@ _REASONS = {
 
 
 def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, Any]:
-    """Request: do (look, forget, trust, listen, call), peer, adapter, inquiry (s). `problem`: empty where done."""
+    """Request: do (look, forget, trust, listen, call), peer, adapter, inquiry (s). `problem`: empty where done.
+
+    What was changed is on the disk then: a robot whose power goes after `swarm pair` still has its keys.
+    """
     try:
         bluez = Bluez(request.get("adapter"))
     except BluezError as error:
         return {"problem": _explain(error)}
     try:
         _DO[request["do"]](bluez, request, tell)
-        return {"problem": "", **_look(bluez)}
+        # bluetoothd writes its files when it is idle, so before it answers this; it does not sync them.
+        found = _look(bluez)
+        if request["do"] != "look":
+            os.sync()
     except BluezError as error:
         return {"problem": _explain(error)}
+    else:
+        return {"problem": "", **found}
     finally:
         bluez.close()
 

@@ -19,6 +19,7 @@ from collections import OrderedDict, deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from services.mesh.core.link.round_trips import RoundTrips
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import MAX_MESSAGE
 from services.mesh.core.wire.packets import PacketReader, packed
@@ -198,9 +199,6 @@ QUEUED_MOST = 14 * SIZE
 LOSS = 0.7
 """Factor of the window after pieces were lost, once a round trip."""
 
-BASE_WINDOW = 15.0
-"""s; the shortest round trip is taken over one to two of these, since ways change."""
-
 FIRST_PATIENCE = 1.0
 """s until pieces are asked for again, before a round trip was measured;"""
 
@@ -214,10 +212,7 @@ class Pace:
 
     def __init__(self) -> None:
         self.window = float(FIRST_WINDOW)
-        self._base = [float("inf"), float("inf")]
-        self._base_until = 0.0
-        self._rtt = 0.0
-        self._deviation = 0.0
+        self._round_trips = RoundTrips()
         self._timeouts = 0
         self._began = 0.0
         """When the present round began: it ends with the first piece that was asked for later."""
@@ -229,10 +224,11 @@ class Pace:
     @property
     def patience(self) -> float:
         """s after which a piece that was asked for is taken for lost (RFC 6298, section 2)."""
-        if not self._rtt:
+        if not self._round_trips.smoothed:
             first = FIRST_PATIENCE
         else:
-            first = max(LEAST_PATIENCE, self._rtt + 4 * self._deviation + LEAST_PATIENCE / 2)
+            late = self._round_trips.smoothed + 4 * self._round_trips.deviation
+            first = max(LEAST_PATIENCE, late + LEAST_PATIENCE / 2)
         return min(MOST_PATIENCE, first * 2.0 ** min(self._timeouts, 8))
 
     def full(self) -> None:
@@ -242,15 +238,7 @@ class Pace:
     def arrived(self, rtt: float, now: float) -> None:
         """A piece came, so long after it was asked for."""
         self._timeouts = 0
-        if self._rtt:
-            self._deviation += 0.25 * (abs(rtt - self._rtt) - self._deviation)
-            self._rtt += 0.125 * (rtt - self._rtt)
-        else:
-            self._rtt, self._deviation = rtt, rtt / 2
-        if now >= self._base_until:
-            self._base_until = now + BASE_WINDOW
-            self._base = [self._base[1], rtt]
-        self._base[1] = min(self._base[1], rtt)
+        self._round_trips.add(rtt, now)
         self._sum += rtt
         self._count += 1
         if now - rtt >= self._began:
@@ -259,7 +247,7 @@ class Pace:
 
     def lost(self, now: float) -> None:
         """Pieces behind one that came are missing."""
-        if now >= self._began + self._rtt / 2:
+        if now >= self._began + self._round_trips.smoothed / 2:
             self._starting = False
             self.window = max(float(LEAST_WINDOW), self.window * LOSS)
             self._begin(now)
@@ -276,7 +264,7 @@ class Pace:
 
     def _judge(self) -> None:
         mean = self._sum / self._count
-        queued = self.window * (1.0 - min(self._base) / mean) if mean else 0.0
+        queued = self.window * (1.0 - self._round_trips.least / mean) if mean else 0.0
         if queued > QUEUED_MOST:
             self._starting = False
             self.window = max(float(LEAST_WINDOW), self.window - (queued - QUEUED_MOST) / 2)

@@ -8,14 +8,14 @@ The receiver delivers each message once for each pair of incarnations. Numbers o
 apart in a window, so that a late or repeated offer leads to the same answer and nothing else.
 """
 
-from collections import Counter, OrderedDict, deque
+from collections import Counter
 from collections.abc import Callable
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.exchange import BulkExchange, total_of
+from services.mesh.core.bulk.numbered import Limits, Outbound, Outgoing, SeenLives
 from services.mesh.core.bulk.pieces import DONE, LATER, OFFER, REFUSED, STATE, MessageId, Packet
 from services.mesh.core.wire.frames import BULK
-from services.mesh.core.wire.seen_numbers import SeenNumbers
 
 MAX_SENDING = 64
 MAX_SENDING_BYTES = 4 * 1024 * 1024
@@ -43,42 +43,23 @@ MAX_COMING_EACH = 2 * 1024 * 1024
 STALLED = 3.0
 """s without a new piece after which a message makes room for another one."""
 
-INCARNATIONS = 4
-"""Lives of one sender that are told apart."""
-
 COUNTERS = ("unicast_large_later",)
 
 _NEVER = float("inf")
 
 
-class Parcel:
+class Parcel(Outgoing):
     """An own message until its end."""
 
-    __slots__ = ("deadline", "done", "heard", "key", "next_at", "number", "payload", "to", "token", "wait")
+    __slots__ = ("done", "heard")
 
     def __init__(self, token: object, to: str, key: str, payload: bytes, deadline: float) -> None:
-        self.token = token
-        self.to = to
-        self.key = key
-        self.payload = payload
-        self.deadline = deadline
-        self.number = 0
+        super().__init__(token, to, key, payload, deadline)
         self.done = 0
         """Bytes the receiver has, as it says."""
         self.heard = 0.0
+        """When the receiver last said something."""
         self.wait = FIRST_WAIT
-        self.next_at = _NEVER
-
-
-class _Receiver:
-    """Own messages to one robot."""
-
-    __slots__ = ("next_number", "offered", "waiting")
-
-    def __init__(self) -> None:
-        self.next_number = 1
-        self.offered: dict[int, Parcel] = {}
-        self.waiting: deque[Parcel] = deque()
 
 
 class Transfers:
@@ -104,10 +85,9 @@ class Transfers:
         self._ended = ended
         self._counters = counters
         self.exchange: BulkExchange
-        self._receivers: dict[str, _Receiver] = {}
-        self._count = 0
-        self._bytes = 0
-        self._over: dict[str, OrderedDict[int, SeenNumbers]] = {}
+        self._own = Outbound[Parcel](Limits(MAX_SENDING, MAX_SENDING_BYTES, MAX_OFFERED, MAX_SPAN), self._launch, ended)
+        self._over = SeenLives(WINDOW)
+        """Messages of others that are over."""
         self._keys: dict[MessageId, str] = {}
         """Of messages on their way here."""
 
@@ -115,47 +95,35 @@ class Transfers:
 
     def send(self, token: object, to: str, key: str, payload: bytes, now: float, deadline: float) -> None:
         """Send; `ended` is called once for each."""
-        if self._count >= MAX_SENDING or self._bytes + len(payload) > MAX_SENDING_BYTES:
-            problem = (
-                f"{self._count} large messages of {self._bytes} bytes are under way already; "
-                f"{MAX_SENDING} and {MAX_SENDING_BYTES} bytes are allowed"
-            )
-            self._ended(token, to, problem)
+        if self._own.has_room(len(payload)):
+            self._own.add(Parcel(token, to, key, payload, deadline), now)
             return
-        self._count += 1
-        self._bytes += len(payload)
-        receiver = self._receivers.setdefault(to, _Receiver())
-        receiver.waiting.append(Parcel(token, to, key, payload, deadline))
-        self._launch(receiver, now)
+        problem = (
+            f"{self._own.messages} large messages of {self._own.size} bytes are under way already; "
+            f"{MAX_SENDING} and {MAX_SENDING_BYTES} bytes are allowed"
+        )
+        self._ended(token, to, problem)
 
     def give_up(self, to: str, key: str) -> None:
         """A newer value takes the place of what is under way under this key."""
-        if (receiver := self._receivers.get(to)) is not None:
-            for parcel in [*receiver.offered.values(), *receiver.waiting]:
-                if parcel.key == key:
-                    self._end(receiver, parcel, "replaced by a newer value", None)
+        self._own.give_up(to, key)
 
     def has(self, id: MessageId, to: str) -> bytes | None:
         """The payload of an own message that `to` may fetch."""
-        receiver = self._receivers.get(to)
-        parcel = receiver.offered.get(id.number) if receiver is not None else None
+        parcel = self._own.get(to, id.number)
         ours = id.origin == self._me and id.incarnation == self._incarnation
         return parcel.payload if ours and parcel is not None else None
 
     def progress(self, token: object) -> tuple[int, int] | None:
         """Bytes that arrived of an own message, and all its bytes; None where it is not under way."""
-        for receiver in self._receivers.values():
-            for parcel in [*receiver.offered.values(), *receiver.waiting]:
-                if parcel.token == token:
-                    return parcel.done, len(parcel.payload)
-        return None
+        found = [parcel for parcel in self._own.all() if parcel.token == token]
+        return (found[0].done, len(found[0].payload)) if found else None
 
     # -- packets -----------------------------------------------------------------------------------------------
 
     def wanted(self, peer: str, id: MessageId, have: int, now: float) -> None:
         """A receiver asked for pieces."""
-        receiver = self._receivers.get(peer)
-        parcel = receiver.offered.get(id.number) if receiver is not None else None
+        parcel = self._own.get(peer, id.number)
         if parcel is not None and id.incarnation == self._incarnation:
             parcel.done = min(have * pieces.SIZE, len(parcel.payload))
             self._heard(parcel, now)
@@ -173,52 +141,38 @@ class Transfers:
     def finished(self, id: MessageId, payload: bytes | None, now: float) -> None:
         """A message was fetched, or given up."""
         key = self._keys.pop(id)
-        if payload is not None and self._window(id).add(id.number):
+        if payload is not None and self._over.of(id.origin, id.incarnation).add(id.number):
             self._deliver(key, payload, BULK)
             self._tell(id, DONE)
 
     def ways_changed(self, now: float) -> None:
         """There may be ways where there were none: offer at once what hears nothing."""
-        for receiver in self._receivers.values():
-            for parcel in receiver.offered.values():
-                if parcel.heard + FIRST_WAIT <= now:
-                    self._offer(parcel, now)
+        for parcel in self._own.under_way():
+            if parcel.heard + FIRST_WAIT <= now:
+                self._offer(parcel, now)
 
     # -- time --------------------------------------------------------------------------------------------------
 
     def handle_timer(self, now: float) -> None:
         """Repeat, or give up."""
-        for receiver in self._receivers.values():
-            for parcel in [*receiver.offered.values(), *receiver.waiting]:
-                if now >= parcel.deadline:
-                    self._end(receiver, parcel, f"not all of it arrived at {parcel.to} in time", now)
-                elif parcel.number and now >= parcel.heard + SILENCE:
-                    self._end(receiver, parcel, f"no answer from {parcel.to} for {SILENCE:g} s", now)
-                elif now >= parcel.next_at:
-                    self._offer(parcel, now)
+        for parcel in self._own.all():
+            if now >= parcel.deadline:
+                self._own.end(parcel, f"not all of it arrived at {parcel.to} in time", now)
+            elif parcel.number and now >= parcel.heard + SILENCE:
+                self._own.end(parcel, f"no answer from {parcel.to} for {SILENCE:g} s", now)
+            elif now >= parcel.next_at:
+                self._offer(parcel, now)
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called."""
-        deadline = _NEVER
-        for receiver in self._receivers.values():
-            for parcel in receiver.offered.values():
-                deadline = min(deadline, parcel.next_at, parcel.heard + SILENCE, parcel.deadline)
-            for parcel in receiver.waiting:
-                deadline = min(deadline, parcel.deadline)
-        return deadline
+        silence = min((parcel.heard + SILENCE for parcel in self._own.under_way()), default=_NEVER)
+        return min(silence, self._own.next_deadline())
 
     # -- the sender's side -------------------------------------------------------------------------------------
 
-    def _launch(self, receiver: _Receiver, now: float) -> None:
-        while receiver.waiting and len(receiver.offered) < MAX_OFFERED:
-            if receiver.next_number - min(receiver.offered, default=receiver.next_number) >= MAX_SPAN:
-                return
-            parcel = receiver.waiting.popleft()
-            parcel.number = receiver.next_number
-            receiver.next_number += 1
-            receiver.offered[parcel.number] = parcel
-            parcel.heard = now
-            self._offer(parcel, now)
+    def _launch(self, parcel: Parcel, now: float) -> None:
+        parcel.heard = now
+        self._offer(parcel, now)
 
     def _offer(self, parcel: Parcel, now: float) -> None:
         id = MessageId(self._me, self._incarnation, parcel.number, flood=False)
@@ -232,23 +186,13 @@ class Transfers:
         parcel.next_at = now + LONGEST_WAIT
 
     def _on_state(self, packet: Packet, state: int, now: float) -> None:
-        receiver = self._receivers.get(packet.sender)
-        parcel = receiver.offered.get(packet.id.number) if receiver is not None else None
-        if receiver is None or parcel is None or packet.id.incarnation != self._incarnation:
+        parcel = self._own.get(packet.sender, packet.id.number)
+        if parcel is None or packet.id.incarnation != self._incarnation:
             return
         if state == LATER:
             self._heard(parcel, now)
         else:
-            self._end(receiver, parcel, f"{parcel.to} lets no {parcel.key} in" if state == REFUSED else "", now)
-
-    def _end(self, receiver: _Receiver, parcel: Parcel, problem: str, now: float | None) -> None:
-        if receiver.offered.pop(parcel.number, None) is None:
-            receiver.waiting.remove(parcel)
-        self._count -= 1
-        self._bytes -= len(parcel.payload)
-        if now is not None:
-            self._launch(receiver, now)
-        self._ended(parcel.token, parcel.to, problem)
+            self._own.end(parcel, f"{parcel.to} lets no {parcel.key} in" if state == REFUSED else "", now)
 
     # -- the receiver's side -----------------------------------------------------------------------------------
 
@@ -257,7 +201,7 @@ class Transfers:
         if not self._admits(sender, key):
             self._counters["unicast_refused"] += 1
             return REFUSED
-        if self._window(id).has(id.number):
+        if self._over.of(id.origin, id.incarnation).has(id.number):
             self._counters["unicast_duplicates"] += 1
             return DONE
         if id in self._keys:
@@ -287,13 +231,3 @@ class Transfers:
 
     def _tell(self, id: MessageId, state: int) -> None:
         self._emit(Packet(STATE, self._me, id.origin, id, pieces.encode_state(state)))
-
-    def _window(self, id: MessageId) -> SeenNumbers:
-        lives = self._over.setdefault(id.origin, OrderedDict())
-        window = lives.get(id.incarnation)
-        if window is None:
-            window = lives[id.incarnation] = SeenNumbers(WINDOW)
-            if len(lives) > INCARNATIONS:
-                lives.popitem(last=False)
-        lives.move_to_end(id.incarnation)
-        return window

@@ -16,7 +16,7 @@ import struct
 from collections import deque
 from typing import NamedTuple
 
-from services.mesh.core.link.heartbeat import MAX_APART
+from services.mesh.core.link.round_trips import MAX_APART
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 from swarm.messages.keys import is_name

@@ -21,6 +21,7 @@ import struct
 from collections import Counter
 from typing import NamedTuple
 
+from services.mesh.core.link.round_trips import RoundTrips
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 
@@ -181,9 +182,6 @@ much slower than expected. Jitter stays far below it."""
 RELIEF = 0.7
 """Factor of the window then, once a round trip."""
 
-BASE_WINDOW = 15.0
-"""s; the smallest round trip is taken over one to two of these, since a link may get slower for good."""
-
 PERIOD = 0.1
 """s over which a rate is measured at least;"""
 
@@ -249,8 +247,6 @@ class SendWindow:
     """The sending side of one connection."""
 
     __slots__ = (
-        "_base",
-        "_base_until",
         "_busy_until",
         "_from",
         "_marks",
@@ -258,7 +254,7 @@ class SendWindow:
         "_rate",
         "_relieved",
         "_rest",
-        "_rtt",
+        "_round_trips",
         "_since",
         "_trial",
         "acknowledged",
@@ -273,9 +269,7 @@ class SendWindow:
         self.acknowledged = 0
         self._marks: list[tuple[int, float]] = []
         """Where writes with bulk in them ended, and when they were made."""
-        self._rtt = 0.0
-        self._base = [float("inf"), float("inf")]
-        self._base_until = 0.0
+        self._round_trips = RoundTrips()
         self._relieved = 0.0
         self._busy_until = 0.0
         self._since: float | None = None
@@ -328,17 +322,13 @@ class SendWindow:
         if marked is not None and new >= ACK_EVERY:
             # Fewer bytes are acknowledged only with a heartbeat: they say how long that took, not the link.
             self._on_round_trip(now - marked, now)
-        if self._since is not None and now >= self._since + max(PERIOD, ROUND_TRIPS * self._rtt):
+        if self._since is not None and now >= self._since + max(PERIOD, ROUND_TRIPS * self._round_trips.smoothed):
             self._judge((self.acknowledged - self._from) / (now - self._since))
             self._begin(now)
 
     def _on_round_trip(self, rtt: float, now: float) -> None:
-        self._rtt += 0.125 * (rtt - self._rtt) if self._rtt else rtt
-        if now >= self._base_until:
-            self._base_until = now + BASE_WINDOW
-            self._base = [self._base[1], rtt]
-        self._base[1] = min(self._base[1], rtt)
-        if rtt > 2.0 * min(self._base) + SLACK and now >= self._relieved + rtt:
+        self._round_trips.add(rtt, now)
+        if rtt > 2.0 * self._round_trips.least + SLACK and now >= self._relieved + rtt:
             self._relieved = now
             self._set(self.limit * RELIEF)
             self._rest, self._trial, self._since = REST, 0.0, None

@@ -26,8 +26,8 @@ from services.mesh.core.link import calls, flow
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment
-from services.mesh.core.link.heartbeat import Pulse
 from services.mesh.core.link.outbox import Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
+from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
 from services.mesh.core.wire.frames import BULK, BYE_TEXT, SYNC, Frame, Hello

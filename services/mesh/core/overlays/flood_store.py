@@ -15,10 +15,10 @@ from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
+from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, FLOOD
 from services.mesh.core.wire.packets import Digest, Spread
-from services.mesh.core.wire.seen_numbers import SeenNumbers
 from swarm.messages.keys import key as key_of
 from swarm.messages.keys import parse
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.exchange import BulkExchange, total_of
+from services.mesh.core.bulk.numbered import SeenNumbers
 from services.mesh.core.bulk.pieces import SIZE, MessageId, Packet
 from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.overlays.echo import MAX_WAVES, Waves
@@ -19,7 +20,6 @@ from services.mesh.core.overlays.echo import FloodId as WaveId
 from services.mesh.core.overlays.flood_store import NEW, OLD, Store
 from services.mesh.core.wire.frames import BULK
 from services.mesh.core.wire.packets import Spread
-from services.mesh.core.wire.seen_numbers import SeenNumbers
 
 MAX_OWN_BYTES = 4 * 1024 * 1024
 """Bytes of own messages that are held to be fetched; more are refused."""

@@ -9,9 +9,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 
 from services.mesh.core.overlays import flood
-from services.mesh.core.overlays.flights import Hop
 from services.mesh.core.overlays.flood import FloodOverlay
-from services.mesh.core.overlays.unicast import Unicast
+from services.mesh.core.overlays.unicast import Hop, Unicast
 from services.mesh.core.routing.wanted_links import Linking
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, PRIORITIES

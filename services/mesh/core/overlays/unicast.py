@@ -12,21 +12,20 @@ message is sent once: the lockstep asks again for what it lacks, and an answer w
 the way. It has no number, so nobody acknowledges, repeats or keeps it.
 """
 
-from collections import Counter, OrderedDict, deque
+from collections import Counter, deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.bulk import pieces
+from services.mesh.core.bulk.numbered import Limits, Outbound, Outgoing, SeenLives
 from services.mesh.core.bulk.pieces import Packet
 from services.mesh.core.bulk.transfers import Transfers
-from services.mesh.core.overlays.flights import Flight, Hop, Receiver
 from services.mesh.core.routing.shortest_paths import Route
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, SYNC, UNICAST
 from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
 from services.mesh.core.wire.packets import Ack, UnicastMessage
-from services.mesh.core.wire.seen_numbers import SeenNumbers
 from swarm.errors import FrameError
 from swarm.messages.keys import key as key_of
 
@@ -50,9 +49,6 @@ MAX_WAITING = 512
 """Messages of this robot that wait for an answer or for their turn, and their bytes; more are refused."""
 MAX_WAITING_BYTES = 512 * 1024
 
-INCARNATIONS = 4
-"""Lives of one sender that are told apart: copies of an earlier one may still be on their way."""
-
 CUSTODY = 64
 CUSTODY_TIME = 4.5
 """Packets, and s, for which what was handed to a link is kept to be sent another way should it die."""
@@ -61,6 +57,38 @@ COUNTERS = ("unicast_avoiding", "unicast_duplicates", "unicast_expired", "unicas
             "unicast_refused", "unicast_rerouted", "unicast_retries")  # fmt: skip
 
 _NEVER = float("inf")
+
+
+class Hop(NamedTuple):
+    """A message, or the answer to it, is handed to a neighbour."""
+
+    sender: str
+    """Of the message, also where it is the answer."""
+    to: str
+    number: int
+    """Counts what this sender sent to this receiver, from 1."""
+    next_hop: str
+    """The neighbour."""
+    back: bool
+    """Whether it is the answer."""
+    key: str = ""
+    """Of the message. An answer has none: empty on its way, known where it begins."""
+    token: object = None
+    """Of an own message: what it was sent with."""
+
+
+class Flight(Outgoing):
+    """An own message until its end."""
+
+    __slots__ = ("began", "priority", "tries", "via")
+
+    def __init__(self, token: object, to: str, key: str, payload: bytes, priority: int, deadline: float) -> None:
+        super().__init__(token, to, key, payload, deadline)
+        self.priority = priority
+        self.began = 0.0
+        self.tries = 0
+        self.via: str | None = None
+        """The neighbour it was handed to; None where there was no route."""
 
 
 class FindRoute(Protocol):
@@ -109,10 +137,9 @@ class Unicast:
         self._channel = key_of(me, "mesh", "unicast")
         # Pieces have a channel of their own, so that what is small and of their class need not wait behind them.
         self._pieces_channel = key_of(me, "mesh", "pieces")
-        self._receivers: dict[str, Receiver] = {}
-        self._waiting = 0
-        self._waiting_bytes = 0
-        self._seen: dict[str, OrderedDict[int, SeenNumbers]] = {}
+        limits = Limits(MAX_WAITING, MAX_WAITING_BYTES, MAX_IN_FLIGHT, MAX_IN_FLIGHT)
+        self._own = Outbound[Flight](limits, self._launch, ended)
+        self._seen = SeenLives(WINDOW)
         self._custody: dict[str, deque[tuple[float, Hop, str, bytes, int]]] = {}
 
     # -- own messages ------------------------------------------------------------------------------------------
@@ -131,7 +158,8 @@ class Unicast:
     ) -> None:
         """Send; with `latest` an older message of this key that still waits for its answer is given up."""
         if latest:
-            self._give_up(to, key)
+            self.transfers.give_up(to, key)
+            self._own.give_up(to, key)
         if to not in self._robots:
             self._ended(token, to, f"there is no robot {to}")
         elif len(payload) > (limit := limit_of(priority)):
@@ -141,15 +169,10 @@ class Unicast:
             self._ended(token, to, "")
         elif len(payload) > packets.MAX_MESSAGE:
             self.transfers.send(token, to, key, payload, now, now + timeout)
-        elif self._waiting >= MAX_WAITING or self._waiting_bytes + len(payload) > MAX_WAITING_BYTES:
+        elif not self._own.has_room(len(payload)):
             self._ended(token, to, "too many messages wait for their answers")
         else:
-            flight = Flight(token, to, key, payload, priority, now, now + timeout)
-            self._waiting += 1
-            self._waiting_bytes += len(payload)
-            receiver = self._receivers.setdefault(to, Receiver())
-            receiver.waiting.append(flight)
-            self._launch(receiver, now)
+            self._own.add(Flight(token, to, key, payload, priority, now + timeout), now)
 
     def send_once(self, to: str, key: str, payload: bytes, priority: int) -> None:
         """Send over other robots than the link with the receiver, once, without an answer. Payloads have at most
@@ -214,54 +237,36 @@ class Unicast:
             if at + CUSTODY_TIME >= now and (route := self._route(to)) is not None:
                 self._counters["unicast_rerouted"] += 1
                 self._hand_over(hop._replace(next_hop=route.next_hop), to, data, priority, now)
-        for flight in self._flights():
+        for flight in self._own.under_way():
             if flight.via == peer:
                 self._transmit(flight, now)
 
     def routes_changed(self, now: float) -> None:
         """There may be ways where there were none."""
-        for flight in self._flights():
+        for flight in self._own.under_way():
             if flight.via is None:
                 self._transmit(flight, now)
 
     def handle_timer(self, now: float) -> None:
         """Repeat, or give up."""
-        for receiver in self._receivers.values():
-            for flight in [*receiver.flights.values(), *receiver.waiting]:
-                if now >= flight.deadline:
-                    self._end(receiver, flight, f"no answer from {flight.to} in time", now)
-                elif now >= flight.next_at:
-                    self._repeat(receiver, flight, now)
+        for flight in self._own.all():
+            if now >= flight.deadline:
+                self._own.end(flight, f"no answer from {flight.to} in time", now)
+            elif now >= flight.next_at:
+                self._repeat(flight, now)
 
     def next_deadline(self) -> float:
         """When `handle_timer` wants to be called."""
-        deadline = _NEVER
-        for receiver in self._receivers.values():
-            for flight in receiver.flights.values():
-                deadline = min(deadline, flight.next_at, flight.deadline)
-            for flight in receiver.waiting:
-                deadline = min(deadline, flight.deadline)
-        return deadline
+        return self._own.next_deadline()
 
     # -- the sender's side -------------------------------------------------------------------------------------
 
-    def _flights(self) -> list[Flight]:
-        return [flight for receiver in self._receivers.values() for flight in receiver.flights.values()]
-
-    def _launch(self, receiver: Receiver, now: float) -> None:
-        while receiver.waiting:
-            oldest = min(receiver.flights, default=receiver.next_number)
-            if receiver.next_number - oldest >= MAX_IN_FLIGHT:
-                return
-            flight = receiver.waiting.popleft()
-            flight.number = receiver.next_number
-            receiver.next_number += 1
-            receiver.flights[flight.number] = flight
-            flight.began = now
-            flight.tries = 1
-            self._transmit(flight, now)
-            flight.wait = self._first_wait(flight.to)
-            flight.next_at = now + flight.wait
+    def _launch(self, flight: Flight, now: float) -> None:
+        flight.began = now
+        flight.tries = 1
+        self._transmit(flight, now)
+        flight.wait = self._first_wait(flight.to)
+        flight.next_at = now + flight.wait
 
     def _transmit(self, flight: Flight, now: float) -> None:
         route = self._route(flight.to)
@@ -278,7 +283,7 @@ class Unicast:
         route = self._route(to)
         return FIRST_WAIT + (2 * 2 * route.time * 1e-4 if route is not None else 0.0)
 
-    def _repeat(self, receiver: Receiver, flight: Flight, now: float) -> None:
+    def _repeat(self, flight: Flight, now: float) -> None:
         if flight.tries < TRIES:
             flight.tries += 1
             self._counters["unicast_retries"] += 1
@@ -288,32 +293,14 @@ class Unicast:
         elif now < flight.began + LEAST_PATIENCE:
             flight.next_at = flight.began + LEAST_PATIENCE
         elif flight.via is None:
-            self._end(receiver, flight, f"no way to {flight.to}", now)
+            self._own.end(flight, f"no way to {flight.to}", now)
         else:
-            self._end(receiver, flight, f"no answer from {flight.to} after {flight.tries} tries", now)
-
-    def _give_up(self, to: str, key: str) -> None:
-        self.transfers.give_up(to, key)
-        receiver = self._receivers.get(to)
-        if receiver is not None:
-            for flight in [*receiver.flights.values(), *receiver.waiting]:
-                if flight.key == key:
-                    self._end(receiver, flight, "replaced by a newer value", None)
-
-    def _end(self, receiver: Receiver, flight: Flight, problem: str, now: float | None) -> None:
-        if receiver.flights.pop(flight.number, None) is None:
-            receiver.waiting.remove(flight)
-        self._waiting -= 1
-        self._waiting_bytes -= len(flight.payload)
-        if now is not None:
-            self._launch(receiver, now)
-        self._ended(flight.token, flight.to, problem)
+            self._own.end(flight, f"no answer from {flight.to} after {flight.tries} tries", now)
 
     def _on_ack(self, ack: Ack, now: float) -> None:
-        receiver = self._receivers.get(ack.sender)
-        flight = receiver.flights.get(ack.number) if receiver is not None else None
-        if receiver is not None and flight is not None and ack.incarnation == self._incarnation:
-            self._end(receiver, flight, f"{ack.sender} lets no {flight.key} in" if ack.refused else "", now)
+        flight = self._own.get(ack.sender, ack.number)
+        if flight is not None and ack.incarnation == self._incarnation:
+            self._own.end(flight, f"{ack.sender} lets no {flight.key} in" if ack.refused else "", now)
 
     # -- the receiver's side -----------------------------------------------------------------------------------
 
@@ -321,7 +308,7 @@ class Unicast:
         refused = not self._admits(message.sender, message.key)
         if refused:
             self._counters["unicast_refused"] += 1
-        elif not message.number or self._window(message.sender, message.incarnation).add(message.number):
+        elif not message.number or self._seen.of(message.sender, message.incarnation).add(message.number):
             self._deliver(message.key, message.payload, priority)
         else:
             self._counters["unicast_duplicates"] += 1
@@ -337,16 +324,6 @@ class Unicast:
             self._hand_over(hop, message.sender, packets.encode_ack(ack), min(priority, SYNC), now)
         else:
             self._counters["unicast_no_route"] += 1
-
-    def _window(self, sender: str, incarnation: int) -> SeenNumbers:
-        lives = self._seen.setdefault(sender, OrderedDict())
-        window = lives.get(incarnation)
-        if window is None:
-            window = lives[incarnation] = SeenNumbers(WINDOW)
-            if len(lives) > INCARNATIONS:
-                lives.popitem(last=False)
-        lives.move_to_end(incarnation)
-        return window
 
     # -- on the way --------------------------------------------------------------------------------------------
 

@@ -1,1 +1,0 @@
-"""`swarm app`: start, stop and set apps while they run."""

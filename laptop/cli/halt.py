@@ -1,0 +1,156 @@
+"""`swarm estop` and `swarm arm` on a laptop: each robot is told on its own bus by ssh, too, at the same time.
+
+So it is told whatever became of the mesh and of the laptop's bus, and it is confirmed by any of these. A robot whose
+own bus or balancer does not confirm a stop has its balancer stopped by systemd: motors off is its last act, and the
+ATmega switches them off 0.2 s later in any case.
+"""
+
+import argparse
+import asyncio
+import os
+import shlex
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from laptop.fleet import everyone
+from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.ssh import Host, HostError, Ssh, hosts, last_words
+from swarm.config import Config, load
+from swarm.errors import LocalError, PayloadError
+from swarm.messages.json_input import read_json
+from swarm.onboard import buses, halt
+from swarm.onboard.arguments import show
+from swarm.onboard.halt import Row
+from swarm.process.paths import DEFAULT_RUNTIME
+from swarm.process.terminal import columns
+
+HELP = "stop every robot or take every stop back, and say who has confirmed it"
+
+PROGRAM = "/opt/swarm/current/bin/swarm"
+THERE_S = 3.0
+"""That the robot waits for its own balancer and mesh."""
+_SLACK_S = 15.0
+"""For the connection and a robot that is slow to start Python."""
+
+
+@dataclass
+class _Answers:
+    """What came back."""
+
+    outcomes: dict[str, everyone.RobotOutcome] = field(default_factory=dict)
+    """By robot: whether it was reached and has confirmed, and how."""
+    seen: dict[str, str] = field(default_factory=dict)
+    """Robots that another one has seen confirm, over the mesh: its name."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what a robot's command takes, and the way by ssh."""
+    halt.add_arguments(parser)
+    parser.add_argument("--no-ssh", action="store_true", help="over bus and mesh only")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the robots to reach by ssh")
+    parser.add_argument("--ssh-config", type=Path, metavar="FILE", help="in place of ~/.ssh/config")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Stop or arm over every path there is; `LocalError` where there is none.
+
+    Returns 1 where a robot that can be reached has not confirmed in time.
+    """
+    far = robots_of(args)
+    if far is None:
+        return halt.run(args)
+    stop: bool = args.act == "stop"
+    try:
+        found = buses.find(args)
+    except LocalError:
+        found = {}
+    answers = _Answers()
+
+    def by_ssh() -> None:
+        nonlocal answers
+        answers = command(*far, stop=stop, reason=halt.reason_of(args))
+
+    thread = threading.Thread(target=by_ssh, name="ssh")
+    thread.start()
+    rows = halt.give(args, found) if found else []
+    thread.join()
+    how = {name: _how(name, rows, answers) for name in answers.outcomes}
+    done = all(row.confirmed for row in halt.reached(rows) if row.robot not in how) and all(how.values())
+    told = {name: {"confirmed": outcome.ok, "text": outcome.text} for name, outcome in answers.outcomes.items()}
+    lines = [*(halt.table(rows, stop=stop) if rows else ()), *table(how, answers, stop=stop)]
+    show(args, {**halt.report(args, rows, done), "ssh": told}, lines)
+    return 0 if done else 1
+
+
+def robots_of(args: argparse.Namespace) -> tuple[tuple[Host, ...], Ssh] | None:
+    """Whom ssh can reach; None on a robot, for a simulation alone, or without a configuration that names robots.
+
+    Raises `LocalError` where a configuration was named and cannot be used.
+    """
+    if args.no_ssh or args.robots or args.run_dir or os.environ.get("SWARM_RUNTIME") or DEFAULT_RUNTIME.is_dir():
+        return None
+    try:
+        config: Config = load(args.config)
+    except LocalError:
+        if args.config:
+            raise
+        return None
+    return hosts(config), Ssh(args.ssh_config)
+
+
+def _how(name: str, rows: Sequence[Row], answers: _Answers) -> str:
+    """By which path a robot is confirmed; empty where by none."""
+    paths = ["bus or mesh"] if any(row.confirmed for row in rows if row.robot == name) else []
+    paths += ["ssh"] if answers.outcomes[name].ok else []
+    paths += [f"mesh (seen by {answers.seen[name]})"] if name in answers.seen else []
+    return ", ".join(paths)
+
+
+def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]:
+    """What people read of the robots that ssh was to reach. `how`: the paths by which each is confirmed."""
+    what = "stopped" if stop else "armed"
+    lines = [("robot", what, "confirmed by", "ssh says")]
+    for name, paths in how.items():
+        lines.append((name, "yes" if paths else "NOT CONFIRMED", paths or "-", answers.outcomes[name].text))
+    missing = [name for name, paths in how.items() if not paths]
+    summary = f"{what}: {len(how) - len(missing)} of {len(how)} robots"
+    return [*columns(lines), "", summary + (f"; NOT CONFIRMED: {' '.join(missing)}" if missing else "")]
+
+
+def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> _Answers:
+    """Tell all robots at once; returns when each has answered or is given up."""
+    answers = _Answers()
+    words = [PROGRAM, "estop", reason] if stop else [PROGRAM, "arm"]
+
+    async def job(host: Host, tell: ReportProgress) -> str:
+        there = ["sudo", "-n", "env", f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}", *words]
+        done = await ssh.run(host, shlex.join([*there, "--json", "--timeout", str(THERE_S)]))
+        rows = _rows(done.out)
+        for name, row in rows.items():
+            if row.get("confirmed") and name != host.robot:
+                answers.seen[name] = host.robot
+        if rows.get(host.robot, {}).get("confirmed"):
+            return "its own bus and balancer say so" if stop else "its own bus says so"
+        problem = last_words(done.err).removeprefix("swarm: ") or "its bus does not confirm it"
+        if not stop:
+            raise HostError(problem)
+        await ssh.check(host, "sudo -n systemctl stop swarm-balancer.service")
+        return f"its balancer was stopped ({problem}): swarm services start balancer, when all is well"
+
+    try:
+        found = asyncio.run(everyone.each(robots, job, THERE_S + _SLACK_S))
+    except LocalError as error:  # there is no ssh here: nobody was told
+        found = [everyone.RobotOutcome(host.robot, False, str(error), 0.0) for host in robots]
+    answers.outcomes = {outcome.robot: outcome for outcome in found}
+    return answers
+
+
+def _rows(text: str) -> dict[str, dict[str, Any]]:
+    """The far command's rows by robot; none where it printed something else."""
+    try:
+        return {str(row["robot"]): dict(row) for row in read_json(text)["robots"]}
+    except (PayloadError, ValueError, LookupError, TypeError):
+        return {}

@@ -1,0 +1,102 @@
+"""`swarm hand ACT ROBOT ...`: what a person can do to the robots of a running simulation."""
+
+import argparse
+from pathlib import Path
+
+from laptop.cli import kill_service
+from laptop.fleet.units import SERVICES
+from sim.control import link_cuts, power_switch, send_action
+from sim.core import actions
+from sim.core.actions import BodyPlace, Lay, Press, Push, Unplug
+from swarm.errors import LocalError
+from swarm.onboard.arguments import add_json, add_run_dir, number, show
+from swarm.process.simulations import runtime_of
+
+HELP = "act on simulated robots"
+
+BOOT_S = 3.0
+MAX_CUT_S = 600.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare each act with its arguments. The act is part of the command's name."""
+    acts = parser.add_subparsers(dest="act", required=True, prog=parser.prog)
+
+    def act(name: str) -> argparse.ArgumentParser:
+        found = acts.add_parser(name, prog=parser.prog, description=parser.description)
+        found.add_argument("robot", help="name of a simulated robot, e.g. r0")
+        add_run_dir(found)
+        add_json(found)
+        return found
+
+    press = act("press")
+    press.add_argument("button", choices=actions.BUTTONS)
+    press.add_argument("--hold", type=float, default=0.2, metavar="S", help="seconds until it is let go (0.2)")
+    push = act("push")
+    text = "N s, negative from the front (0.1; 0.5 is too much)"
+    push.add_argument("--impulse", type=float, default=0.1, metavar="NS", help=text)
+    act("lay").add_argument("side", choices=actions.SIDES)
+    place = act("place")
+    for axis in ("x", "y"):
+        place.add_argument(axis, type=number(-1e3, 1e3), help="where to, m")
+    place.add_argument("--heading", type=number(-10, 10, "rad"), default=0.0, metavar="RAD", help="0 = along x (0)")
+    unplug = act("unplug")
+    unplug.add_argument("device", choices=actions.DEVICES)
+    unplug.add_argument("--back", action="store_true", help="put it back")
+    kill = act("kill")
+    kill.add_argument("service", help=f"{', '.join(SERVICES)}, app or app/NAME")
+    text = "KILL (default): no chance to clean up; TERM: a clean stop; STOP and CONT: freeze it and go on"
+    kill.add_argument("--signal", choices=kill_service.SIGNALS, default="KILL", help=text)
+    cut = act("cut")
+    cut.add_argument("peer", help="the robot at the other end")
+    text = f"until it is mended, at most {MAX_CUT_S:g} (10)"
+    cut.add_argument("--seconds", type=number(0, MAX_CUT_S, "s"), default=10.0, metavar="S", help=text)
+    cut.add_argument("--mend", dest="seconds", action="store_const", const=0.0, help="mend it now")
+    reboot = act("reboot")
+    text = f"s until its services start again ({BOOT_S:g})"
+    reboot.add_argument("--off", type=float, default=BOOT_S, metavar="S", help=text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Raises `LocalError` where there is no such simulation, robot or service."""
+    done = do(runtime_of(args.run_dir, args.robot), args)
+    show(args, {"robot": args.robot, "act": args.act, "done": done}, [f"{args.robot}: {done}"])
+    return 0
+
+
+def do(runtime: Path, args: argparse.Namespace) -> str:
+    """Do it to the robot with this runtime directory; what was done, in words."""
+    match args.act:
+        case "press":
+            send_action.do(runtime, Press(args.button, args.hold))
+            return f"button {args.button} held for {args.hold:g} s"
+        case "push":
+            send_action.do(runtime, Push(args.impulse))
+            return f"pushed with {args.impulse:g} N s"
+        case "lay":
+            send_action.do(runtime, Lay(args.side))
+            return f"laid on its {args.side}"
+        case "place":
+            send_action.do(runtime, BodyPlace(args.x, args.y, args.heading, -1.0, held=False))
+            return f"lies on its back at ({args.x:g}, {args.y:g}) m"
+        case "unplug":
+            send_action.do(runtime, Unplug(args.device, back=args.back))
+            return f"{args.device} is {'back on' if args.back else 'off'} its bus"
+        case "kill":
+            service, pid = kill_service.end(runtime, args.service, args.signal)
+            return f"{service} (pid {pid}): SIG{args.signal}"
+        case "cut":
+            cut(runtime.parent, args.robot, args.peer, args.seconds)
+            return f"link to {args.peer} " + (f"cut for {args.seconds:g} s" if args.seconds else "mended")
+        case _:
+            power_switch.reboot(runtime.parent, args.robot, args.off)
+            return f"off, and on again in {args.off:g} s"
+
+
+def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
+    """Cut the radio between two robots of a simulation for some seconds; 0 mends it. Raises `LocalError`."""
+    for end, other in ((robot, peer), (peer, robot)):
+        try:
+            link_cuts.silence(run_dir, end, other, seconds)
+        except OSError as error:
+            raise LocalError(f"not cut: the mesh of {end} is not running at this moment ({error.strerror})") from None

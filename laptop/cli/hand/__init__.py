@@ -1,1 +1,0 @@
-"""`swarm hand`: actions of a person on the robots of a running simulation."""

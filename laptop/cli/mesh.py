@@ -1,0 +1,77 @@
+"""`swarm mesh [--plot FILE]` on a laptop: what a robot shows of the swarm, and the graph of the links as a picture."""
+
+import argparse
+import math
+from pathlib import Path
+
+from laptop.plotting.figure import add_plot, figure
+from swarm.core.graph import Graph
+from swarm.onboard.ask import AWAY
+from swarm.onboard.mesh import show
+from swarm.onboard.mesh.collected import CollectedMesh
+from swarm.onboard.mesh.tables import ms
+
+HELP = "the robots of the swarm, their links, and the graph they make"
+
+ON_A_CIRCLE = 12
+"""Robots up to which a circle shows every link; more are placed by their distances."""
+
+Place = tuple[float, float]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what a robot's command takes, and `--plot`."""
+    show.add_arguments(parser)
+    add_plot(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what is known; code 1 where a mesh says nothing, a robot is away or a link is not up."""
+    mesh = show.shown(args)
+    if args.plot is not None:
+        draw(mesh, args.plot)
+    return 0 if mesh.whole else 1
+
+
+def draw(mesh: CollectedMesh, path: Path) -> None:
+    """Write the picture; `LocalError` where matplotlib is not there, or the file cannot be written."""
+    where = places(mesh.graph)
+    with figure(path, figsize=(7, 7), layout="constrained") as picture:
+        axes = picture.add_subplot()
+        for (a, b), up in sorted(mesh.states.items()):
+            (xa, ya), (xb, yb) = where[a], where[b]
+            axes.plot((xa, xb), (ya, yb), "-" if up else ":", color="#0072b2" if up else "#d55e00", zorder=1)
+            if up and len(mesh.states) <= 40:
+                axes.text(
+                    (xa + xb) / 2, (ya + yb) / 2, ms(mesh.round_trips[a, b]), fontsize=7, ha="center", va="center",
+                    bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+                )  # fmt: skip
+        for name, (x, y) in where.items():
+            known = mesh.robots.get(name)
+            away = known is not None and known.state in AWAY
+            stopped = known is not None and known.stopped is True
+            colour = "#999999" if away else "#d55e00" if stopped else "#009e73"
+            axes.scatter([x], [y], s=420, color=colour, zorder=2)
+            axes.text(x, y, name, fontsize=8, ha="center", va="center", color="white", zorder=3)
+        axes.set_title("links and their round trips / ms; grey: away, red: stopped")
+        axes.set_aspect("equal")
+        axes.margins(0.12)
+        axes.axis("off")
+
+
+def places(graph: Graph) -> dict[str, Place]:
+    """Where to draw each robot: on a circle, or such that the picture's distances are near the numbers of links between
+    robots (classical multidimensional scaling: Torgerson 1952). Parts that are not linked are drawn apart."""
+    names = graph.names
+    if len(names) <= ON_A_CIRCLE:
+        angles = [math.pi / 2 - 2 * math.pi * number / len(names) for number in range(len(names))]
+        return {name: (math.cos(angle), math.sin(angle)) for name, angle in zip(names, angles, strict=True)}
+    import numpy as np
+
+    hops = [graph.distances(name) for name in names]
+    far = 1 + max(distance for row in hops for distance in row.values())
+    squared = np.array([[row.get(name, far) for name in names] for row in hops], dtype=float) ** 2
+    centred = squared - squared.mean(axis=0) - squared.mean(axis=1)[:, None] + squared.mean()
+    values, vectors = np.linalg.eigh(-0.5 * centred)
+    plane = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0.0))
+    return {name: (float(x), float(y)) for name, (x, y) in zip(names, plane, strict=True)}

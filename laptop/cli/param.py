@@ -1,0 +1,39 @@
+"""`swarm app param ... --fleet`: an app's parameters on every robot of the configuration, over ssh."""
+
+import argparse
+import shlex
+
+from laptop.fleet import everyone
+from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.ssh import Host
+from swarm.onboard import param
+
+HELP = "show or change parameters of an app that runs"
+
+COMMAND = "sudo -n /opt/swarm/current/bin/swarm app param"
+"""On a robot."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what a robot's command takes, and the way by ssh."""
+    param.add_arguments(parser)
+    parser.add_argument("--fleet", action="store_true", help="on the robots of the config, over ssh")
+    everyone.add_way(parser, timeout_s=20)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Code 1 where a robot does not answer, or refuses."""
+    if not args.fleet:
+        return param.run(args)
+    param.settings_of(args)  # what is wrong is said here, not by each robot
+    _, robots, ssh = everyone.chosen(args)
+
+    async def job(host: Host, tell: ReportProgress) -> str:
+        mine = [word.removeprefix(f"{host.robot}.") for word in args.settings]
+        words = [word for word in mine if "." not in word.partition("=")[0]]
+        if args.settings and not words:
+            return "nothing to change"
+        await ssh.follow(host, f"{COMMAND} {shlex.join([args.app, *words])}", tell)
+        return ""
+
+    return everyone.run(args, robots, job)

@@ -1,0 +1,25 @@
+"""`swarm measure radio ... [--plot FILE]` on a laptop: the signal strength of a Bluetooth link, and a picture of it."""
+
+import argparse
+
+from laptop.plotting.figure import add_plot, figure
+from swarm.onboard.measure import radio
+
+HELP = "signal strength of a Bluetooth link"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what a robot's command takes, and `--plot`."""
+    radio.add_arguments(parser)
+    add_plot(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, print and draw."""
+    link, readings = radio.measured(args)
+    if args.plot is not None:
+        with figure(args.plot, figsize=(6, 4), layout="constrained") as picture:
+            axes = picture.add_subplot()
+            axes.plot([radio.PERIOD * number for number in range(len(readings))], readings, "o-")
+            axes.set(xlabel="time / s", ylabel="RSSI / dB", title=link)
+    return 0

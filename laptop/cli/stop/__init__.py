@@ -1,1 +1,0 @@
-"""`swarm estop` and `swarm arm`: stop every robot, and take the stop back."""

@@ -1,0 +1,169 @@
+"""`swarm flash FIRMWARE.hex`: new firmware for a Balboa, over its USB cable.
+
+    swarm flash balboa.hex --port PORT        the Balboa at this port of this computer (`auto`: wait for its bootloader)
+    swarm flash - --here                      on a robot, as root: its own Balboa
+
+On a robot the balancer is stopped, the ATmega is told over I2C to start its bootloader (motors off), and afterwards
+asked who it is. A board that does not obey, since its firmware is another one, needs two presses of its reset button.
+"""
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from services.balancer import atmega, usb_port
+from services.balancer.core import avr109, image
+from services.balancer.core.controller import BALANCING, LYING_DOWN, STANDING_UP
+from services.balancer.core.image import Image
+from services.balancer.i2c import I2CBus, KernelBus
+from swarm.config import load, who_am_i
+from swarm.errors import LocalError, RemoteError
+from swarm.messages import BalancerState
+from swarm.onboard.ask import newest
+from swarm.process.paths import runtime_dir
+
+HELP = "put new firmware on the Balboa, over its USB cable"
+
+UNIT = "swarm-balancer.service"
+BY_COMMAND_S = 10.0
+"""Until the bootloader of a board that was told to start it is at USB."""
+BY_HAND_S = 60.0
+"""Until somebody has pressed reset twice."""
+START_S = 8.0
+"""Until the new firmware answers: the bootloader leaves half a second after the end."""
+STATE_S = 1.5
+"""Until a balancer that runs has told its mode: it does 25 times a second."""
+_STEP = 0.25
+"""Share between two words of progress."""
+_ON_ITS_FEET = (STANDING_UP, BALANCING, LYING_DOWN)
+
+Say = Callable[[str], None]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the firmware, and which Balboa gets it."""
+    parser.add_argument("firmware", metavar="FIRMWARE.hex", help="of `make -C firmware`; - is the input")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--port", help="of this computer, e.g. /dev/ttyACM0; auto: wait for a bootloader")
+    where.add_argument("--here", action="store_true", help="this robot's own (as root)")
+    parser.add_argument("--force", action="store_true", help="even where the robot stands: it falls")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where the firmware runs, 1 where the board failed; raises `LocalError` where command or firmware are wrong."""
+    firmware = read_firmware(args.firmware)[1]
+    try:
+        if args.port:
+            at_port(firmware, args.port, _print)
+        else:
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)  # who has started us may go away in mid-flash
+            here(firmware, _print, KernelBus, force=args.force)
+    except RemoteError as error:
+        sys.stderr.write(f"swarm: {error}\n")
+        return 1
+    return 0
+
+
+def read_firmware(name: str) -> tuple[bytes, Image]:
+    """Return a file's bytes, and the firmware in it; raises `LocalError`."""
+    try:
+        data = sys.stdin.buffer.read() if name == "-" else Path(name).read_bytes()
+        return data, image.read(data.decode("ascii", "replace"))
+    except OSError as error:
+        raise LocalError(f"{name} cannot be read: {error.strerror}; make -C firmware makes one") from None
+    except LocalError as error:
+        raise LocalError(f"{name}: {error}") from None
+
+
+def at_port(firmware: Image, port: str, say: Say) -> None:
+    """Flash the board at a port of this computer; raises `SwarmError`."""
+    if port == "auto":
+        say("press reset twice within 0.7 s")
+        port = usb_port.wait_for_bootloader(BY_HAND_S)
+    elif usb_port.ports().get(port, usb_port.BOOTLOADER) != usb_port.BOOTLOADER:
+        say(f"{port} is no bootloader: starting it")
+        usb_port.touch(port)
+        port = usb_port.wait_for_bootloader(BY_COMMAND_S)
+    _flash(firmware, port, say)
+
+
+def here(
+    firmware: Image,
+    say: Say,
+    open_bus: Callable[[], I2CBus],
+    *,
+    force: bool,
+    wait: Callable[[float], str] = usb_port.wait_for_bootloader,
+) -> None:
+    """Flash this robot's board; raises `SwarmError`. The balancer runs again afterwards, however it ends."""
+    if os.geteuid() != 0:
+        raise LocalError("on a robot this needs root: sudo swarm flash ... --here")
+    if not force and (mode := _mode()) in _ON_ITS_FEET:
+        raise LocalError(
+            f"the robot is {mode.replace('_', ' ')}, and would fall: lay it down first (set/mode lie), or --force"
+        )
+    _systemctl("stop")
+    try:
+        with contextlib.closing(open_bus()) as bus:
+            before = atmega.versions(bus)
+            say("no firmware answers" if before is None else f"revision {before[1]} before (layout {before[0]})")
+            obeyed = atmega.enter_bootloader(bus)
+            if not obeyed:
+                say("it takes no command: press reset twice within 0.7 s")
+            _flash(firmware, wait(BY_COMMAND_S if obeyed else BY_HAND_S), say)
+            _check(bus, firmware)
+    finally:
+        _systemctl("start")
+
+
+def _flash(firmware: Image, port: str, say: Say) -> None:
+    told = 0.0
+
+    def progress(share: float) -> None:
+        nonlocal told
+        if share - told >= _STEP:
+            told = share
+            say(f"{100 * share:.0f} %")
+
+    say(f"flashing {len(firmware.data)} bytes at {port}")
+    usb_port.converse(port, avr109.flash(firmware, progress))
+    say(f"written and read back: revision {firmware.revision} (layout {firmware.layout})")
+
+
+def _check(bus: I2CBus, firmware: Image) -> None:
+    """Whether what was flashed answers over I2C."""
+    end = time.monotonic() + START_S
+    found = None
+    while time.monotonic() < end:
+        if (found := atmega.versions(bus)) == (firmware.layout, firmware.revision):
+            return
+        time.sleep(0.1)
+    raise RemoteError(
+        f"the flash is right, but over I2C {'nobody answers' if found is None else f'revision {found[1]} does'}: "
+        "switch the robot's power off and on"
+    )
+
+
+def _mode() -> str:
+    """What the balancer does; empty where none runs."""
+    state = newest(runtime_dir(), who_am_i(load()), BalancerState, "balancer", "state", STATE_S)
+    return "" if state is None else state.mode
+
+
+def _systemctl(action: str) -> None:
+    done = subprocess.run(["systemctl", action, UNIT], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise LocalError(f"systemctl {action} {UNIT}: {done.stderr.strip() or done.returncode}")
+
+
+def _print(text: str) -> None:
+    """Who listens may have gone away in mid-flash: it goes on."""
+    with contextlib.suppress(OSError):
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()

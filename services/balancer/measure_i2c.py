@@ -1,0 +1,151 @@
+"""`swarm measure i2c [ROBOT]`: how fast a robot's I2C bus is, as in section 2.2.5 of the thesis.
+
+Reads from and writes to the ATmega are timed one by one, with the pauses that it needs. The balancer owns the bus, so
+it does that in the slack of its ticks; where it does not run on this robot, the bus is taken directly. In a simulation
+the time on the wire is counted by its bytes.
+"""
+
+import argparse
+import contextlib
+import queue
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+
+from services.balancer.core.rates import RateMeter
+from services.balancer.drivers import Balboa
+from services.balancer.i2c import I2CBus, KernelBus
+from swarm import clock
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import LocalError, PayloadError, SwarmError
+from swarm.messages import I2CRates, MeasureI2C, Status
+from swarm.messages.codec import decode
+from swarm.messages.keys import key
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_json, show, sizes, whole
+from swarm.onboard.ask import Answers, new_ticket
+from swarm.process.paths import DEFAULT_RUNTIME
+
+HELP = "read and write rates of a robot's I2C bus"
+
+SIZES = (1, 4, 8, 16, 28)
+"""Bytes of data in a transfer."""
+THESIS_KBIT_S = {"read": 21.0, "write": 53.0}
+"""At 100 kHz (thesis 2.2.5); Pololu measured the same with transfers of 8 bytes."""
+
+PATIENCE = 5.0
+"""s for an answer beyond the ticks that the transfers take."""
+_TICK = 0.01
+
+Measure = Callable[[MeasureI2C], I2CRates]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`[ROBOT] [--sizes N,N] [--count N] [--json]`."""
+    parser.add_argument("name", nargs="?", metavar="ROBOT", help="of a simulation; else the own robot")
+    parser.add_argument("--sizes", type=sizes(28), default=SIZES, metavar="N,N,...", help="1 to 28 bytes (1,4,8,16,28)")
+    parser.add_argument("--count", type=whole(1, 1000), default=100, metavar="N", help="transfers of each kind (100)")
+    add_json(parser)
+    buses.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure through the balancer, or directly where there is none."""
+    args.robots = args.robots or ([args.name] if args.name else None)
+    directories = buses.find(args)
+    if len(directories) != 1:
+        raise LocalError(f"of which robot? there are {', '.join(directories)}")
+    ((robot, directory),) = directories.items()
+    with Bus.of(directory) as bus:
+        if bus.wait_connected(PATIENCE) and _answers(bus, robot):
+            return _measured(args, robot, _through(bus, robot))
+    if directory == DEFAULT_RUNTIME:
+        with opened() as (bus, driver):
+            return _measured(args, robot, lambda request: measure(bus, driver, request))
+    raise LocalError(f"the balancer of {robot} does not answer ({directory})")
+
+
+def _measured(args: argparse.Namespace, robot: str, measure: Measure) -> int:
+    """Measure each size and print."""
+    results = []
+    for size in args.sizes:
+        result = measure(MeasureI2C(new_ticket(), size, args.count))
+        if result.problem:
+            raise LocalError(f"{robot}: {result.problem}")
+        results.append(result)
+    show(args, {"robot": robot, "sizes": [asdict(result) for result in results]}, table(robot, results))
+    return 0
+
+
+def table(robot: str, results: list[I2CRates]) -> list[str]:
+    """For people; beside it what the thesis had."""
+    lines = [f"{robot}: I2C with the ATmega, kbit/s of data", " bytes  transfers  failed     read    write"]
+    for each in results:
+        rates = "".join(f"{'-' if rate is None else f'{rate / 1e3:.1f}':>9}" for rate in (each.read, each.write))
+        lines.append(f"{each.size:>6}{each.count:>11}{each.failed:>8}{rates}")
+    thesis = "".join(f"{rate:>9.0f}" for rate in THESIS_KBIT_S.values())
+    return [*lines, f"{'thesis, 8 bytes, 100 kHz':<25}{thesis}"]
+
+
+def _answers(bus: Bus, robot: str) -> bool:
+    """Whether the robot's balancer is there."""
+    asked = Answers({robot: bus}, Status, "balancer", "status")
+    return asked.wait(2.0, lambda: bool(asked.newest))
+
+
+def _through(bus: Bus, robot: str) -> Measure:
+    """Measure by asking the balancer."""
+    answers: queue.SimpleQueue[I2CRates] = queue.SimpleQueue()
+
+    def take(text: str, payload: bytes) -> None:
+        with contextlib.suppress(PayloadError):
+            answers.put(decode(I2CRates, payload, text))
+
+    bus.subscribe(key(robot, "balancer", "i2c"), take)
+
+    def measure(request: MeasureI2C) -> I2CRates:
+        bus.publish(key(robot, "balancer", "set", "i2c"), request)
+        # Reads and writes in turn, one in each tick that has room for it: others have their transfers to do as well.
+        end = clock.now() + PATIENCE + 2 * request.count * 4 * _TICK
+        with contextlib.suppress(queue.Empty):
+            while (answer := answers.get(timeout=max(0.0, end - clock.now()))).ticket != request.ticket:
+                pass
+            return answer
+        raise LocalError(f"the balancer of {robot} did not answer: are its devices there?")
+
+    return measure
+
+
+def measure(bus: I2CBus, driver: Balboa, request: MeasureI2C) -> I2CRates:
+    """All transfers of a request, one after the other."""
+    meter = RateMeter()
+    meter.measure(request)
+    while (transfer := meter.next(clock.now())) is not None:
+        driver.settle()
+        begun = clock.now() + bus.untimed()
+        try:
+            data = driver.transfer(transfer)
+        except OSError as error:
+            meter.fail(error, clock.now())
+            bus.recover()
+            continue
+        driver.settle()
+        meter.timed(clock.now() + bus.untimed() - begun)
+        meter.take(data, clock.now())
+    assert meter.news is not None
+    return meter.news
+
+
+@contextmanager
+def opened() -> Iterator[tuple[I2CBus, Balboa]]:
+    """Open this robot's I2C bus and stop the motors. Raises `LocalError` where the ATmega does not answer."""
+    bus = KernelBus()
+    try:
+        driver = Balboa(bus, clock.now, bus.pause)
+        try:
+            driver.set_up()
+        except (OSError, SwarmError) as error:
+            raise LocalError(f"the ATmega does not answer: {error}") from None
+        yield bus, driver
+    finally:
+        bus.close()

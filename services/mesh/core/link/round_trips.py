@@ -1,0 +1,112 @@
+"""Round trips: those that heartbeats measure on a connection, and what a window learns from the bytes it lets through.
+
+`Pulse` has what the heartbeats of one connection tell: round trips, the other clock, bytes per second. `RoundTrips` is
+what both congestion controls keep: that of a link (`link.flow`) and that of the pieces of large messages
+(`bulk.pieces`).
+"""
+
+from collections import deque
+
+from services.mesh.core.wire.frames import Heartbeat
+
+RTT_SAMPLES = 120
+"""Round-trip times kept, a minute of heartbeats."""
+
+_RTT_GAIN, _DEVIATION_GAIN = 0.125, 0.25
+"""Weights of a new round-trip sample (Jacobson 1988, RFC 6298 section 2)."""
+
+LEAST_OVER = 15.0
+"""s; the shortest round trip is taken over one to two of these: ways change, a link may get slower for good."""
+
+_MAX_RTT = 60.0
+"""s; a longer sample comes from wrong stamps."""
+
+MAX_APART = 1e10
+"""Seconds by which two monotonic clocks may differ; a larger difference comes from wrong stamps."""
+
+
+class RoundTrips:
+    """Smoothed round-trip time, how far samples are from it, and the shortest one of late, all in s."""
+
+    __slots__ = ("_least", "_least_until", "deviation", "smoothed")
+
+    def __init__(self) -> None:
+        self.smoothed = 0.0
+        """0 while none was measured."""
+        self.deviation = 0.0
+        self._least = [float("inf"), float("inf")]
+        self._least_until = 0.0
+
+    @property
+    def least(self) -> float:
+        """The shortest one of late; infinite while none was measured."""
+        return min(self._least)
+
+    def add(self, rtt: float, now: float) -> None:
+        """One more was measured."""
+        if self.smoothed:
+            self.deviation += _DEVIATION_GAIN * (abs(rtt - self.smoothed) - self.deviation)
+            self.smoothed += _RTT_GAIN * (rtt - self.smoothed)
+        else:
+            self.smoothed, self.deviation = rtt, rtt / 2
+        if now >= self._least_until:
+            self._least_until = now + LEAST_OVER
+            self._least = [self._least[1], rtt]
+        self._least[1] = min(self._least[1], rtt)
+
+
+class Pulse:
+    """One end of a connection, from heartbeat to heartbeat."""
+
+    __slots__ = (
+        "_peer_stamp",
+        "_peer_stamp_at",
+        "_rated",
+        "received_rate",
+        "rtt",
+        "rtts",
+        "sent_rate",
+    )
+
+    def __init__(self, now: float) -> None:
+        self.rtt: float | None = None
+        """Smoothed round-trip time, s."""
+        self.rtts: deque[float] = deque(maxlen=RTT_SAMPLES)
+        """Round-trip times of the last heartbeats, s."""
+        self.sent_rate = 0.0
+        """bytes/s over the last heartbeats."""
+        self.received_rate = 0.0
+        self._rated = (now, 0, 0)
+        self._peer_stamp = 0
+        self._peer_stamp_at = 0
+
+    def beat(self, now: float, sent: int, received: int) -> Heartbeat:
+        """The heartbeat to send after so many bytes each way."""
+        since, sent_before, received_before = self._rated
+        if now > since:
+            self.sent_rate = (sent - sent_before) / (now - since)
+            self.received_rate = (received - received_before) / (now - since)
+            self._rated = (now, sent, received)
+        return Heartbeat(self._peer_stamp, self._peer_stamp_at, _microseconds(now))
+
+    def heard(self, stamps: Heartbeat, now: float) -> tuple[float, float] | None:
+        """The round trip that a heartbeat of the other end closes and how far its clock is ahead of ours, both in s;
+        None where it closes none."""
+        arrival = _microseconds(now)
+        self._peer_stamp, self._peer_stamp_at = stamps.sent, arrival
+        if not stamps.echo:
+            return None
+        rtt = ((arrival - stamps.echo) - (stamps.sent - stamps.received)) * 1e-6
+        if not 0.0 <= rtt <= _MAX_RTT:
+            return None
+        # Half of what the two directions' stamps differ (RFC 5905, section 8).
+        apart = ((stamps.received - stamps.echo) + (stamps.sent - arrival)) * 0.5e-6
+        if abs(apart) > MAX_APART:
+            return None
+        self.rtts.append(rtt)
+        self.rtt = rtt if self.rtt is None else self.rtt + _RTT_GAIN * (rtt - self.rtt)
+        return rtt, apart
+
+
+def _microseconds(now: float) -> int:
+    return int(now * 1e6)

@@ -1,0 +1,72 @@
+"""Arguments that many commands have in common, and the types of what is given for them."""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from swarm.messages.keys import is_name
+from swarm.process.terminal import write_lines
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Declare `--json`."""
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def show(args: argparse.Namespace, data: object, lines: Iterable[str]) -> None:
+    """Write what a command has found: `data` as JSON where `--json` was given, else `lines` for people."""
+    write_lines([json.dumps(data)] if args.json else lines)
+
+
+def add_robots(parser: argparse._ActionsContainer, text: str) -> None:
+    """Declare `--robots r0,r3`, which may be repeated; `args.robots` is a list of names, or None."""
+    parser.add_argument("--robots", action="extend", type=names, metavar="r0,r3", help=text)
+
+
+def add_run_dir(parser: argparse._ActionsContainer) -> None:
+    """Declare `--run-dir`."""
+    parser.add_argument("--run-dir", type=Path, metavar="DIR", help="of the simulation, where it was started with one")
+
+
+def names(text: str) -> list[str]:
+    """Return names of robots from a list like r0,r3."""
+    found = [name for name in text.split(",") if name]
+    if not found or not all(map(is_name, found)):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected names of robots, like r0,r3")
+    return list(dict.fromkeys(found))
+
+
+def number(least: float, most: float = math.inf, unit: str = "", *, above: bool = False) -> Callable[[str], float]:
+    """Return the type of a finite number from `least` to `most`; with `above` it is more than `least`."""
+    wanted = f"above {least:g}" if above else f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value) and least <= value <= most and not (above and value == least):
+            return value
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {wanted} {unit}".rstrip())
+
+    return parse
+
+
+def whole(least: int, most: int | None = None) -> Callable[[str], int]:
+    """Return the type of a whole number from `least` to `most`."""
+    wanted = f"{least} or more, a whole number" if most is None else f"a whole number from {least} to {most}"
+
+    def parse(text: str) -> int:
+        if text.isascii() and text.isdecimal() and least <= int(text) and (most is None or int(text) <= most):
+            return int(text)
+        raise argparse.ArgumentTypeError(f"{text!r}: expected {wanted}")
+
+    return parse
+
+
+def sizes(most: int | None = None) -> Callable[[str], tuple[int, ...]]:
+    """Return the type of a list of numbers of bytes, like 1,8,28."""
+    one = whole(1, most)
+    return lambda text: tuple(dict.fromkeys(map(one, text.split(","))))

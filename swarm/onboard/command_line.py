@@ -1,0 +1,176 @@
+"""A command line made of a table: it finds the command that is meant, shows help, and ends with the right exit code.
+
+The robot's table is in `swarm.onboard.commands`, the laptop's in `laptop.cli.commands`. The module of a command is
+imported only when the command is used, since imports are slow.
+"""
+
+import argparse
+import ast
+import difflib
+import importlib
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple, NoReturn
+
+from swarm import __version__
+from swarm.errors import LocalError, SwarmError
+from swarm.process.terminal import guard
+
+
+class Command(NamedTuple):
+    """One command: a module, or a program."""
+
+    module: str
+    """It has `HELP`, `add_arguments(parser)` and `run(args) -> int`, or `main()`, which reads `sys.argv`."""
+    first: tuple[str, ...] = ()
+    """Arguments that come before those that the user gives."""
+    help: str = ""
+    """One line; empty where the module has it as `HELP`."""
+
+
+class CommandGroup(NamedTuple):
+    """Commands under one word, as in `swarm hand press`."""
+
+    help: str
+    commands: dict[str, Command]
+    alone: str = ""
+    """The command that is meant where none is named; empty: one must be named."""
+
+
+Commands = Mapping[str, Command | CommandGroup]
+Sections = Mapping[str, Commands]
+"""Commands by the title above them in the help."""
+
+_ROOT = Path(__file__).parents[2]
+"""Where the packages lie."""
+
+_HELP = re.compile(r'^HELP = (".*")$', re.MULTILINE)
+
+
+def main(sections: Sections, argv: Sequence[str] | None = None) -> NoReturn:
+    """Run a command and end: our own errors are one line on stderr and exit code 2, never a traceback."""
+    guard()
+    try:
+        code = _main(sections, list(sys.argv[1:] if argv is None else argv))
+        sys.stdout.flush()
+    except SwarmError as error:
+        sys.stderr.write(f"swarm: {error}\n")
+        code = 2
+    except KeyboardInterrupt:
+        code = 130
+    except BrokenPipeError:
+        code = 141  # as a program that SIGPIPE ends: `swarm config --example | head` is no fault
+        _forget_output()
+    except OSError as error:
+        sys.stderr.write(f"swarm: {error}\n")  # a full disk, mostly
+        code = 2
+        _forget_output()
+    sys.exit(code)
+
+
+def commands_of(sections: Sections) -> dict[str, Command | CommandGroup]:
+    """Return all commands and groups by the word that is typed behind `swarm`."""
+    return {name: each for section in sections.values() for name, each in section.items()}
+
+
+def names(commands: Commands) -> list[str]:
+    """Return every command as it is typed behind `swarm`, groups with each of their commands."""
+    found: list[str] = []
+    for name, each in commands.items():
+        found += [f"{name} {sub}" for sub in each.commands] if isinstance(each, CommandGroup) else [name]
+    return found
+
+
+def help_of(command: Command | CommandGroup) -> str:
+    """Return the one line of help, read from the text of the module: importing all modules takes long."""
+    if command.help:
+        return command.help
+    assert isinstance(command, Command)
+    path = _ROOT.joinpath(*command.module.split(".")).with_suffix(".py")
+    found = _HELP.search(path.read_text(encoding="utf-8"))
+    assert found is not None, command.module
+    text: str = ast.literal_eval(found[1])
+    return text
+
+
+def parser_of(name: str, command: Command) -> argparse.ArgumentParser:
+    """Return the parser of a command whose module has `add_arguments`."""
+    parser = argparse.ArgumentParser(prog=f"swarm {name}", description=help_of(command))
+    importlib.import_module(command.module).add_arguments(parser)
+    return parser
+
+
+def _main(sections: Sections, argv: list[str]) -> int:
+    if not argv or argv[0] in ("-h", "--help"):
+        sys.stdout.write(_usage(sections))
+        return 0 if argv else 2
+    name, *rest = argv
+    if name == "--version":
+        sys.stdout.write(f"swarm {__version__}\n")
+        return 0
+    commands = commands_of(sections)
+    command = commands.get(name)
+    if command is None:
+        raise LocalError(f"no command {name!r}; {_hint(name, commands)}")
+    if not isinstance(command, CommandGroup):
+        return _call(name, command, rest)
+    if rest and (chosen := command.commands.get(rest[0])) is not None:
+        return _call(f"{name} {rest[0]}", chosen, rest[1:])
+    if rest in (["-h"], ["--help"]) or not (rest or command.alone):
+        sys.stdout.write(_usage_of(name, command))
+        return 0 if rest else 2
+    if not command.alone or (rest and not rest[0].startswith("-")):
+        there = ", ".join(f"{name} {sub}" for sub in command.commands)
+        raise LocalError(f"no command '{name} {rest[0]}'; there are {there}")
+    return _call(f"{name} {command.alone}", command.commands[command.alone], rest)
+
+
+def _call(name: str, command: Command, rest: list[str]) -> int:
+    """Run a command with the arguments that the user gave; returns the exit code."""
+    module = importlib.import_module(command.module)
+    if not hasattr(module, "add_arguments"):
+        sys.argv = ["swarm", *command.first, *rest]
+        return module.main() or 0
+    code: int = module.run(parser_of(name, command).parse_args([*command.first, *rest]))
+    return code
+
+
+def _hint(name: str, commands: Commands) -> str:
+    """Return which command may be meant: one of the same last word, or one that is spelled like it."""
+    known = names(commands)
+    same = [each for each in known if each.split()[-1] == name]
+    near = same or difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
+
+
+def _usage(sections: Sections) -> str:
+    """Return what `swarm --help` prints: one line for each command, at most 100 characters wide."""
+    lines = ["usage: swarm COMMAND ...   (swarm COMMAND --help, swarm --version)"]
+    for title, section in sections.items():
+        lines += ["", f"{title}:"]
+        lines += [_line(name, each) for name, each in section.items()]
+    return "\n".join([*lines, ""])
+
+
+def _usage_of(name: str, group: CommandGroup) -> str:
+    """Return what `swarm GROUP --help` prints."""
+    lines = [f"usage: swarm {name} COMMAND ...   (swarm {name} COMMAND --help)", "", f"{group.help}:"]
+    lines += [_line(sub, each) for sub, each in group.commands.items()]
+    if group.alone:
+        lines += ["", f"`swarm {name}` alone is `swarm {name} {group.alone}`."]
+    return "\n".join([*lines, ""])
+
+
+def _line(name: str, command: Command | CommandGroup) -> str:
+    text = help_of(command)
+    if isinstance(command, CommandGroup):
+        text = f"{text}: {', '.join(command.commands)}"
+    return f"  {name:<10} {text}"
+
+
+def _forget_output() -> None:
+    """Point stdout to nowhere, or the interpreter would fail once more when it flushes at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,56 @@
+"""The commands of `swarm` on a robot. A laptop adds its own (`laptop.cli.commands`), which a robot does not carry.
+
+Tools of a service are named here and imported when they are used: no module of `swarm` depends on a service.
+"""
+
+from typing import NoReturn
+
+from swarm.onboard.command_line import Command, CommandGroup, Sections, main
+
+MESH = CommandGroup(
+    "the robots and their links, the topology, the members of runs",
+    {
+        "show": Command("swarm.onboard.mesh.show"),
+        "topology": Command("swarm.onboard.mesh.topology"),
+        "epoch": Command("swarm.onboard.mesh.epoch"),
+    },
+    alone="show",
+)
+
+MEASURE = CommandGroup(
+    "links, paths and the I2C bus",
+    {
+        "rtt": Command("swarm.onboard.measure.links", ("rtt",), "round-trip times by payload size and overlay"),
+        "throughput": Command("swarm.onboard.measure.links", ("throughput",), "bytes a second of links and paths"),
+        "radio": Command("swarm.onboard.measure.radio"),
+        "i2c": Command("services.balancer.measure_i2c"),
+    },
+)
+
+TOOLS: dict[str, Command | CommandGroup] = {
+    "dwm": Command("services.dwm.tool", help="look at UWB modules, set them up, find what is wrong"),
+    "calibrate": Command("services.dwm.calibrate.__main__", help="calibrate the UWB module of a robot"),
+    "discover": Command("services.mesh.discover", help="list Bluetooth devices in range, and which are robots"),
+    "config": Command("swarm.onboard.config"),
+    "key": Command("swarm.onboard.key"),
+}
+
+SECTIONS: Sections = {
+    "this robot and its swarm": {
+        "mesh": MESH,
+        "measure": MEASURE,
+        "app": CommandGroup("apps while they run", {"param": Command("swarm.onboard.param")}),
+        **TOOLS,
+        "flash": Command("services.balancer.flash", help="put new firmware on the Balboa, over its USB cable"),
+    },
+    "safety": {
+        "estop": Command("swarm.onboard.halt", ("stop",), "stop every robot, and say who has obeyed"),
+        "stop": Command("swarm.onboard.halt", ("stop",), "the same as estop"),
+        "arm": Command("swarm.onboard.halt", ("arm",), "take every stop back, and say who has heard it"),
+    },
+}
+
+
+def run() -> NoReturn:
+    """Entry point of `swarm` on a robot."""
+    main(SECTIONS)

@@ -1,0 +1,87 @@
+"""`swarm config`: print a commented example of swarm.toml, or check one."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from swarm.config.load import load
+from swarm.config.types import DEFAULT_RELAY, Config
+from swarm.core.graph import Graph
+from swarm.onboard.arguments import add_json, show
+from swarm.process.terminal import columns
+
+HELP = "check a swarm.toml, or print a commented example"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--example`, or `check [FILE] [--json]`."""
+    parser.add_argument("--example", action="store_true", help="print a commented file to start from")
+    verbs = parser.add_subparsers(dest="verb", metavar="check")
+    check = verbs.add_parser("check", help="say what a file holds, or what is wrong with it")
+    check.add_argument("file", nargs="?", type=Path, help="default: SWARM_CONFIG, else /etc/swarm/swarm.toml")
+    add_json(check)
+    parser.set_defaults(fail=parser.error)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Raises `ConfigError` where the file is wrong."""
+    if args.example == (args.verb is not None):
+        args.fail("expected either --example or check [FILE]")
+    if args.example:
+        from swarm.config.example import EXAMPLE
+
+        sys.stdout.write(EXAMPLE)
+        return 0
+    config = load(args.file)
+    show(args, _summary(config), _text(config))
+    return 0
+
+
+_AUTO = "links: robots find them themselves"
+
+
+def _summary(config: Config) -> dict[str, object]:
+    return {
+        "file": str(config.path),
+        "network": config.network,
+        "robots": {
+            robot.name: {
+                "board": robot.board,
+                "link": robot.link or (f"rfcomm:{robot.bluetooth}" if robot.bluetooth else None),
+                "neighbours": config.neighbours(robot.name),
+            }
+            for robot in config.robots
+        },
+        "links": len(config.edges),
+        "diameter": None if config.auto else Graph(config.names, config.edges).diameter(),
+        "auto": config.auto,
+        "relay": [rule.keys for rule in config.relay],
+        "anchors": [anchor.address for anchor in config.anchors],
+        "target": config.dwm.target,
+        "apps": sorted(config.apps),
+        "authenticated": not config.mesh.insecure,
+    }
+
+
+def _authentication(config: Config) -> str:
+    if len(config.robots) == 1:
+        return ""
+    return ", not authenticated" if config.mesh.insecure else f", authenticated by the key in {config.mesh.key_file}"
+
+
+def _text(config: Config) -> list[str]:
+    graph = Graph(config.names, config.edges)
+    rows = [("robot", "board", "reached at", "neighbours")]
+    for robot in config.robots:
+        link = robot.link or (f"rfcomm:{robot.bluetooth}" if robot.bluetooth else "-")
+        rows.append((robot.name, robot.board, link, " ".join(graph.neighbours(robot.name)) or "-"))
+    own_rules = len(config.relay) - len(DEFAULT_RELAY)
+    anchors = ", ".join(f"{a.address} ({a.x:g}, {a.y:g})" for a in config.anchors)
+    return [
+        f"{config.path}: fine; network {config.network}",
+        *columns(rows),
+        (_AUTO if config.auto else f"links: {len(graph.edges)}, diameter {graph.diameter()}") + _authentication(config),
+        f"relay: {len(DEFAULT_RELAY)} rules of the platform, {own_rules} of the file",
+        f"anchors: {anchors or 'none'}; target {config.dwm.target or 'none'}",
+        f"apps with parameters: {', '.join(sorted(config.apps)) or 'none'}",
+    ]

@@ -1,0 +1,187 @@
+"""`swarm estop [REASON]` and `swarm arm`: stop every robot, or take every stop back, and say who has confirmed it.
+
+The command goes to every bus that can be reached, so that these robots obey even where their meshes are dead; the mesh
+carries it to the others. It is given again until it is confirmed, since a bus may lose it. A robot confirms by its
+`mesh/stopped`, its own or what it floods; where its balancer's state can be seen, the motors must be off, too. Nothing
+moves by `swarm arm`: balancers wait for a command.
+"""
+
+import argparse
+import contextlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+from swarm import clock
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import LocalError, PayloadError
+from swarm.frozen import frozen
+from swarm.messages import Arm, BalancerState, GraphRobot, Stop, read
+from swarm.messages.keys import STOP, key, parse
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_json, number, show
+from swarm.onboard.ask import AWAY, Views, opened
+from swarm.process.terminal import columns
+
+HELP = "stop every robot or take every stop back, and say who has confirmed it"
+
+ROUND = 0.2
+"""s between two looks; the command is repeated where it is not confirmed by then."""
+
+ANSWER = 2.0
+"""s that a mesh has for its answer; questions overlap."""
+
+MOVING = ("standing_up", "balancing")
+"""Modes of a balancer whose motors are on."""
+
+
+@frozen
+class Row:
+    """One robot."""
+
+    robot: str
+    state: str
+    """here, silent (its bus is there, its mesh does not answer), left, gone, never or no bus."""
+    stopped: bool | None
+    """By its own word; None = it has said nothing."""
+    mode: str | None
+    """Of its balancer, where that can be seen."""
+    confirmed: bool
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare `stop [REASON]` or `arm`, then options. Which of the two is part of the command's name."""
+    parser.add_argument("act", choices=("stop", "arm"), help=argparse.SUPPRESS)
+    parser.add_argument("reason", nargs="?", help="of a stop: what the robots' logs and faults will say")
+    parser.add_argument("--timeout", type=number(0.1, 600, "s"), default=5.0, metavar="S", help="seconds to wait (5)")
+    add_json(parser)
+    buses.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Stop or arm over the buses that can be reached; code 1 where a robot has not confirmed in time."""
+    rows = give(args, buses.find(args))
+    done = all(row.confirmed for row in reached(rows))
+    show(args, report(args, rows, done), table(rows, stop=args.act == "stop"))
+    return 0 if done else 1
+
+
+def reason_of(args: argparse.Namespace) -> str:
+    """Return why robots are to stop."""
+    if args.reason and args.act == "arm":
+        raise LocalError(f"swarm arm takes no reason: {args.reason!r}")
+    return args.reason or "swarm estop"
+
+
+def reached(rows: list[Row]) -> list[Row]:
+    """Return the robots that could be told."""
+    return [row for row in rows if row.state not in (*AWAY, "no bus")]
+
+
+def report(args: argparse.Namespace, rows: list[Row], done: bool) -> dict[str, object]:
+    """Return what programs read."""
+    return {"stop": args.act == "stop", "confirmed": done, "robots": [asdict(row) for row in rows]}
+
+
+def give(args: argparse.Namespace, directories: Mapping[str, Path]) -> list[Row]:
+    """Stop or arm over the buses with these runtime directories; returns what each robot has confirmed."""
+    with opened(directories) as found:
+        return _command(found, stop=args.act == "stop", reason=reason_of(args), timeout=args.timeout)
+
+
+def rows_of(
+    names: Mapping[str, bool], known: Mapping[str, GraphRobot], modes: Mapping[str, str], *, stop: bool
+) -> list[Row]:
+    """One row a robot. `names`: robots whose bus was looked for, and whether it is there."""
+    rows = []
+    for name in sorted({*names, *known}):
+        entry, mode = known.get(name), modes.get(name)
+        still = mode is None or mode not in MOVING
+        if entry is not None and entry.state not in AWAY:
+            # Who has said nothing since it was started has heard of no stop.
+            confirmed = (entry.stopped is True and still) if stop else not entry.stopped
+            rows.append(Row(name, "here", entry.stopped, mode, confirmed))
+        elif names.get(name):
+            # A balancer obeys its bus without a mesh; only, nobody will repeat the stop.
+            rows.append(Row(name, "silent", None, mode, stop and mode is not None and still))
+        else:
+            rows.append(Row(name, entry.state if entry is not None else "no bus", None, mode, False))
+    return rows
+
+
+def table(rows: list[Row], *, stop: bool) -> list[str]:
+    """What people read."""
+    lines = [("robot", "state", "stopped", "balancer", "")]
+    for row in rows:
+        stopped = {True: "yes", False: "no", None: "-"}[row.stopped]
+        lines.append((row.robot, row.state, stopped, row.mode or "-", _remark(row, stop=stop)))
+    missing = [row.robot for row in rows if not row.confirmed and row.state in ("here", "silent")]
+    away = [row.robot for row in rows if row.state not in ("here", "silent")]
+    what = "stopped" if stop else "armed"
+    confirmed = sum(row.confirmed for row in rows)
+    summary = f"{what}: {confirmed} of {len(rows)} robots"
+    if missing:
+        summary += f"; not confirmed: {' '.join(missing)}"
+    if away:
+        summary += f"; out of reach: {' '.join(away)} (told when they are back)"
+    return [*columns(lines), "", summary]
+
+
+def _remark(row: Row, *, stop: bool) -> str:
+    if row.confirmed:
+        return "its mesh does not answer: nobody repeats the stop" if row.state == "silent" else ""
+    if row.state == "silent":
+        return "its mesh does not answer"
+    if row.state == "no bus":
+        return "nobody knows where it is"
+    if row.state != "here":
+        return "out of reach"
+    if stop and row.stopped:
+        return "its motors are on"
+    return "not confirmed"
+
+
+def _command(opened_buses: Mapping[str, Bus], *, stop: bool, reason: str, timeout: float) -> list[Row]:
+    views, modes = Views(), dict[str, str]()
+
+    def take(text: str, payload: bytes) -> None:
+        with contextlib.suppress(PayloadError):
+            message = read(text, payload)
+            if isinstance(message, BalancerState):
+                with views.changed:
+                    modes[parse(text).robot] = message.mode
+                    views.changed.notify_all()
+
+    for bus in opened_buses.values():
+        bus.subscribe(key("*", "balancer", "state"), take)
+    end = clock.now() + timeout
+    rows: list[Row] = []
+    while True:
+        confirmed = {row.robot for row in rows if row.confirmed}
+        for name, bus in opened_buses.items():
+            if name not in confirmed:
+                _give(name, bus, stop=stop, reason=reason)
+            views.ask(name, bus, ANSWER)
+        round_end = min(end, clock.now() + ROUND)
+        while clock.now() < round_end:
+            with views.changed:
+                views.changed.wait(max(0.0, round_end - clock.now()))
+                seen = dict(modes)
+            there = {name: bus.connected for name, bus in opened_buses.items()}
+            rows = rows_of(there, views.best(), seen, stop=stop)
+            if all(_is_final(row, opened_buses) for row in rows):
+                return rows
+        if clock.now() >= end:
+            return rows
+
+
+def _is_final(row: Row, opened_buses: Mapping[str, Bus]) -> bool:
+    """Whether waiting changes nothing. Whose own bus is asked may only not have answered yet, whatever others say."""
+    return (row.confirmed and row.state == "here") or (row.state in AWAY and row.robot not in opened_buses)
+
+
+def _give(name: str, bus: Bus, *, stop: bool, reason: str) -> None:
+    if stop:
+        bus.publish(STOP, Stop(clock.now(), name, reason))
+    else:
+        bus.publish(key(name, "mesh", "set", "arm"), Arm(clock.now(), "swarm arm"), urgent=True)

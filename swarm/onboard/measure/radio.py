@@ -1,0 +1,105 @@
+"""`swarm measure radio ROBOT [ROBOT]`: the signal strength of a Bluetooth link (RSSI), as its adapter sees it.
+
+The adapter is asked over a raw HCI socket, which needs neither root nor bluetoothd (`swarm.bluetooth.hci`).
+bluetoothd's own interface has no such reading, and its management socket gives it to root only.
+"""
+
+import argparse
+import contextlib
+import statistics
+import time
+from collections.abc import Callable
+
+from swarm.bluetooth import hci
+from swarm.bluetooth.adapter import Adapter, check
+from swarm.config import RobotConfig, load
+from swarm.errors import LocalError
+from swarm.onboard.arguments import show, whole
+from swarm.onboard.measure import links
+from swarm.process.simulations import CONFIG, is_live
+
+HELP = "signal strength of a Bluetooth link"
+
+PERIOD = 0.1
+"""s between two readings."""
+
+
+class Signal:
+    """The signal of one connection of an own adapter."""
+
+    def __init__(self, adapter: Adapter, peer: str) -> None:
+        """`peer` is a Bluetooth address."""
+        self._adapter = adapter
+        self._peer = peer
+
+    def read(self) -> int:
+        """One reading, dB; `LocalError` where there is no connection, or no answer."""
+        handle = self._adapter.handle(self._peer)
+
+        def answer(packet: bytes) -> hci.RssiReading | None:
+            found = hci.reading(packet)
+            return None if found is not None and found.status == 0 and found.handle != handle else found
+
+        found = self._adapter.ask(hci.read_rssi(handle), answer)
+        if found.status == hci.NO_CONNECTION:
+            raise LocalError(f"there is no connection to {self._peer} any more")
+        check(found.status)
+        return found.rssi
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare `ROBOT [ROBOT] [--count N]`."""
+    links.add_ends(parser)
+    parser.add_argument("--count", type=whole(1, 10_000), default=20, metavar="N", help="readings (20)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read and print."""
+    measured(args)
+    return 0
+
+
+def measured(args: argparse.Namespace) -> tuple[str, list[int]]:
+    """Read `--count` times and print; returns the link, and the readings in dB."""
+    robot, peer, directory = links.ends(args)
+    config = load(directory.parent / CONFIG if is_live(directory.parent) else None)
+    if peer not in config.names:
+        raise LocalError(f"there is no robot {peer}, there are {' '.join(config.names)}")
+    link = f"{robot} - {peer}"
+    own, address = (_radio(config.robot(name), link) for name in (robot, peer))
+    try:
+        with contextlib.closing(Adapter(own)) as adapter:
+            readings = sample(Signal(adapter, address), args.count)
+    except OSError as error:
+        raise LocalError(f"Bluetooth {own}: {hci.explained(error)}") from None
+    data = {"robot": robot, "peer": peer, "what": "radio", "period": PERIOD, "rssi": readings}
+    show(args, data, text(link, readings))
+    return link, readings
+
+
+def sample(signal: Signal, count: int, pause: Callable[[float], object] = time.sleep) -> list[int]:
+    """Readings one after the other."""
+    readings = [signal.read()]
+    for _ in range(count - 1):
+        pause(PERIOD)
+        readings.append(signal.read())
+    return readings
+
+
+def text(link: str, readings: list[int]) -> list[str]:
+    """What people read."""
+    mean, deviation = statistics.fmean(readings), statistics.pstdev(readings)
+    return [
+        f"{link}: RSSI of {len(readings)} readings: min {min(readings)}, median "
+        f"{statistics.median(readings):g}, mean {mean:.1f}, max {max(readings)}, sd {deviation:.1f} dB",
+        "(dBm, or relative to the adapter's golden range, as the adapter has it)",
+    ]
+
+
+def _radio(config: RobotConfig, link: str) -> str:
+    if config.link is not None and not config.link.startswith("rfcomm:"):
+        raise LocalError(f"{link}: this link has no radio: {config.name} is reached by {config.link}")
+    address = (config.link or "").removeprefix("rfcomm:") or config.bluetooth
+    if address is None:
+        raise LocalError(f"{link}: this link has no radio: {config.name} has no Bluetooth address")
+    return address

@@ -1,0 +1,176 @@
+"""The ways of sending that are measured. Each asks the mesh of one robot over its bus, as apps do."""
+
+import contextlib
+import itertools
+import queue
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+from swarm import clock
+from swarm.app.overlays import Handle, Overlays
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import LocalError, PayloadError
+from swarm.messages import Echo, EchoRequest, Flooded, Sent, read
+from swarm.messages.keys import key
+from swarm.onboard.measure.figures import Figures, of_bursts, of_times
+
+PATIENCE = 5.0
+"""s to wait for an answer, beyond what the payload takes at `SLOWEST`."""
+
+SLOWEST = 5000.0
+"""bytes/s."""
+
+BURST = 64 * 1024
+"""Bytes of a burst that measures throughput, where a single message is not longer."""
+
+AT_ONCE = 48
+"""Messages of a burst at most: fewer than confirmed floods may be under way."""
+
+APP = "measure"
+"""Under whose name messages travel: nobody listens to them, so only the meshes are measured."""
+
+
+class Sender(ABC):
+    """One way of sending. `LocalError` where the mesh refuses a message, with its reason."""
+
+    both_ways = False
+    """Whether the answer of `one` is as long as the message."""
+
+    @abstractmethod
+    def one(self, size: int) -> float | None:
+        """A message and its answer: s; None where that did not come."""
+
+    @abstractmethod
+    def many(self, size: int, count: int) -> list[float]:
+        """Messages that follow each other: when each was answered, s."""
+
+    def rtt(self, sizes: Sequence[int], count: int) -> tuple[Figures, ...]:
+        """`count` messages of each size, the sizes in turn, so that what changes meanwhile changes all alike."""
+        found: dict[int, list[float]] = {size: [] for size in sizes}
+        for _ in range(count):
+            for size in sizes:
+                if (time := self.one(size)) is not None:
+                    found[size].append(time)
+        return tuple(of_times(size, times, count, both_ways=self.both_ways) for size, times in found.items())
+
+    def throughput(self, sizes: Sequence[int], count: int) -> tuple[Figures, ...]:
+        """`count` bursts of each size."""
+        found = []
+        for size in sizes:
+            at_once = max(2, min(AT_ONCE, BURST // size))
+            found.append(of_bursts(size, [self.many(size, at_once) for _ in range(count)], at_once))
+        return tuple(found)
+
+
+class Pings(Sender):
+    """Between the meshes of two neighbours (`mesh/set/echo`): what `neighbours` messages of a size meet."""
+
+    both_ways = True
+
+    def __init__(self, bus: Bus, robot: str, peer: str, priority: str | None) -> None:
+        self._bus = bus
+        self._peer = peer
+        self._priority = priority
+        self._request_key = key(robot, "mesh", "set", "echo")
+        self._echoes: queue.SimpleQueue[Echo] = queue.SimpleQueue()
+        # Who measures at the same time has other numbers.
+        self._sequence = itertools.count(int(clock.wall() * 1e6))
+        bus.subscribe(key(robot, "mesh", "echo"), self._take)
+
+    def one(self, size: int) -> float | None:
+        """One ping, answered by as many bytes."""
+        answers = self._ping(size, self._priority or "sync", count=1, short=False)
+        return answers[0].rtt if answers else None
+
+    def many(self, size: int, count: int) -> list[float]:
+        """Pings at once, short answers."""
+        return [echo.t for echo in self._ping(size, self._priority or "bulk", count=count, short=True)]
+
+    def _ping(self, size: int, priority: str, *, count: int, short: bool) -> list[Echo]:
+        sequence = next(self._sequence)
+        self._bus.publish(self._request_key, EchoRequest(self._peer, sequence, size, count, priority, short))
+        answers: list[Echo] = []
+        end = clock.now() + _patience(size * count)
+        while len(answers) < count and (left := end - clock.now()) > 0:
+            with contextlib.suppress(queue.Empty):
+                echo = self._echoes.get(timeout=left)
+                if echo.sequence == sequence:
+                    if echo.rtt is None:
+                        raise LocalError(echo.reason)
+                    answers.append(echo)
+        return answers
+
+    def _take(self, text: str, payload: bytes) -> None:
+        with contextlib.suppress(PayloadError):
+            if isinstance(message := read(text, payload), Echo):
+                self._echoes.put(message)
+
+
+class _Messages(Sender):
+    """What apps send through the client of the overlays. The time runs from the request until the own mesh has the
+    other end's confirmation, so one crossing of the own bus is in it."""
+
+    def __init__(self, bus: Bus, robot: str, priority: str | None) -> None:
+        self._overlays = Overlays(bus, robot, APP)
+        self._priority = priority
+
+    def one(self, size: int) -> float | None:
+        """A message and its confirmation."""
+        began = clock.now()
+        answered = self._answered(self._send(size, self._priority or "sync"), began + _patience(size))
+        return None if answered is None else answered - began
+
+    def many(self, size: int, count: int) -> list[float]:
+        """Messages at once, and their confirmations."""
+        end = clock.now() + _patience(size * count)
+        handles = [self._send(size, self._priority or "bulk") for _ in range(count)]
+        answers = [self._answered(handle, end) for handle in handles]
+        return [answered for answered in answers if answered is not None]
+
+    @abstractmethod
+    def _send(self, size: int, priority: str) -> Handle[Any]:
+        """Ask for one message."""
+
+    @abstractmethod
+    def _succeeded(self, answer: Any) -> bool:
+        """Whether it arrived; `LocalError` where it could not be sent."""
+
+    def _answered(self, handle: Handle[Any], end: float) -> float | None:
+        try:
+            answer = handle.result(max(0.0, end - clock.now()))
+        except TimeoutError:
+            return None
+        return answer.t if self._succeeded(answer) else None
+
+
+class UnicastMessages(_Messages):
+    """To one robot, over as many links as it takes."""
+
+    def __init__(self, bus: Bus, robot: str, to: str, priority: str | None) -> None:
+        super().__init__(bus, robot, priority)
+        self._to = to
+
+    def _send(self, size: int, priority: str) -> Handle[Sent]:
+        return self._overlays.send(self._to, bytes(size), priority=priority, timeout=_patience(size))
+
+    def _succeeded(self, answer: Sent) -> bool:
+        if not answer.delivered and "no answer" not in answer.problem:
+            raise LocalError(f"{self._to}: {answer.problem}")
+        return answer.delivered
+
+
+class Floods(_Messages):
+    """To all robots, until the echo says that all have it."""
+
+    def _send(self, size: int, priority: str) -> Handle[Flooded]:
+        return self._overlays.flood(bytes(size), priority=priority)
+
+    def _succeeded(self, answer: Flooded) -> bool:
+        if not answer.complete and not answer.robots:
+            raise LocalError(f"flood: {answer.problem}")
+        return answer.complete
+
+
+def _patience(size: int) -> float:
+    return PATIENCE + size / SLOWEST

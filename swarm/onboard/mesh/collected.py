@@ -1,0 +1,111 @@
+"""What `swarm mesh` has collected, put together: the links that count, and their round-trip times."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from swarm.core.graph import Graph
+from swarm.messages import Clock, GraphRobot, Links, LinkState
+from swarm.onboard.ask import AWAY
+
+UP = ("up", "suspect")
+
+
+@dataclass
+class MeshView:
+    """What one robot's mesh reports of itself."""
+
+    links: Links | None = None
+    clock: Clock | None = None
+    counters: dict[str, int] | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing."""
+        return self.links is not None and self.clock is not None and self.counters is not None
+
+
+@dataclass
+class CollectedMesh:
+    """The swarm."""
+
+    views: Mapping[str, MeshView]
+    """Of the robots that were asked."""
+    robots: Mapping[str, GraphRobot] = field(default_factory=dict)
+    """All, as they are known best."""
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """All robots that anybody speaks of."""
+        return tuple(sorted({*self.views, *self.robots, *(link.peer for _, link in self.links())}))
+
+    def links(self) -> Iterator[tuple[str, LinkState]]:
+        """The own links of the robots that were asked, and whose they are."""
+        for name, view in self.views.items():
+            if view.links is not None:
+                for link in view.links.links:
+                    yield name, link
+
+    @cached_property
+    def clashes(self) -> dict[str, str]:
+        """Names that two robots have, by the robots that were asked, and how that was noticed."""
+        return {name: text for view in self.views.values() if view.links is not None
+                for name, text in view.links.clashes.items()}  # fmt: skip
+
+    @cached_property
+    def states(self) -> dict[tuple[str, str], bool]:
+        """Every link that is known, its ends sorted, and whether it is up: no end says that it is down, and where none
+        was asked, both tell of it."""
+        states: dict[tuple[str, str], bool] = {}
+        for name, link in self.links():
+            pair = _pair(name, link.peer)
+            states[pair] = states.get(pair, True) and link.state in UP
+        for name, robot in self.robots.items():
+            if robot.state in AWAY:
+                continue  # what it said last holds no more
+            for peer in robot.links:
+                other = self.robots.get(peer)
+                if other is not None and other.state not in AWAY and name in other.links:
+                    states.setdefault(_pair(name, peer), True)
+        return states
+
+    @cached_property
+    def round_trips(self) -> dict[tuple[str, str], float | None]:
+        """The links that are up: median round-trip time where an end was asked, else twice the larger one-way time that
+        the ends tell, in steps of 20 %; s."""
+        medians: dict[tuple[str, str], float] = {}
+        for name, link in self.links():
+            if link.rtt_median is not None:
+                pair = _pair(name, link.peer)
+                medians[pair] = max(medians.get(pair, 0.0), link.rtt_median)
+        found: dict[tuple[str, str], float | None] = {}
+        for pair, up in self.states.items():
+            if up:
+                told = [
+                    robot.links[peer]
+                    for name, peer in (pair, pair[::-1])
+                    if (robot := self.robots.get(name)) is not None and peer in robot.links
+                ]
+                found[pair] = medians.get(pair, 2 * max(told) if told else None)
+        return found
+
+    @cached_property
+    def graph(self) -> Graph:
+        """The links that are up."""
+        return Graph(self.names, list(self.round_trips))
+
+    @property
+    def whole(self) -> bool:
+        """Whether all robots are there, no two with one name, all meshes report, and all known links are up."""
+        silent = any(view.links is None for view in self.views.values())
+        down = any(link.state != "up" for _, link in self.links())
+        return (
+            not silent
+            and not down
+            and not self.clashes
+            and not any(robot.state in AWAY for robot in self.robots.values())
+        )
+
+
+def _pair(a: str, b: str) -> tuple[str, str]:
+    return (a, b) if a < b else (b, a)

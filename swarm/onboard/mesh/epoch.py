@@ -1,0 +1,96 @@
+"""`swarm mesh epoch show|drop|add|renew`: who is in an app's lockstep, and changing that by an operator's word.
+
+Any one member takes the order; the robots agree on it among themselves (docs/lockstep.md).
+"""
+
+import argparse
+from dataclasses import asdict
+
+from swarm.errors import LocalError
+from swarm.messages import AppEpoch, SetAppEpoch
+from swarm.messages.keys import is_name, key
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_json, number, show
+from swarm.onboard.ask import PATIENCE, Answers, new_ticket, opened
+
+HELP = "show or change which robots an app's lockstep runs on"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`show`, `drop ROBOT...`, `add ROBOT...` or `renew`, then options."""
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="show|drop|add|renew")
+    look = verbs.add_parser("show", help="the members on each robot; code 1 where robots tell different ones")
+    drop = verbs.add_parser("drop", help="go on without these robots, until they are added again")
+    add = verbs.add_parser("add", help="take robots in again that were dropped so")
+    renew = verbs.add_parser("renew", help="take in who is there, with the links in force, and leave out who is not")
+    for each in (drop, add):
+        each.add_argument("which", nargs="+", metavar="ROBOT")
+    for each in (drop, add, renew):
+        each.add_argument("--force", action="store_true", help="even without a majority of the members: only where the "
+                          "others are known to have stopped, else both parts go on")  # fmt: skip
+        each.add_argument("--timeout", type=number(0), default=10.0, metavar="S", help="seconds to wait for it (10)")
+    for each in (look, drop, add, renew):
+        each.add_argument("--app", required=True, metavar="NAME")
+        buses.add_arguments(each)
+        add_json(each)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Code 1 where robots tell different epochs, or the change has not come about in time."""
+    if not is_name(args.app):
+        raise LocalError(f"--app {args.app}: expected the name of an app")
+    with opened(buses.find(args)) as found:
+        answers = Answers(found, AppEpoch, f"app/{args.app}", "epoch")
+        if not answers.wait(PATIENCE, lambda: bool(answers.newest)):
+            raise LocalError(f"no robot tells who is in {args.app}: {', '.join(found)} ({PATIENCE:g} s)")
+        problem = ""
+        if args.verb == "show":
+            answers.wait(PATIENCE, lambda: len(answers.newest) == len(found))
+        else:
+            problem = _order(answers, args)
+    done = not problem and len({epoch.frames for epoch in answers.newest.values()}) == 1
+    told = {name: asdict(answers.newest[name]) if name in answers.newest else None for name in found}
+    lines = [*([problem] if problem else []), *table(answers)]
+    show(args, {"done": done, "problem": problem, "robots": told}, lines)
+    return 0 if done else 1
+
+
+def table(answers: Answers[AppEpoch]) -> list[str]:
+    """What people read."""
+    lines = []
+    for name in answers.buses:
+        epoch = answers.newest.get(name)
+        if epoch is None:
+            lines.append(f"{name}  silent")
+            continue
+        marks = [f"sent away: {' '.join(epoch.away)}"] if epoch.away else []
+        marks += ["without a majority"] if epoch.forced else []
+        more = f"  ({'; '.join(marks)})" if marks else ""
+        lines.append(f"{name}  epoch {epoch.epoch} from iteration {epoch.k} on: {' '.join(epoch.members)}{more}")
+    return lines
+
+
+def _order(answers: Answers[AppEpoch], args: argparse.Namespace) -> str:
+    """Give the order to one robot; what is wrong where its app has not followed in time."""
+    known, which = answers.newest, tuple(getattr(args, "which", ()))
+    members = {name for epoch in known.values() for name in epoch.members}
+    name = next((name for name in known if name in members and name not in which), None)
+    if name is None:
+        raise LocalError(f"none of {', '.join(known)} is in {args.app}: ask a robot that is")
+    before = known[name]
+    drop = which if args.verb == "drop" else ()
+    add = which if args.verb == "add" else ()
+    wish = SetAppEpoch(new_ticket(), drop, add, args.force)
+
+    def done() -> bool:
+        now = known[name]
+        return now.epoch > before.epoch and not set(drop) & set(now.members) and not set(add) & set(now.away)
+
+    def order() -> None:
+        answers.buses[name].publish(key(name, f"app/{args.app}", "set", "epoch"), wish, urgent=True)
+
+    if not answers.wait(args.timeout, done, order):
+        most = f"more than half of its {len(before.members)} members must agree"
+        return f"{name} has not followed within {args.timeout:g} s: {most}"
+    answers.wait(PATIENCE, lambda: len({known[n].frames for n in known if n in known[name].members}) == 1)
+    return ""

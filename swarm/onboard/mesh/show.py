@@ -1,0 +1,98 @@
+"""`swarm mesh`: who is in the swarm and how it is linked, as any one robot knows it, with the details of the links of
+those robots whose buses can be reached: all of a simulation, or this one."""
+
+import argparse
+import contextlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+from swarm import clock
+from swarm.bus.zenoh_bus import Bus, OnSample
+from swarm.errors import LocalError, PayloadError
+from swarm.messages import Clock, Links, Status, read
+from swarm.messages.keys import key, parse
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_json, show
+from swarm.onboard.ask import PATIENCE, Views, opened
+from swarm.onboard.mesh import tables
+from swarm.onboard.mesh.collected import CollectedMesh, MeshView
+
+HELP = "the robots of the swarm, their links, and the graph they make"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare `[--robots r0,r3] [--run-dir DIR] [--json]`."""
+    buses.add_arguments(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what is known; code 1 where a mesh says nothing, a robot is away or a link is not up."""
+    return 0 if shown(args).whole else 1
+
+
+def shown(args: argparse.Namespace) -> CollectedMesh:
+    """Print what is known, and return it."""
+    mesh = collect(buses.find(args))
+    show(args, as_json(mesh), tables.text(mesh))
+    return mesh
+
+
+def collect(directories: Mapping[str, Path]) -> CollectedMesh:
+    """The newest reports of these robots, waited for; `LocalError` where no mesh reports at all."""
+    views = {name: MeshView() for name in directories}
+    graphs = Views()
+
+    def take(text: str, payload: bytes) -> None:
+        with contextlib.suppress(PayloadError):
+            view, message = views[parse(text).robot], read(text, payload)
+            with graphs.changed:
+                if isinstance(message, Links):
+                    view.links = message
+                elif isinstance(message, Clock):
+                    view.clock = message
+                elif isinstance(message, Status):
+                    view.counters = message.counters
+                graphs.changed.notify_all()
+
+    with opened(directories) as opened_buses:
+        for name, bus in opened_buses.items():
+            bus.subscribe(key(name, "mesh", "links"), take)
+            bus.on_change(lambda up, name=name, bus=bus: _ask(name, bus, graphs, take) if up else None)  # type: ignore[misc]
+        end = clock.now() + PATIENCE
+        with graphs.changed:
+            while clock.now() < end:
+                if all(view.complete and name in graphs.robots for name, view in views.items()):
+                    break
+                graphs.changed.wait(max(0.0, end - clock.now()))
+    if not any(view.links for view in views.values()) and not graphs.robots:
+        raise LocalError(f"no mesh reports its links: {', '.join(directories)} ({PATIENCE:g} s)")
+    return CollectedMesh(views, graphs.best())
+
+
+def _ask(name: str, bus: Bus, graphs: Views, take: OnSample) -> None:
+    graphs.ask(name, bus, PATIENCE)
+    for topic in ("clock", "status"):
+        bus.ask(key(name, "mesh", topic), take, timeout_s=PATIENCE)
+
+
+def as_json(mesh: CollectedMesh) -> dict[str, object]:
+    """For programs."""
+    robots: dict[str, dict[str, object]] = {}
+    for name in mesh.names:
+        known, view = mesh.robots.get(name), mesh.views.get(name)
+        entry: dict[str, object] = asdict(known) if known is not None else {"robot": name}
+        entry["told"] = entry.pop("links", {})
+        if view is not None:
+            entry["links"] = None if view.links is None else [asdict(link) for link in view.links.links]
+            entry["clock"] = None if view.clock is None else asdict(view.clock)
+            entry["counters"] = view.counters
+        robots[name] = entry
+    edges = [{"ends": list(ends), "round_trip": time} for ends, time in sorted(mesh.round_trips.items())]
+    return {
+        "robots": robots,
+        "edges": edges,
+        "clashes": mesh.clashes,
+        "parts": [list(part) for part in mesh.graph.components()],
+    }

@@ -1,0 +1,144 @@
+"""What `swarm mesh` prints: a table of the robots, one of the links, one of the overlays' counters, and the graph."""
+
+import statistics
+from collections.abc import Sequence
+
+from swarm.onboard.ask import AWAY
+from swarm.onboard.mesh.collected import CollectedMesh
+from swarm.process.terminal import columns
+
+MATRIX_UP_TO = 16
+"""Robots whose links are shown as a matrix; more as a list."""
+
+OVERLAYS = (
+    ("floods", "flood_sent"),
+    ("copies", "flood_duplicates"),
+    ("again", "flood_retries"),
+    ("repaired", "repaired"),
+    ("passed on", "unicast_forwarded"),
+    ("rerouted", "unicast_rerouted"),
+    ("again", "unicast_retries"),
+    ("no way", "unicast_no_route"),
+    ("not let in", "unicast_refused"),
+    ("bad", "bad_packets"),
+)
+"""Columns and counters of the table of overlays (docs/overlays.md)."""
+
+
+def text(mesh: CollectedMesh) -> list[str]:
+    """All of it."""
+    return [*clashes(mesh), *robots(mesh), "", *links(mesh), "", *overlays(mesh), "", *graph(mesh)]
+
+
+def clashes(mesh: CollectedMesh) -> list[str]:
+    """One line for each name that two robots have."""
+    return [f"WRONG: {text}" for _, text in sorted(mesh.clashes.items())]
+
+
+def robots(mesh: CollectedMesh) -> list[str]:
+    """One line for each robot of the swarm."""
+    rows: list[Sequence[str]] = [("robot", "state", "hops", "via", "links", "stopped", "clock")]
+    neighbours = {name: len(mesh.graph.neighbours(name)) for name in mesh.names}
+    for name in mesh.names:
+        known, view = mesh.robots.get(name), mesh.views.get(name)
+        told = view.clock if view is not None else None
+        state = "?" if known is None else known.state
+        one_view = len(mesh.views) == 1
+        rows.append(
+            (
+                name,
+                "silent"
+                if view is not None and view.links is None
+                else state
+                if one_view or state != "self"
+                else "here",
+                str(known.hops) if one_view and known is not None and known.hops is not None else "",
+                (known.via or "") if one_view and known is not None else "",
+                str(neighbours[name]),
+                "" if known is None else {True: "yes", False: "no", None: "-"}[known.stopped],
+                "" if told is None else f"{told.root}+{told.hop} ±{told.error * 1e3:.1f} ms",
+            )
+        )
+    return columns(rows)
+
+
+def links(mesh: CollectedMesh) -> list[str]:
+    """One line for each end of each link of the robots that were asked."""
+    rows: list[Sequence[str]] = [
+        ("link", "state", "made", "rtt min", "median", "p99 ms", "out", "in B/s", "queue", "window", "lost", "refused",
+         "why"),
+    ]  # fmt: skip
+    for name, link in mesh.links():
+        rows.append(
+            (
+                f"{name} {link.peer}",
+                link.state,
+                str(link.connection),
+                ms(link.rtt_min),
+                ms(link.rtt_median),
+                ms(link.rtt_p99),
+                f"{link.sent_rate:.0f}",
+                f"{link.received_rate:.0f}",
+                str(link.queue),
+                str(link.window),
+                str(link.dropped),
+                str(link.refused),
+                link.reason,
+            )
+        )
+    return columns(rows)
+
+
+def overlays(mesh: CollectedMesh) -> list[str]:
+    """One line for each robot that was asked. Links send nothing again; what is sent again, overlays do."""
+    rows: list[Sequence[str]] = [
+        ("since start", *(column for column, _ in OVERLAYS), "callers refused"),
+    ]
+    for name, view in mesh.views.items():
+        if view.counters is not None:
+            counters = view.counters
+            refused = sum(
+                count for each, count in counters.items() if each.startswith("refused_") or each == "half_open"
+            )
+            rows.append((name, *(str(counters.get(each, 0)) for _, each in OVERLAYS), str(refused)))
+    return columns(rows)
+
+
+def graph(mesh: CollectedMesh) -> list[str]:
+    """Who is linked to whom, with the round trip in ms; `x` = not up."""
+    cells: dict[tuple[str, str], str] = {}
+    for pair in mesh.states:
+        shown = (ms(mesh.round_trips[pair]) or "up") if pair in mesh.round_trips else "x"
+        cells[pair] = cells[pair[::-1]] = shown
+    names = mesh.names
+    if len(names) <= MATRIX_UP_TO:
+        width = max(5, *map(len, names)) + 1
+        lines = ["rtt ms".ljust(width) + "".join(name.rjust(width) for name in names)]
+        for row in names:
+            line = "".join(("." if row == column else cells.get((row, column), "-")).rjust(width) for column in names)
+            lines.append(row.ljust(width) + line)
+    else:
+        lines = [
+            f"{row}: " + ", ".join(f"{peer} {cell}" for (end, peer), cell in sorted(cells.items()) if end == row)
+            for row in names
+        ]
+    return [*lines, "", _summary(mesh)]
+
+
+def ms(seconds: float | None) -> str:
+    """Milliseconds; nothing for None."""
+    return "" if seconds is None else f"{seconds * 1e3:.1f}"
+
+
+def _summary(mesh: CollectedMesh) -> str:
+    parts = mesh.graph.components()
+    times = [time for time in mesh.round_trips.values() if time is not None]
+    away = [f"{name} ({robot.state})" for name, robot in mesh.robots.items() if robot.state in AWAY]
+    line = f"{len(mesh.names)} robots, {len(mesh.round_trips)} of {len(mesh.states)} links up"
+    if times:
+        line += f", median round trip {statistics.median(times) * 1e3:.1f} ms"
+    if len(parts) == 1:
+        line += f", diameter {mesh.graph.diameter()}"
+    else:
+        line += f"; {len(parts)} parts: " + "; ".join(" ".join(part) for part in parts)
+    return line + (f"; away: {' '.join(away)}" if away else "")

@@ -1,0 +1,112 @@
+"""`swarm app param APP [NAME=VALUE]...`: look at an app's parameters, and change them while it runs.
+
+Asked are the app's hosts on the buses that can be reached: those of a simulation that runs here, else this robot's own.
+"""
+
+import argparse
+from collections.abc import Mapping
+
+from swarm.app.parameters import value_of
+from swarm.bus.zenoh_bus import Bus
+from swarm.errors import LocalError
+from swarm.messages import AppParameter, AppParameters, AppParametersSet, SetAppParameters
+from swarm.messages.codec import Value
+from swarm.messages.keys import is_name
+from swarm.onboard import buses
+from swarm.onboard.arguments import add_json, show
+from swarm.onboard.ask import PATIENCE, Answers, new_ticket, opened, request
+from swarm.process.terminal import columns
+
+HELP = "show or change parameters of an app that runs"
+
+Known = Mapping[str, Mapping[str, AppParameter]]
+"""Parameters by robot and name."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare `APP [[ROBOT.]NAME=VALUE]...`."""
+    parser.add_argument("app", help="name of the app, e.g. consensus")
+    parser.add_argument("settings", nargs="*", metavar="[ROBOT.]NAME=VALUE", help="none = show them")
+    buses.add_arguments(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Code 1 where a robot does not answer, or refuses."""
+    wanted = settings_of(args)
+    found = buses.find(args)
+    if unknown := {robot for robot in wanted if robot and robot not in found}:
+        raise LocalError(f"no robot {min(unknown)!r} here, there are {', '.join(found)}")
+    with opened(found) as there:
+        problems, changed = _change(there, args.app, wanted)
+        known, later = _look(there, args.app, changed)
+    if not known:
+        raise LocalError(f"no app {args.app} answers on {', '.join(there)}: does it run? (swarm status)")
+    silent = [robot for robot in there if robot not in known]
+    values = {robot: {name: p.value for name, p in its.items()} for robot, its in known.items()}
+    data = {"app": args.app, "parameters": values, "later": later, "silent": silent, "problems": problems}
+    lines = [*table(known), *(f"{robot}: no answer" for robot in silent), *problems.values()]
+    lines += [f"{robot}: taken, and holds from the app's next step on" for robot in later]
+    show(args, data, lines)
+    return 1 if silent or problems else 0
+
+
+def settings_of(args: argparse.Namespace) -> dict[str, dict[str, Value]]:
+    """Return the wanted values by robot (or "" for all) and parameter; raises `LocalError`."""
+    if not is_name(args.app):
+        raise LocalError(f"{args.app[:40]!r} is no name of an app")
+    found: dict[str, dict[str, Value]] = {}
+    for word in args.settings:
+        name, equals, text = word.partition("=")
+        robot, _, parameter = name.rpartition(".")
+        if not equals or not parameter.isidentifier():
+            raise LocalError(f"{word[:60]!r} is no setting such as gain=0.5 or r2.gain=0.5")
+        found.setdefault(robot, {})[parameter] = value_of(text)
+    return found
+
+
+def _change(
+    there: Mapping[str, Bus], app: str, wanted: Mapping[str, Mapping[str, Value]]
+) -> tuple[dict[str, str], dict[str, dict[str, Value]]]:
+    """Set values; returns why not, and what has been set and taken, both by robot."""
+    values = {robot: {**wanted.get("", {}), **wanted.get(robot, {})} for robot in there}
+    requests = {robot: SetAppParameters(new_ticket(), each) for robot, each in values.items() if each}
+    answers = request(there, requests, AppParametersSet, f"app/{app}", "parameters", PATIENCE)
+    problems = {robot: answers[robot].problem for robot in sorted(answers) if answers[robot].problem}
+    return problems, {robot: values[robot] for robot, answer in answers.items() if not answer.problem}
+
+
+def _look(there: Mapping[str, Bus], app: str, expected: Mapping[str, Mapping[str, Value]]) -> tuple[Known, list[str]]:
+    """Ask for the parameters until they are as `expected`: an app takes other values between two steps.
+
+    Returns the parameters, and the robots that do not have the expected ones yet.
+    """
+    answers = Answers(there, AppParameters, f"app/{app}", "parameters")
+
+    def differs(robot: str, name: str, value: Value) -> bool:
+        parameter = answers.newest[robot].parameters.get(name)
+        return parameter is None or parameter.value != value
+
+    def later() -> list[str]:
+        return [
+            robot
+            for robot, values in sorted(expected.items())
+            if robot in answers.newest and any(differs(robot, *each) for each in values.items())
+        ]
+
+    answers.wait(PATIENCE, lambda: len(answers.newest) == len(there) and not later())
+    return {robot: answers.newest[robot].parameters for robot in sorted(answers.newest)}, later()
+
+
+def table(known: Known) -> list[str]:
+    """What people read: a line for each parameter, a column for each robot."""
+    rows = [("parameter", *known, "may be")]
+    for name in dict.fromkeys(name for parameters in known.values() for name in parameters):
+        some = next(parameters[name] for parameters in known.values() if name in parameters)
+        values = (_shown(parameters[name].value) if name in parameters else "-" for parameters in known.values())
+        rows.append((name + ("" if some.live else " (fixed)"), *values, some.expected))
+    return columns(rows)
+
+
+def _shown(value: Value) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
