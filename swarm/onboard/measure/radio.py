@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter, check
-from swarm.config.types import RobotConfig, load
+from swarm.config import load
+from swarm.config.types import RobotConfig
 from swarm.errors import LocalError
 from swarm.onboard.arguments import show, whole
 from swarm.onboard.measure import links
