@@ -50,7 +50,6 @@ ELSEWHERE = {
     "services/mesh/links/sim.py": "simulated links only",
     "sim/app_requests_server.py": "a simulation's own socket: tests/sim/test_orders.py",
     "sim/run.py": "makes a number of random bytes of its own",
-    "sim/virtual/world.py": "states that it has packed itself",
     "laptop/cli/runs/import_csv.py": "makes a number of a hash of its own",
     "swarm/onboard/samples.py": "shows frames of lockstep: tests/test_z_sub.py",
     "swarm/recording/core/foxglove.py": "a schema of its own",
