@@ -220,7 +220,7 @@ class _Member:
     def _connect(self, now: float) -> None:
         node, local = self._node, _local("r0", {"r1": True})
         own = Session(
-            local, bytes(16), now, dialled="r1", admit=lambda *_: True, clock=node._clock, counters=Counter()
+            local, bytes(16), now, dialled="r1", admit=lambda *_: True, clock=node.connections.clock, counters=Counter()
         )  # fmt: skip
         session = node.accepted(now)
         assert session is not None

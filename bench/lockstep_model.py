@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from services.mesh.core.radio_model import AirModel, DelayLine
-from services.mesh.core.routing.shortest_paths import Edge, routes
+from services.mesh.core.routing.topology import Weight, routes
 from swarm.core.graph import Graph
 
 Way = tuple[str, str]
@@ -122,7 +122,7 @@ class _Run:
     def _go_around(self, name: str, to: str, k: int, now: float) -> None:
         """Along the shortest way without the link."""
         edges = {
-            a: {b: Edge(1, 0) for b in self._graph.neighbours(a) if {a, b} != {name, to}} for a in self._graph.names
+            a: {b: Weight(1, 0) for b in self._graph.neighbours(a) if {a, b} != {name, to}} for a in self._graph.names
         }
 
         def pass_on(here: str, now: float) -> None:

@@ -1,11 +1,15 @@
-"""Finding a running simulation, and `swarm hand kill`."""
+"""Finding a running simulation, and `swarm hand kill` and `swarm hand cut`."""
 
 import argparse
+import contextlib
+import json
 import os
 import signal
+import socket
 import subprocess
 from pathlib import Path
 
+import msgpack
 import pytest
 from conftest import Processes, wait_until
 
@@ -120,10 +124,14 @@ def victim(processes: Processes, run: Path, service: str) -> subprocess.Popen[st
     return process
 
 
-def call(run: Path, *arguments: str) -> int:
+def hands(run: Path, *arguments: str) -> int:
     parser = argparse.ArgumentParser()
     hand.add_arguments(parser)
-    return hand.run(parser.parse_args(["kill", *arguments, "--run-dir", str(run)]))
+    return hand.run(parser.parse_args([*arguments, "--run-dir", str(run)]))
+
+
+def call(run: Path, *arguments: str) -> int:
+    return hands(run, "kill", *arguments)
 
 
 @pytest.mark.parametrize("service", ["bus", "mesh", "app/consensus"])
@@ -175,3 +183,25 @@ def test_what_kill_refuses(run: Path, runtime: Path) -> None:
     pid_file(run, "r0", "app/b").touch()
     with pytest.raises(LocalError, match="expected app/NAME: r0 runs app/a, app/b"):
         call(run, "r0", "app")
+
+
+@pytest.mark.parametrize(("option", "seconds"), [(("--seconds", "3"), 3.0), (("--mend",), 0.0)])
+def test_a_cut_reaches_both_ends_of_a_link(
+    run: Path, option: tuple[str, ...], seconds: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.ExitStack() as stack:
+        meshes = {}
+        for name in ("r0", "r1"):
+            (run / name).mkdir(exist_ok=True)
+            meshes[name] = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            meshes[name].bind(str(run / name / "air.sock"))
+            meshes[name].settimeout(10)
+        assert hands(run, "cut", "r0", "r1", *option, "--json") == 0
+        told = {name: msgpack.unpackb(mesh.recv(1000)) for name, mesh in meshes.items()}
+    assert told == {"r0": {"cut": "r1", "seconds": seconds}, "r1": {"cut": "r0", "seconds": seconds}}
+    assert json.loads(capsys.readouterr().out)["act"] == "cut"
+
+
+def test_a_cut_of_a_robot_without_a_mesh_is_an_error(run: Path) -> None:
+    with pytest.raises(LocalError, match="not cut: the mesh of r0 is not running"):
+        hands(run, "cut", "r0", "r1")

@@ -205,7 +205,7 @@ def test_what_it_refuses(processes: Processes, runtime: Path) -> None:
     assert "key 'swarm//x'" in refused(processes, "swarm//x")
     assert "use one of them" in refused(processes, "-e", "unixsock-stream//x", "--robots", "r0")
     assert "expected 1 or more" in refused(processes, "--count", "0")
-    assert "expected above 0 s" in refused(processes, "--seconds", "nan")
+    assert "expected a number above 0 s" in refused(processes, "--seconds", "nan")
     assert "at most 107" in refused(processes, SWARM_RUNTIME="/tmp/" + "x" * 110)
 
 

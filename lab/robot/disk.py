@@ -23,6 +23,9 @@ PLACE = "/opt/lab"
 """Of this package inside."""
 CARRIED = ("__init__.py", "waiting.py", "i2c/*.py", "robot/__init__.py", "robot/__main__.py", "robot/module.py")
 KEY_MODE = 0o100600
+NICENESS = -10
+"""Of a machine with such a disk, on the host: its body falls in real time. A robot has a processor of its own; those of
+the host are shared by machines and tests, and a balancer that waits for them lies on the ground."""
 
 
 class Disk:

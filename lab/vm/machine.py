@@ -6,6 +6,8 @@ line to the agent inside (guest/agent.py), or by ssh as to any robot.
 """
 
 import contextlib
+import ctypes
+import itertools
 import json
 import os
 import resource
@@ -37,6 +39,9 @@ KERNEL = (
 MEMORY = "/dev/shm"  # noqa: S108  the kernel makes its file there in one that has no name
 """Where the host keeps a machine's memory."""
 
+_turn = itertools.count(int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")))
+"""Which of the host's processors is the next machine's; each test process begins with another one."""
+
 BOOT_SECONDS = 200.0
 """At most; a busy host is slow."""
 
@@ -67,8 +72,10 @@ class Machine:
         init: str = SYSTEMD,
         memory_mb: int = 512,
         radio: Path | None = None,
+        niceness: int = 0,
     ) -> None:
-        """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller."""
+        """`radio`: the Unix socket at which the air gives this machine its Bluetooth controller. `niceness`: of its
+        programs on the host; less than 0 where something in it falls over in real time."""
         self.name = name
         self.folder = folder
         self.share = folder / "share"
@@ -77,6 +84,9 @@ class Machine:
         self._init = init
         self._memory_mb = memory_mb
         self._radio = radio
+        self._niceness = niceness
+        processors = sorted(os.sched_getaffinity(0))
+        self._processor = processors[next(_turn) % len(processors)]
         self._wire: Wire | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: dict[int, Result] = {}
@@ -107,7 +117,7 @@ class Machine:
             self._process = subprocess.Popen(
                 self._words(self._wire, devices), stdin=subprocess.DEVNULL, stdout=console, stderr=console,
                 env={**os.environ, "TMPDIR": MEMORY}, pass_fds=[each.fileno() for each in devices.values()],
-                start_new_session=True, preexec_fn=_die_with_us,  # noqa: PLW1509  it makes two system calls
+                start_new_session=True, preexec_fn=self._begin,  # noqa: PLW1509  it makes a few system calls
             )  # fmt: skip
         self._answers, self._next = {}, 0
         self._stream = ours
@@ -215,6 +225,18 @@ class Machine:
         words += [f"lab.name={self.name}", f"systemd.hostname={self.name}", f"lab.share={self.share.absolute()}"]
         return [*words, "lab.radio"] if self._radio is not None else words
 
+    def _begin(self) -> None:
+        """In the child: no machine outlives the test that started it, however that ends, and none leaves a core."""
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        # A machine has one processor, so its programs take turns. Where the host wakes each on another processor than
+        # the one before, a turn takes several times as long (61 % of a processor for a robot's I2C bus, not 10 %).
+        os.sched_setaffinity(0, {self._processor})
+        niceness = os.nice(self._niceness)
+        # Linux shares a processor between sessions (sched(7), autogroups) before it looks at niceness within them.
+        with contextlib.suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(niceness))
+
     def _read(self, stream: socket.socket) -> None:
         """The reading thread: answers of the agent, until the machine is off."""
         with contextlib.suppress(OSError, ValueError), stream.makefile("rb") as lines:
@@ -239,11 +261,3 @@ class Machine:
         with contextlib.suppress(OSError):
             return (self.folder / "console.log").read_text(errors="replace")[-2000:]
         return ""
-
-
-def _die_with_us() -> None:
-    """In the child: no machine outlives the test that started it, however that ends, and none leaves a core."""
-    import ctypes
-
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -6,8 +6,6 @@ from sim.control import app_requests
 from swarm.onboard.arguments import add_json, add_robots, add_run_dir, show
 from swarm.process.simulations import robots, running
 
-HELP = "start or stop an app on simulated robots, beside those that run"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare `start|stop NAME [ROBOT...]`. The act is part of the command's name."""

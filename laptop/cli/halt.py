@@ -27,8 +27,6 @@ from swarm.onboard.halt import Row
 from swarm.process.paths import DEFAULT_RUNTIME
 from swarm.process.terminal import columns
 
-HELP = "stop every robot or take every stop back, and say who has confirmed it"
-
 PROGRAM = "/opt/swarm/current/bin/swarm"
 THERE_S = 3.0
 """That the robot waits for its own balancer and mesh."""

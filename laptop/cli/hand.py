@@ -1,18 +1,18 @@
 """`swarm hand ACT ROBOT ...`: what a person can do to the robots of a running simulation."""
 
 import argparse
+import os
+import signal
 from pathlib import Path
 
-from laptop.cli import kill_service
 from laptop.fleet.units import SERVICES
 from sim.control import link_cuts, power_switch, send_action
 from sim.core import actions
 from sim.core.actions import BodyPlace, Lay, Press, Push, Unplug
 from swarm.errors import LocalError
+from swarm.messages.keys import is_name
 from swarm.onboard.arguments import add_json, add_run_dir, number, show
-from swarm.process.simulations import runtime_of
-
-HELP = "act on simulated robots"
+from swarm.process.simulations import pid_of, runtime_of
 
 BOOT_S = 3.0
 MAX_CUT_S = 600.0
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kill = act("kill")
     kill.add_argument("service", help=f"{', '.join(SERVICES)}, app or app/NAME")
     text = "KILL (default): no chance to clean up; TERM: a clean stop; STOP and CONT: freeze it and go on"
-    kill.add_argument("--signal", choices=kill_service.SIGNALS, default="KILL", help=text)
+    kill.add_argument("--signal", choices=SIGNALS, default="KILL", help=text)
     cut = act("cut")
     cut.add_argument("peer", help="the robot at the other end")
     text = f"until it is mended, at most {MAX_CUT_S:g} (10)"
@@ -83,7 +83,7 @@ def do(runtime: Path, args: argparse.Namespace) -> str:
             send_action.do(runtime, Unplug(args.device, back=args.back))
             return f"{args.device} is {'back on' if args.back else 'off'} its bus"
         case "kill":
-            service, pid = kill_service.end(runtime, args.service, args.signal)
+            service, pid = end_service(runtime, args.service, args.signal)
             return f"{service} (pid {pid}): SIG{args.signal}"
         case "cut":
             cut(runtime.parent, args.robot, args.peer, args.seconds)
@@ -100,3 +100,56 @@ def cut(run_dir: Path, robot: str, peer: str, seconds: float) -> None:
             link_cuts.silence(run_dir, end, other, seconds)
         except OSError as error:
             raise LocalError(f"not cut: the mesh of {end} is not running at this moment ({error.strerror})") from None
+
+
+SIGNALS = ("KILL", "TERM", "STOP", "CONT")
+
+
+def end_service(runtime: Path, wanted: str, name: str) -> tuple[str, int]:
+    """Send the signal `name` to a service of the robot with this runtime directory; the service's full name, and its
+    pid. Raises `LocalError` where there is none."""
+    service = _service(runtime, wanted)
+    pid = pid_of(runtime.parent, runtime.name, service)
+    if pid is None or not _send(pid, runtime, getattr(signal, f"SIG{name}")):
+        raise LocalError(f"{service} of {runtime.name} is not running at this moment")
+    return service, pid
+
+
+def _service(runtime: Path, wanted: str) -> str:
+    """The service's full name; a robot runs one app as a rule, then `app` alone will do."""
+    name = wanted.removeprefix("app/")
+    if wanted in SERVICES or (wanted.startswith("app/") and is_name(name)):
+        return wanted
+    apps = sorted(path.name.removesuffix(".pid").replace(".", "/", 1) for path in runtime.glob("app.*.pid"))
+    if wanted != "app":
+        raise LocalError(f"no service {wanted!r}; there are {', '.join([*SERVICES, *apps])}")
+    if len(apps) != 1:
+        raise LocalError(f"expected app/NAME: {runtime.name} runs {', '.join(apps) or 'no app'}")
+    return apps[0]
+
+
+def _send(pid: int, runtime: Path, number: signal.Signals) -> bool:
+    """Send the signal if `pid` is still that robot's process. The descriptor holds on to it while we look."""
+    try:
+        descriptor = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return False
+    try:
+        if not _belongs_to(pid, runtime):
+            return False
+        signal.pidfd_send_signal(descriptor, number)
+    except ProcessLookupError:
+        return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def _belongs_to(pid: int, runtime: Path) -> bool:
+    """Whether the process was started as a service of the robot with this runtime directory."""
+    try:
+        variables = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    except OSError:
+        return False
+    own = {os.fsencode(f"SWARM_RUNTIME={path}") for path in (runtime, runtime.resolve())}
+    return not own.isdisjoint(variables)

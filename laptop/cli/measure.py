@@ -4,11 +4,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from laptop.plotting.figure import add_plot, figure
+from laptop.plotting.style import add_plot, figure
 from swarm.onboard.measure import links
 from swarm.onboard.measure.figures import Series
-
-HELP = "round trips and throughput of links and paths"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,12 +4,11 @@ import argparse
 import math
 from pathlib import Path
 
-from laptop.plotting.figure import add_plot, figure
+from laptop.plotting.style import add_plot, figure
 from swarm.core.graph import Graph
 from swarm.onboard.ask import AWAY
 from swarm.onboard.mesh import show
 from swarm.onboard.mesh.collected import CollectedMesh
-from swarm.onboard.mesh.tables import ms
 
 HELP = "the robots of the swarm, their links, and the graph they make"
 
@@ -35,28 +34,14 @@ def run(args: argparse.Namespace) -> int:
 
 def draw(mesh: CollectedMesh, path: Path) -> None:
     """Write the picture; `LocalError` where matplotlib is not there, or the file cannot be written."""
-    where = places(mesh.graph)
-    with figure(path, figsize=(7, 7), layout="constrained") as picture:
-        axes = picture.add_subplot()
-        for (a, b), up in sorted(mesh.states.items()):
-            (xa, ya), (xb, yb) = where[a], where[b]
-            axes.plot((xa, xb), (ya, yb), "-" if up else ":", color="#0072b2" if up else "#d55e00", zorder=1)
-            if up and len(mesh.states) <= 40:
-                axes.text(
-                    (xa + xb) / 2, (ya + yb) / 2, ms(mesh.round_trips[a, b]), fontsize=7, ha="center", va="center",
-                    bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-                )  # fmt: skip
-        for name, (x, y) in where.items():
-            known = mesh.robots.get(name)
-            away = known is not None and known.state in AWAY
-            stopped = known is not None and known.stopped is True
-            colour = "#999999" if away else "#d55e00" if stopped else "#009e73"
-            axes.scatter([x], [y], s=420, color=colour, zorder=2)
-            axes.text(x, y, name, fontsize=8, ha="center", va="center", color="white", zorder=3)
-        axes.set_title("links and their round trips / ms; grey: away, red: stopped")
-        axes.set_aspect("equal")
-        axes.margins(0.12)
-        axes.axis("off")
+    from laptop.plotting.mesh import DrawnLink, network  # reads recordings, too: most uses of `swarm mesh` do without
+
+    links = {pair: DrawnLink(up, mesh.round_trips.get(pair)) for pair, up in sorted(mesh.states.items())}
+    faces = {name: "#bbbbbb" for name, robot in mesh.robots.items() if robot.state in AWAY}
+    faces |= {name: "#e69f00" for name, robot in mesh.robots.items() if robot.stopped and name not in faces}
+    with figure(path, figsize=(7, 6), layout="constrained") as picture:
+        network(picture, places(mesh.graph), links, faces)
+        picture.suptitle("grey: away, orange: stopped")
 
 
 def places(graph: Graph) -> dict[str, Place]:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from laptop.plotting.figure import add_plot, figure
+from laptop.plotting.style import add_plot, figure
 from swarm.onboard.measure import radio
 
 HELP = "signal strength of a Bluetooth link"

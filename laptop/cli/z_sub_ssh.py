@@ -11,7 +11,7 @@ import json
 import shlex
 import sys
 
-from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
+from laptop.fleet.everyone import FAILURES, failure
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import load
 from swarm.errors import PayloadError
@@ -47,8 +47,8 @@ async def _all(ssh: Ssh, robots: tuple[Host, ...], command: str, *, as_json: boo
     async def one(host: Host) -> bool:
         try:
             await _one(ssh, host, command, "" if len(robots) == 1 else f"[{host.robot}] ", as_json=as_json)
-        except MISUNDERSTOOD as error:
-            _tell(f"{host.robot}: {error if isinstance(error, HostError) else misunderstood(error)}")
+        except FAILURES as error:
+            _tell(f"{host.robot}: {failure(error, 0.0)}")
             return True
         return False
 

@@ -3,13 +3,21 @@
 FOLDER/bookworm-arm64/Packages      an index as apt reads it, with sizes and SHA-256 of
 FOLDER/bookworm-arm64/*.deb         Debian packages with all that they depend on
 FOLDER/balboa-swarm-*.tar.gz        releases (deploy/release), one for each Python
+
+The packages are got by this computer's apt for another Debian and another processor. apt runs on folders of our own:
+nothing of this computer's lists, packages or settings is read or changed, no root is needed. It checks the archive's
+signature; the index of the bundle then holds each file's SHA-256.
 """
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 
@@ -102,3 +110,131 @@ def index_of(all_stanzas: Iterable[str], files: Mapping[str, str]) -> str:
             lines = [line for line in stanza.splitlines() if not line.startswith("Filename:")]
             kept[digest] = "\n".join([*lines, f"Filename: ./{files[digest]}"]) + "\n"
     return "\n".join(kept[digest] for digest in sorted(kept))
+
+
+DEBIAN = "http://deb.debian.org/debian"
+DEBIAN_KEYS = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
+PI = "http://archive.raspberrypi.com/debian"
+PI_KEYS = tuple(Path("/usr/share/keyrings") / f"raspberrypi-archive-keyring.{end}" for end in ("pgp", "gpg"))
+PI_PACKAGES = (FIRMWARE_PACKAGE, KERNEL_PACKAGE)
+"""Raspberry Pi's own: an image of the last two years has both."""
+
+
+@frozen
+class Archive:
+    """A line of sources.list."""
+
+    url: str
+    suite: str
+    keys: Path
+
+    @property
+    def line(self) -> str:
+        """As apt reads it."""
+        return f"deb [signed-by={self.keys.resolve()}] {self.url} {self.suite} main"
+
+
+def archives(suite: str, mirror: str, pi_keys: Path | None) -> tuple[Archive, ...]:
+    """Debian with its updates, and Raspberry Pi's archive where its key is known; raises `LocalError`."""
+    if not DEBIAN_KEYS.exists():
+        raise LocalError(f"there is no {DEBIAN_KEYS}: sudo apt-get install debian-archive-keyring")
+    if pi_keys is not None and not pi_keys.exists():
+        raise LocalError(f"{pi_keys}: there is no such file; a fresh robot has it as {PI_KEYS[0]}")
+    security = mirror.rstrip("/") + "-security"
+    found = [Archive(mirror, name, DEBIAN_KEYS) for name in (suite, f"{suite}-updates")]
+    found.append(Archive(security, f"{suite}-security", DEBIAN_KEYS))
+    if pi_keys is not None:
+        found.append(Archive(PI, suite, pi_keys))
+    return tuple(found)
+
+
+def download(
+    folder: Path, sources: Sequence[Archive], architecture: str, packages: Sequence[str] = PACKAGES
+) -> tuple[int, int]:
+    """Fill `folder` with these packages, all they depend on, and an index; how many, and their bytes.
+
+    The folder is as it was, or whole. Raises `LocalError` where apt cannot do it.
+    """
+    with tempfile.TemporaryDirectory(prefix="swarm-bundle-") as name:
+        apt = _Apt(Path(name), sources, architecture)
+        apt.get("update")
+        wanted = apt.get("--simulate", "install", *packages)
+        install = re.findall(r"^Inst (\S+) (?:\[[^\]]*\] )?\((\S+) ", wanted, re.M)
+        apt.get("--yes", "--download-only", "install", *packages)
+        files = {}
+        for path in (Path(name) / "cache/archives").glob("*.deb"):
+            files[hashlib.sha256(path.read_bytes()).hexdigest()] = path
+        shown = stanzas(apt.cache("show", *(f"{package}={version}" for package, version in install)))
+        index = index_of(shown, {digest: path.name for digest, path in files.items()})
+        found = entries(index)
+        if {(each.name, each.version) for each in found} != set(install) or len(found) != len(files):
+            raise LocalError("what was downloaded is not what the archive's index says: is something in between?")
+        _replace(folder, index, list(files.values()))
+        return len(found), sum(each.size for each in found)
+
+
+def _replace(folder: Path, index: str, files: Sequence[Path]) -> None:
+    """Move the files to a new folder, and that one to its place."""
+    new = folder.with_name(folder.name + ".new")
+    old = folder.with_name(folder.name + ".old")
+    for path in (new, old):
+        shutil.rmtree(path, ignore_errors=True)
+    new.mkdir(parents=True)
+    for path in files:
+        shutil.copyfile(path, new / path.name)
+    (new / "Packages").write_text(index)
+    if folder.exists():
+        folder.replace(old)
+    new.replace(folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+class _Apt:
+    """apt with folders of its own below `work`, as if nothing at all were installed."""
+
+    def __init__(self, work: Path, sources: Sequence[Archive], architecture: str) -> None:
+        for path in ("state/lists/partial", "cache/archives/partial", "etc/preferences.d"):
+            (work / path).mkdir(parents=True)
+        (work / "status").touch()
+        (work / "etc/sources.list").write_text("".join(source.line + "\n" for source in sources))
+        settings = {
+            "Dir::State": work / "state",
+            "Dir::State::status": work / "status",
+            "Dir::Cache": work / "cache",
+            "Dir::Etc": work / "etc",
+            "Dir::Etc::sourcelist": work / "etc/sources.list",
+            "Dir::Etc::sourceparts": "/dev/null",
+            "Dir::Etc::parts": "/dev/null",
+            "APT::Architecture": architecture,
+            "APT::Architectures": architecture,
+            "APT::Sandbox::User": "",
+            "Acquire::Languages": "none",
+            "Acquire::Retries": "3",
+            "Debug::NoLocking": "1",
+        }
+        self._options = [part for name, value in settings.items() for part in ("-o", f"{name}={value}")]
+
+    def get(self, *words: str) -> str:
+        """apt-get; its output. Without what is only recommended."""
+        return self._run("apt-get", "--no-install-recommends", *words)
+
+    def cache(self, *words: str) -> str:
+        """apt-cache."""
+        return self._run("apt-cache", *words)
+
+    def _run(self, program: str, *words: str) -> str:
+        try:
+            done = subprocess.run(
+                [program, "--quiet", *self._options, *words],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+        except FileNotFoundError:
+            raise LocalError(f"there is no {program} here: make the bundle on Debian, Ubuntu or a robot") from None
+        errors = [line for line in done.stderr.splitlines() if line.startswith(("E:", "W: GPG"))]
+        if done.returncode != 0 or errors:  # `update` ends with 0 where an archive could not be reached
+            said = "; ".join(errors[:2]) or done.stderr.strip()[-300:]
+            raise LocalError(f"{program} {words[-1]}: {said or f'exit code {done.returncode}'}")
+        return done.stdout

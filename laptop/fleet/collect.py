@@ -114,10 +114,7 @@ class Wanted:
 def plan(files: Sequence[File], have: Mapping[str, int]) -> list[Wanted]:
     """What to ask for; `have` gives the bytes that are here, by the robot's path. A copy that is longer than the file
     is no beginning of it: it is asked for as if nothing were here."""
-    return [
-        Wanted(file, have.get(file.path, 0) if have.get(file.path, 0) <= file.size else 0)
-        for file in files
-    ]  # fmt: skip
+    return [Wanted(file, have.get(file.path, 0) if have.get(file.path, 0) <= file.size else 0) for file in files]
 
 
 @frozen

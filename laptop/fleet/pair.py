@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from laptop.fleet import remote
-from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
 from laptop.fleet.core.pairing import Bond, Edge, Schedule, ordered, plan
-from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.everyone import FAILURES, ReportProgress, failure
 from laptop.fleet.ssh import Host, HostError, Ssh
 
 INQUIRY_S = 25.0
@@ -71,12 +70,8 @@ class Pairing:
         try:
             async with asyncio.timeout(self._timeout_s):
                 await self._bring(edge, check=check, again=again)
-        except HostError as error:
-            return str(error)
-        except TimeoutError:
-            return f"not done within {self._timeout_s:g} s (--timeout)"
-        except MISUNDERSTOOD as error:
-            return misunderstood(error)
+        except FAILURES as error:
+            return failure(error, self._timeout_s)
         return ""
 
     async def _bring(self, edge: Edge, *, check: bool, again: bool) -> None:

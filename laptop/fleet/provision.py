@@ -13,11 +13,18 @@ from typing import Any
 from laptop.fleet import remote
 from laptop.fleet.bundle import Package, Repository
 from laptop.fleet.core import packages, steps
-from laptop.fleet.core.verdict import Change, ProvisioningStep, Verdict
-from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, DesiredRobot, Packages
+from laptop.fleet.core.wish import (
+    FIRMWARE_PACKAGE,
+    KERNEL_PACKAGE,
+    Change,
+    DesiredRobot,
+    Packages,
+    ProvisioningStep,
+    Verdict,
+)
 from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.install import pack
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
-from laptop.fleet.transfer import pack
 from swarm.errors import LocalError
 from swarm.frozen import frozen
 

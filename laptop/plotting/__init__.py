@@ -1,1 +1,1 @@
-"""Pictures of recorded runs, as a paper would print them. Nothing here imports matplotlib: figures are handed in."""
+"""Pictures of recorded runs, as a paper would print them. Nothing here imports matplotlib before a picture is drawn."""

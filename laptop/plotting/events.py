@@ -40,8 +40,13 @@ def leds(figure: Any, run: Run) -> None:
                 top.barh(index, off - on, left=on, height=0.62, color=colour)
         offsets = [(t, 1e3 * _nearest(first, t)) for t in flashes[name]]
         farthest = max([farthest, *(abs(offset) for _, offset in offsets)])
-        bottom.plot(*zip(*offsets, strict=True), "." if len(offsets) > 60 else style.mark(index), color=colour,
-                    markersize=3.2, label=name)  # fmt: skip
+        bottom.plot(
+            *zip(*offsets, strict=True),
+            "." if len(offsets) > 60 else style.mark(index),
+            color=colour,
+            markersize=3.2,
+            label=name,
+        )
     style.rows_of_robots(top, robots)
     top.set(xlabel="time / s", xlim=(begin, end + period / 2), title="LED on, the last flashes")
     bottom.set(
@@ -80,14 +85,16 @@ def standup(figure: Any, run: Run) -> None:
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
         times, degrees, stands = zip(*tilts[name], strict=True)
-        axes.fill_between(times, index + 0.4, index - 0.4, where=stands, step="post", color=colour, alpha=0.22,
-                          linewidth=0)  # fmt: skip
+        axes.fill_between(
+            times, index + 0.4, index - 0.4, where=stands, step="post", color=colour, alpha=0.22, linewidth=0
+        )
         axes.plot(times, [index - 0.38 * value / 110 for value in degrees], color=colour, linewidth=1.1)
         up = next((t for t, stood in zip(times, stands, strict=True) if stood), None)
         up = said.get(name, up)
         if up is not None and up > times[0]:
-            axes.annotate(f"{up:.1f} s", (up, index), textcoords="offset points", xytext=(3, 5), fontsize=7.5,
-                          color=colour)  # fmt: skip
+            axes.annotate(
+                f"{up:.1f} s", (up, index), textcoords="offset points", xytext=(3, 5), fontsize=7.5, color=colour
+            )
     style.rows_of_robots(axes, robots)
     axes.set(xlabel="time / s", title="line: tilt (a row is ±110°), filled: it stands")
 

@@ -247,8 +247,15 @@ def _message(
 
 
 def _say(axes: Any, after: float, row: int, colour: str) -> None:
-    axes.annotate(f"{after:.0f} ms", (after, row), xytext=(7, 0), textcoords="offset points", va="center",
-                  fontsize=7.5, color=colour)  # fmt: skip
+    axes.annotate(
+        f"{after:.0f} ms",
+        (after, row),
+        xytext=(7, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        color=colour,
+    )
 
 
 def _finish(axes: Any, request: _Request, robots: list[str], last: float, title: str) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from laptop.plotting import style
 from laptop.plotting.places import Place, frame, paths
@@ -24,6 +24,16 @@ CLEAR = 0.13
 Pair = tuple[str, str]
 
 
+class DrawnLink(NamedTuple):
+    """A link as it is drawn."""
+
+    up: bool
+    rtt: float | None
+    """Round-trip time, s."""
+    text: str = ""
+    """What stands on it besides the round-trip time."""
+
+
 def mesh(figure: Any, run: Run) -> None:
     """The links between the robots as they were at the end: colour and words tell the mean round-trip time, dashed =
     down; messages that a link has dropped while it was recorded are counted."""
@@ -37,43 +47,50 @@ def mesh(figure: Any, run: Run) -> None:
         raise LocalError(f"{run.path}: no state of the mesh's links is recorded")
     names = sorted({name for pair in ends for name in pair}, key=natural)
     places = layout(names, list(ends), {name: track[-1][0] for name, track in paths(run).items()})
-    rtts = {pair: _rtt(each.values()) for pair, each in ends.items()}
-    known = [rtt for rtt in rtts.values() if rtt is not None]
+    links = {}
+    for pair, each in ends.items():
+        up = all(seen[-1]["state"] in ("up", "suspect") for seen in each.values())
+        lost = sum(seen[-1].get("dropped", 0) - seen[0].get("dropped", 0) for seen in each.values())
+        links[pair] = DrawnLink(up, _rtt(each.values()), f"{lost} dropped" if lost else "")
     figure.set_size_inches(5.6, 4.6)
+    network(figure, places, links)
+
+
+def network(
+    figure: Any, places: Mapping[str, Place], links: Mapping[Pair, DrawnLink], faces: Mapping[str, str] | None = None
+) -> None:
+    """Draw robots at their places, in the colours of `faces` (white), and the links between them."""
     axes = figure.add_subplot()
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
+    known = [link.rtt for link in links.values() if link.rtt is not None]
     scale = Normalize(0.0, 1e3 * max(known, default=1.0) * 1.05)
     ramp = colormaps["cividis_r"]
-    crowded = max(len(ends), len(names)) > CROWD
-    words = {} if crowded else spots(places, list(ends))
-    for pair, each in ends.items():
-        rtt = rtts[pair]
-        up = all(seen[-1]["state"] in ("up", "suspect") for seen in each.values())
+    crowded = max(len(links), len(places)) > CROWD
+    words = {} if crowded else spots(places, list(links))
+    for pair, link in links.items():
         axes.plot(
             *zip(*(places[name] for name in pair), strict=True),
-            color=style.GREY if rtt is None else ramp(scale(1e3 * rtt)),
-            linewidth=0.8 if crowded else 3.0 if up else 1.2,
-            linestyle="-" if up else "--",
+            color=style.GREY if link.rtt is None else ramp(scale(1e3 * link.rtt)),
+            linewidth=0.8 if crowded else 3.0 if link.up else 1.2,
+            linestyle="-" if link.up else "--",
             zorder=1,
         )
-        if pair not in words:
-            continue
-        lost = sum(seen[-1].get("dropped", 0) - seen[0].get("dropped", 0) for seen in each.values())
-        text = "down" if not up else "" if rtt is None else f"{1e3 * rtt:.0f} ms"
-        text += f"\n{lost} dropped" if lost else ""
-        axes.annotate(text, words[pair], ha="center", va="center", fontsize=7.5, zorder=2,
-                      bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.9})  # fmt: skip
+        if pair in words:
+            text = "down" if not link.up else "" if link.rtt is None else f"{1e3 * link.rtt:.0f} ms"
+            box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.9}
+            whole = "\n".join(filter(None, (text, link.text)))
+            axes.annotate(whole, words[pair], ha="center", va="center", fontsize=7.5, zorder=2, bbox=box)
     for name, (x, y) in places.items():
-        size = 5 if crowded else 21
-        axes.plot(x, y, "o", color="white", markeredgecolor="black", markersize=size, zorder=3)
+        face = (faces or {}).get(name, "white")
+        axes.plot(x, y, "o", color=face, markeredgecolor="black", markersize=5 if crowded else 21, zorder=3)
         if not crowded:
             axes.annotate(name, (x, y), ha="center", va="center", fontsize=8.5, zorder=4)
     if known:
         bar = figure.colorbar(ScalarMappable(scale, ramp), ax=axes, shrink=0.75, pad=0.02)
-        bar.set_label("mean round-trip time / ms")
+        bar.set_label("round-trip time / ms")
         bar.outline.set_visible(False)
     frame(axes, list(places.values()))
     axes.set(aspect="equal")

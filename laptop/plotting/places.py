@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ SIGMAS = 2.0
 class _Estimate(NamedTuple):
     """Of the target, by one robot."""
 
+    k: int
     t: float
     place: Place
     spread: Spread
@@ -33,26 +34,34 @@ class _Estimate(NamedTuple):
 
 def scene(figure: Any, run: Run) -> None:
     """Anchors, robots, their paths, and what they think where the target is, with ellipses of two standard
-    deviations."""
-    figure.set_size_inches(5.4, 4.8)
-    axes = figure.add_subplot()
+    deviations. Where the target's place is known, the estimates' errors over iterations stand beside the map."""
     swarm = _config(run.path)
+    way, estimates = _target(run, swarm), _estimates(run)
+    panels = 2 if way and estimates else 1
+    figure.set_size_inches(5.2 * panels, 4.8)
+    axes = figure.add_subplot(1, panels, 1)
+    robots = list(run.robots)
+    if panels == 2:
+        _errors(figure.add_subplot(1, 2, 2), way, estimates, robots)
     marks: set[str] = set()
     seen: list[Place] = []
     if swarm is not None:
         for anchor in swarm.anchors:
             seen.append((anchor.x, anchor.y))
             axes.plot(anchor.x, anchor.y, "^", color=style.GREY, markersize=8, **_once(marks, "anchor"))
-    way = _target(run, swarm)
     if way:
         seen += [place for _, place in way]
         if len(way) > 1:
-            axes.plot(*zip(*(place for _, place in way), strict=True), "-", color="black", linewidth=1.4, zorder=4,
-                      **_once(marks, "target's way"))  # fmt: skip
+            axes.plot(
+                *zip(*(place for _, place in way), strict=True),
+                "-",
+                color="black",
+                linewidth=1.4,
+                zorder=4,
+                **_once(marks, "target's way"),
+            )
         axes.plot(*way[-1][1], "*", color="black", markersize=13, zorder=5, **_once(marks, "target"))
     tracks = paths(run)
-    estimates = _estimates(run)
-    robots = list(run.robots)
     for index, name in enumerate(robots):
         colour = style.colour(index, len(robots))
         if name in tracks:
@@ -60,12 +69,13 @@ def scene(figure: Any, run: Run) -> None:
             seen += [place for place, _ in tracks[name]]
         if track := estimates.get(name):
             axes.plot(*zip(*(it.place for it in track), strict=True), "-", color=colour, linewidth=0.7, alpha=0.6)
-            t, place, spread = track[-1]
+            _, t, place, spread = track[-1]
             if len(way) > 1:  # it goes on after the last estimate
                 there = _at(way, t)
                 axes.plot(*zip(place, there, strict=True), ":", color=colour, linewidth=0.9, zorder=5)
-                axes.plot(*there, ".", color=colour, markersize=5, zorder=6,
-                          **_once(marks, "where the target was then"))  # fmt: skip
+                axes.plot(
+                    *there, ".", color=colour, markersize=5, zorder=6, **_once(marks, "where the target was then")
+                )
             axes.plot(
                 *place, "x", color=colour, markersize=7, markeredgewidth=1.6, zorder=6, **_once(marks, "estimate")
             )
@@ -144,10 +154,21 @@ def _estimates(run: Run) -> dict[str, list[_Estimate]]:
             place = path.value(k, "result.x"), path.value(k, "result.y")
             if all(map(math.isfinite, place)):
                 xx, xy, yy = (path.value(k, column) if column in path.columns else math.nan for column in spread)
-                track.append(_Estimate(path.times[k], place, (xx, xy, yy)))
+                track.append(_Estimate(k, path.times[k], place, (xx, xy, yy)))
         if track:
             found[name] = track
     return found
+
+
+def _errors(
+    axes: Any, way: Sequence[tuple[float, Place]], estimates: Mapping[str, list[_Estimate]], robots: list[str]
+) -> None:
+    """How far from the target each robot's estimates were."""
+    for index, name in enumerate(robots):
+        track = estimates.get(name, ())
+        errors = [100 * math.dist(it.place, _at(way, it.t)) for it in track]
+        axes.plot([it.k for it in track], errors, color=style.colour(index, len(robots)), linewidth=1.0)
+    axes.set(xlabel="iteration", ylabel="distance to the true target / cm", yscale="log")
 
 
 def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name: str, marks: set[str]) -> None:
@@ -157,8 +178,12 @@ def _path(axes: Any, path: list[tuple[Place, dict[str, Any]]], colour: Any, name
     axes.plot(*place, "o", color=colour, markersize=7, zorder=4, **_once(marks, "robot"))
     axes.annotate(name, place, textcoords="offset points", xytext=(6, 6), color=colour, fontsize=8.5)
     if (heading := last.get("heading")) is not None:
-        axes.annotate("", (place[0] + 0.12 * math.cos(heading), place[1] + 0.12 * math.sin(heading)), place,
-                      arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2})  # fmt: skip
+        axes.annotate(
+            "",
+            (place[0] + 0.12 * math.cos(heading), place[1] + 0.12 * math.sin(heading)),
+            place,
+            arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 1.2},
+        )
     if (dx := last.get("deviation_x")) is not None and (dy := last.get("deviation_y")) is not None:
         _ellipse(axes, place, (dx * dx, last.get("correlation", 0.0) * dx * dy, dy * dy), colour, marks)
 

@@ -107,10 +107,18 @@ def _truth(axes: Any, label: str, column: str, paths: Mapping[str, Trajectory]) 
         values = [path.rows[k][at] == "True" for k in ks]
         values.append(values[-1])
         colour = style.colour(index, len(paths))
-        axes.fill_between(times, index + 0.32, [index + 0.32 - 0.64 * value for value in values], step="post",
-                          color=colour, alpha=0.85, linewidth=0)  # fmt: skip
-        axes.plot(times, [index + 0.32 - 0.64 * value for value in values], drawstyle="steps-post", color=colour,
-                  linewidth=1)  # fmt: skip
+        axes.fill_between(
+            times,
+            index + 0.32,
+            [index + 0.32 - 0.64 * value for value in values],
+            step="post",
+            color=colour,
+            alpha=0.85,
+            linewidth=0,
+        )
+        axes.plot(
+            times, [index + 0.32 - 0.64 * value for value in values], drawstyle="steps-post", color=colour, linewidth=1
+        )
     style.rows_of_robots(axes, list(paths))
     axes.set(xlabel="time / s", title=f"{label}: filled = true")
 

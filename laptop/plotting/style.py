@@ -1,7 +1,14 @@
-"""How all pictures look: colours that colour-blind readers tell apart, light grid, legible at a column's width."""
+"""How all pictures look and are written: colours that colour-blind readers tell apart, light grid, legible in a
+column. matplotlib is there where the `lab` extra is, and only imported when it is used.
+"""
 
-from collections.abc import Sequence
+import argparse
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
+
+from swarm.errors import LocalError
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999933")
 """Okabe and Ito's palette and one more."""
@@ -63,3 +70,30 @@ def rows_of_robots(axes: Any, robots: Sequence[str]) -> None:
     axes.set_ylim(len(robots) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
+
+
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    """Declare `--plot`."""
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it: .png, .pdf or .svg")
+
+
+@contextlib.contextmanager
+def figure(path: Path, *, settings: Any = None, **options: Any) -> Iterator[Any]:
+    """A matplotlib figure that is written to `path` in the end; its ending says in which format. `settings` are
+    matplotlib's own. Raises `LocalError` where that cannot be done."""
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise LocalError('--plot needs matplotlib: pip install "balboa-swarm[lab]"') from None
+    mpl.use("Agg")  # no display is needed
+    from matplotlib import pyplot as plt
+
+    with plt.rc_context(settings or {}):
+        made = plt.figure(**options)
+        try:
+            yield made
+            made.savefig(path, dpi=130)
+        except (OSError, ValueError) as error:
+            raise LocalError(f"{path}: {error}") from None
+        finally:
+            plt.close(made)

@@ -1,4 +1,7 @@
-"""A film of a recorded run: the page, picture by picture at exact instants of the recording, made a file by ffmpeg."""
+"""Pictures of the page without a person: one as a file, or a film of a recorded run.
+
+A film shows the page at exact instants of the recording; ffmpeg makes it a file.
+"""
 
 import asyncio
 import contextlib
@@ -58,12 +61,34 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
     part = path.with_name(f".{path.name}.part")
     query = urlencode([("theme", film.theme), *(("chart", chart) for chart in film.charts)])
     process = await asyncio.create_subprocess_exec(
-        program, "-loglevel", "error", "-y", "-f", "image2pipe", "-framerate", f"{film.fps:g}", "-c:v", "png",
-        "-i", "-", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart",
-        "-f", "mp4", str(part),
-        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
+        program,
+        "-loglevel",
+        "error",
+        "-y",
+        "-f",
+        "image2pipe",
+        "-framerate",
+        f"{film.fps:g}",
+        "-c:v",
+        "png",
+        "-i",
+        "-",
+        "-c:v",
+        "libx264",
+        "-crf",
+        "18",
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        "-f",
+        "mp4",
+        str(part),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.PIPE,
         start_new_session=True,
-    )  # fmt: skip
+    )
     assert process.stdin is not None
     assert process.stderr is not None
     errors = asyncio.create_task(process.stderr.read())
@@ -91,3 +116,30 @@ async def shoot(address: str, film: Film, path: Path, tell: Callable[[int, int],
             await process.wait()
         await errors
         part.unlink(missing_ok=True)
+
+
+SIZE = (1400, 1000)
+"""Pixels."""
+
+SETTLE_S = 4.0
+"""s that a live page has to connect, and for trails and charts to grow."""
+
+DRAWN_S = 0.5
+"""s within which all parts of the page have drawn what they know."""
+
+
+async def take(address: str, path: Path, at: float | None, charts: Sequence[str]) -> None:
+    """Write a PNG of the page at `address`, of a recording at the instant `at`, s. Raises `LocalError` where that
+    fails."""
+    query = urlencode([("chart", chart) for chart in charts])
+    async with chromium.opened(f"{address}&{query}", SIZE) as page:
+        await page.until("Boolean(window.swarmView?.store.swarm)")
+        if at is not None:
+            await page.evaluate(f"swarmView.player.seek({at!r})")
+        await asyncio.sleep(SETTLE_S if at is None else DRAWN_S)
+        await page.until("document.querySelector('#connection').textContent !== 'server lost'")  # on a busy machine
+        picture = await page.picture()
+    try:
+        path.write_bytes(picture)
+    except OSError as error:
+        raise LocalError(f"{path}: {error.strerror}") from None

@@ -171,17 +171,22 @@ class RemoteActions:
         """Do it on all robots at once, and tell the outcome of each as it comes."""
 
         async def one(host: Host) -> None:
-            try:
-                async with asyncio.timeout(TIMEOUT_S):
-                    self._note(host.robot, "info", await job(host))
-            except SwarmError as error:
-                self._note(host.robot, "warning", f"{failed}: {error}")
-            except TimeoutError:
-                self._note(host.robot, "warning", f"{failed} within {TIMEOUT_S:g} s")
-            except MISUNDERSTOOD as error:
-                self._note(host.robot, "warning", f"{failed}: {misunderstood(error)}")
+            if (text := await self._try(host, job(host), failed)) is not None:
+                self._note(host.robot, "info", text)
 
         await _all(map(one, robots))
+
+    async def _try(self, host: Host, work: Awaitable[str], failed: str) -> str | None:
+        """Wait for what is done on a robot; None where that fails, which is told among the events."""
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                return await work
+        except TimeoutError:
+            self._note(host.robot, "warning", f"{failed} within {TIMEOUT_S:g} s")
+        except (SwarmError, *MISUNDERSTOOD) as error:
+            why = str(error) if isinstance(error, SwarmError) else misunderstood(error)
+            self._note(host.robot, "warning", f"{failed}: {why}")
+        return None
 
     async def _run_app(self, app: str, robots: Sequence[Host], number: int, *, alone: bool) -> None:
         """Have an app go on where it was, or begin anew where the robots have no run of it in common."""
@@ -243,17 +248,15 @@ class RemoteActions:
         near = [side for side in sides if self._is_near(side[0])]
         told = 0
 
+        async def tell(host: Host, peer: str) -> str:
+            async with self._turn(_link(peer), host):
+                if self._newest[host.robot, _link(peer)] == number:
+                    await self._say(host, key(host.robot, "mesh", "set", "hold"), HoldLink(peer, seconds))
+            return ""
+
         async def one(host: Host, peer: str) -> None:
             nonlocal told
-            try:
-                async with asyncio.timeout(TIMEOUT_S), self._turn(_link(peer), host):
-                    if self._newest[host.robot, _link(peer)] == number:
-                        await self._say(host, key(host.robot, "mesh", "set", "hold"), HoldLink(peer, seconds))
-                told += 1
-            except SwarmError as error:
-                self._note(host.robot, "warning", f"{failed}: {error}")
-            except TimeoutError:
-                self._note(host.robot, "warning", f"{failed} within {TIMEOUT_S:g} s")
+            told += await self._try(host, tell(host, peer), failed) is not None
 
         await _all(one(*side) for side in (near if near and seconds else sides))
         end = clock.now() + (CUT_S if seconds else MEND_S)

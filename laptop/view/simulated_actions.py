@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from laptop.cli import hand, kill_service
+from laptop.cli import hand
 from laptop.view.feed import SimulationFeed
 from laptop.view.robot_actions import PageAction, cut, named
 from sim.control import app_requests, send_action
@@ -52,7 +52,7 @@ class SimulatedActions:
 
     def _kill(self, asked: Mapping[str, Any]) -> str:
         robot = self._robot(asked)
-        service, pid = kill_service.end(self._feed.directory / robot, str(asked["service"]), "KILL")
+        service, pid = hand.end_service(self._feed.directory / robot, str(asked["service"]), "KILL")
         return f"{robot}: killed {service} (pid {pid})"
 
     def _cut(self, asked: Mapping[str, Any]) -> str:

@@ -45,7 +45,7 @@ def main() -> int:
         if connected and host is not None and runtime is not None:
             runtime.entry(host.nudge)()
 
-    with Service(f"app/{app.name}", on_bus=on_bus) as service:
+    with Service(f"app/{app.name}", on_bus=on_bus, direct=True) as service:
         service.config = with_settings(service.config, app.name, options.settings)
         number = options.run if options.run is not None else _default_run(app, service.config, options.settings)
         seed = _number("SWARM_SEED", os.environ.get("SWARM_SEED") or str(number), 10)

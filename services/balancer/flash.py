@@ -28,8 +28,6 @@ from swarm.messages import BalancerState
 from swarm.onboard.ask import newest
 from swarm.process.paths import runtime_dir
 
-HELP = "put new firmware on the Balboa, over its USB cable"
-
 UNIT = "swarm-balancer.service"
 BY_COMMAND_S = 10.0
 """Until the bootloader of a board that was told to start it is at USB."""

@@ -38,6 +38,8 @@ TELEMETRY_TICKS = 4
 SECOND_TICKS = 100
 PARAMETERS_TICKS = 1000
 """Every 10 s."""
+FEED_S = 1.0
+"""Seconds between two messages to systemd's watchdog; its unit is given 3 s."""
 
 _log = logging.getLogger("balancer")
 
@@ -64,6 +66,7 @@ class Loop:
         self._announced = False
         self._leds_at = 0.0
         self._stopped_at = -math.inf
+        self._fed_at = -math.inf
         self.ticks = 0
         self.missed = 0
 
@@ -124,6 +127,8 @@ class Loop:
             self._bridge.send(news)
         elif part == 1:
             self._each_second(self.ticks % SECOND_TICKS)
+        elif part == 2:
+            self._feed(clock.now())
         due = self._balancer.leds_due
         write_at = leds.moment(due, until)
         for message in self._tasks.run(until if write_at is None else write_at + slack_tasks.MARGIN_S):
@@ -152,14 +157,19 @@ class Loop:
             self._tell_again()
         elif tick == 61:
             self._balancer.watch_battery(clock.now())
-        elif tick == 73:
-            notify("WATCHDOG=1", timeout_s=0.0)
         elif tick == 85:
             self._keep_zero()
         elif not self._announced and self._balancer.ready:
             self._announced = True
             self._keep_zero()
             notify("READY=1", timeout_s=0.0)
+
+    def _feed(self, now: float) -> None:
+        """Tell systemd's watchdog each second, by the clock: a loop that is slow, on a bus that times out or a machine
+        that has no time for it, does not hang."""
+        if not self._fed_at <= now < self._fed_at + FEED_S:
+            self._fed_at = now
+            notify("WATCHDOG=1", timeout_s=0.0)
 
     def _keep_zero(self) -> None:
         if (zero := self._balancer.gyro_zero) is not None:

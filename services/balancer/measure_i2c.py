@@ -6,8 +6,6 @@ the time on the wire is counted by its bytes.
 """
 
 import argparse
-import contextlib
-import queue
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -17,13 +15,11 @@ from services.balancer.drivers import Balboa
 from services.balancer.i2c import I2CBus, KernelBus
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, PayloadError, SwarmError
+from swarm.errors import LocalError, SwarmError
 from swarm.messages import I2CRates, MeasureI2C, Status
-from swarm.messages.codec import decode
-from swarm.messages.keys import key
 from swarm.onboard import buses
 from swarm.onboard.arguments import add_json, show, sizes, whole
-from swarm.onboard.ask import Answers, new_ticket
+from swarm.onboard.ask import Answers, new_ticket, request
 from swarm.process.paths import DEFAULT_RUNTIME
 
 HELP = "read and write rates of a robot's I2C bus"
@@ -95,23 +91,16 @@ def _answers(bus: Bus, robot: str) -> bool:
 
 def _through(bus: Bus, robot: str) -> Measure:
     """Measure by asking the balancer."""
-    answers: queue.SimpleQueue[I2CRates] = queue.SimpleQueue()
 
-    def take(text: str, payload: bytes) -> None:
-        with contextlib.suppress(PayloadError):
-            answers.put(decode(I2CRates, payload, text))
-
-    bus.subscribe(key(robot, "balancer", "i2c"), take)
-
-    def measure(request: MeasureI2C) -> I2CRates:
-        bus.publish(key(robot, "balancer", "set", "i2c"), request)
+    def measure(wish: MeasureI2C) -> I2CRates:
         # Reads and writes in turn, one in each tick that has room for it: others have their transfers to do as well.
-        end = clock.now() + PATIENCE + 2 * request.count * 4 * _TICK
-        with contextlib.suppress(queue.Empty):
-            while (answer := answers.get(timeout=max(0.0, end - clock.now()))).ticket != request.ticket:
-                pass
-            return answer
-        raise LocalError(f"the balancer of {robot} did not answer: are its devices there?")
+        seconds = PATIENCE + 2 * wish.count * 4 * _TICK
+        found = request(
+            {robot: bus}, {robot: wish}, I2CRates, "balancer", "i2c", seconds, answered="i2c", every=seconds
+        )
+        if robot not in found:
+            raise LocalError(f"the balancer of {robot} did not answer: are its devices there?")
+        return found[robot]
 
     return measure
 

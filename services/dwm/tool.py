@@ -33,9 +33,6 @@ SECONDS = 3.0
 """s that `check` and `anchors` listen to ranges."""
 
 
-HELP = "look at UWB modules, set them up, find what is wrong"
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what can be done, each with its arguments."""
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")

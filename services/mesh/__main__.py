@@ -102,7 +102,7 @@ class _Mesh(MeshRunner):
 
 def main() -> None:
     """Run until SIGTERM."""
-    with Service("mesh") as this:
+    with Service("mesh", direct=True) as this:
         local = local_of(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
         start = InitialLinks(ground, local.dials, topology_file.load(state_dir(), ground))

@@ -20,7 +20,7 @@ from typing import Any
 
 from swarm import clock
 from swarm.bus.packer import Packer
-from swarm.bus.zenoh_config import client_config, router_config
+from swarm.bus.zenoh_config import client_config, peer_config, router_config
 from swarm.errors import BusError, LocalError, SwarmError
 from swarm.messages.keys import MAX_KEY_LENGTH, STOP
 from swarm.process.edges import defect
@@ -190,9 +190,11 @@ class Bus:
     exit.
     """
 
-    def __init__(self, endpoint: str) -> None:
-        """`endpoint` as of `swarm.process.paths.bus_endpoint`; raises `BusError` where it is none."""
+    def __init__(self, endpoint: str, direct: str | None = None) -> None:
+        """`endpoint` as of `swarm.process.paths.bus_endpoint`. `direct`: an endpoint of its own, at which others that
+        have one reach this session without the router. Raises `BusError` where one is none."""
         self._endpoint = _checked_endpoint(endpoint)
+        self._config = client_config(endpoint) if direct is None else peer_config(endpoint, _checked_endpoint(direct))
         self.counters: Counter[str] = Counter()
         """What was dropped, by name."""
         self._packer = Packer(self.counters)
@@ -209,9 +211,10 @@ class Bus:
         self._opener.start()
 
     @classmethod
-    def of(cls, directory: Path) -> "Bus":
-        """The bus of the robot whose runtime directory is `directory`."""
-        return cls(bus_endpoint(directory))
+    def of(cls, directory: Path, direct: str | None = None) -> "Bus":
+        """The bus of the robot whose runtime directory is `directory`. `direct`: the name of a service whose messages
+        to others of its kind are too many to go through the router."""
+        return cls(bus_endpoint(directory), None if direct is None else bus_endpoint(directory, direct))
 
     @property
     def connected(self) -> bool:
@@ -376,7 +379,7 @@ class Bus:
     def _open(self) -> None:
         """Runs in its own thread: `zenoh.open` waits without end, and no signal would interrupt it."""
         try:
-            session = zenoh.open(zenoh.Config.from_json5(client_config(self._endpoint)))
+            session = zenoh.open(zenoh.Config.from_json5(self._config))
         except zenoh.ZError as error:
             _log.error("the bus cannot be opened endpoint=%s error=%s", self._endpoint, _text(error))
             return
@@ -401,6 +404,8 @@ class Bus:
 
     def _on_transport(self, event: Any) -> None:
         up = event.kind == zenoh.SampleKind.PUT
+        if event.transport.whatami != zenoh.WhatAmI.ROUTER:
+            return
         with self._lock:
             if self._closed:
                 return

@@ -23,7 +23,8 @@ def router_config(endpoint: str) -> str:
             "connect": {"endpoints": []},
             # Without the delay of 0 Zenoh waits 0.5 s at the start for neighbours that it may not look for
             # anyway.
-            "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            # Services that talk to each other most learn of each other by the router's gossip (`peer_config`).
+            "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": True}},
             "timestamping": {"enabled": {"router": True, "peer": False, "client": False}},
             "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
             "transport": {
@@ -78,3 +79,13 @@ def client_config(endpoint: str) -> str:
             },
         }
     )
+
+
+def peer_config(endpoint: str, listen: str) -> str:
+    """Zenoh configuration (JSON) of a service that others of its kind reach directly, at the Unix socket `listen`. Of
+    all others it is a client, like every service."""
+    config = json.loads(client_config(endpoint))
+    config["mode"] = "peer"
+    config["listen"] = {"endpoints": [listen], "exit_on_failure": False}
+    config["scouting"]["gossip"] = {"enabled": True, "autoconnect": {"router": [], "peer": ["router", "peer"]}}
+    return json.dumps(config)

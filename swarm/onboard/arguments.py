@@ -40,7 +40,9 @@ def names(text: str) -> list[str]:
 
 def number(least: float, most: float = math.inf, unit: str = "", *, above: bool = False) -> Callable[[str], float]:
     """Return the type of a finite number from `least` to `most`; with `above` it is more than `least`."""
-    wanted = f"above {least:g}" if above else f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+    wanted = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+    if above:
+        wanted = f"a number above {least:g}"
 
     def parse(text: str) -> float:
         try:

@@ -73,11 +73,20 @@ class Answers(Generic[T]):
 
 
 def request(
-    buses: Mapping[str, Bus], requests: Mapping[str, _Ticketed], kind: type[A], service: str, topic: str, seconds: float
+    buses: Mapping[str, Bus],
+    requests: Mapping[str, _Ticketed],
+    kind: type[A],
+    service: str,
+    topic: str,
+    seconds: float,
+    *,
+    answered: str = "",
+    every: float = ROUND,
 ) -> dict[str, A]:
-    """Send each robot its request at SERVICE/set/TOPIC, again until it is answered at SERVICE/TOPIC_set.
+    """Send each robot its request at SERVICE/set/TOPIC, again each `every` s until it is answered.
 
-    Returns the answers that have come within `seconds`, by robot.
+    The answer comes at SERVICE/TOPIC_set, or at SERVICE/`answered`. Returns those that have come within `seconds`, by
+    robot.
     """
     answers: dict[str, A] = {}
     changed = threading.Condition()
@@ -91,13 +100,13 @@ def request(
                     changed.notify_all()
 
     for robot in requests:
-        buses[robot].subscribe(key(robot, service, f"{topic}_set"), partial(take, robot))
+        buses[robot].subscribe(key(robot, service, answered or f"{topic}_set"), partial(take, robot))
     end = clock.now() + seconds
     with changed:
         while len(answers) < len(requests) and clock.now() < end:
             for robot in requests.keys() - answers.keys():
                 buses[robot].publish(key(robot, service, "set", topic), requests[robot], urgent=True)
-            changed.wait_for(lambda: len(answers) == len(requests), ROUND)
+            changed.wait_for(lambda: len(answers) == len(requests), min(every, max(0.0, end - clock.now())))
     return answers
 
 

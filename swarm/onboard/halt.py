@@ -23,8 +23,6 @@ from swarm.onboard.arguments import add_json, number, show
 from swarm.onboard.ask import AWAY, Views, opened
 from swarm.process.terminal import columns
 
-HELP = "stop every robot or take every stop back, and say who has confirmed it"
-
 ROUND = 0.2
 """s between two looks; the command is repeated where it is not confirmed by then."""
 

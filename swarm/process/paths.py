@@ -46,9 +46,10 @@ def socket_path(directory: Path, name: str) -> Path:
     return path
 
 
-def bus_endpoint(directory: Path) -> str:
-    """The Zenoh endpoint of the router with this runtime directory; `BusError` where it can be none."""
-    path = socket_path(directory, BUS_SOCKET)
+def bus_endpoint(directory: Path, service: str = "") -> str:
+    """The Zenoh endpoint of the router with this runtime directory, or that of a service there which others reach
+    directly; `BusError` where it can be none."""
+    path = socket_path(directory, f"bus.{service.replace('/', '.')}.sock" if service else BUS_SOCKET)
     if odd := set(str(path)) & set("?#"):
         # Zenoh would cut the path there and listen somewhere else.
         raise BusError(f"{path}: a runtime directory cannot have {odd.pop()!r} in its path; use another directory")

@@ -41,11 +41,11 @@ class Service:
     `stopping` is set by SIGTERM, SIGINT or `stop()`; main threads wait on it.
     """
 
-    def __init__(self, name: str, *, on_bus: Callable[[bool], None] | None = None) -> None:
+    def __init__(self, name: str, *, on_bus: Callable[[bool], None] | None = None, direct: bool = False) -> None:
         """Reads the config and who we are; raises `ConfigError`.
 
         `on_bus(connected)` runs on Zenoh's thread, possibly before this returns; where it needs the finished
-        service, use `bus.on_change` afterwards.
+        service, use `bus.on_change` afterwards. `direct`: other such services reach this one without the router.
         """
         die_with_parent()
         self.name = name
@@ -59,7 +59,7 @@ class Service:
         self._fed_at = float("-inf")
         self._watch_signals()
         self._status_key = key(self.robot, name, "status")
-        self.bus = Bus.of(self.runtime)
+        self.bus = Bus.of(self.runtime, name if direct else None)
         self.counters: Counter[str] = self.bus.counters
         self.bus.announce(key(self.robot, name, "alive"))
         self.bus.serve(self._status_key, lambda *_: encode(self.status()))

@@ -12,6 +12,9 @@ from typing import Any, TextIO
 
 from swarm.process.text import printable
 
+BAR = 40
+"""Characters of a bar."""
+
 
 class Guarded:
     """A text stream that writes each line in printable form; in all else the stream that it was made from."""
@@ -55,6 +58,14 @@ def columns(rows: Sequence[Sequence[str]], *, right: bool = False) -> list[str]:
         for row in rows
     )
     return [line.rstrip() for line in lines]
+
+
+def bar(stream: TextIO, done: int, count: int, text: str = "") -> None:
+    """Draw a bar that grows over the line that the cursor is in; nothing where the stream is no terminal."""
+    if stream.isatty():
+        full = BAR * done // count
+        steer(stream, f"\r[{'#' * full}{'.' * (BAR - full)}] {done}/{count}{text}")
+        stream.flush()
 
 
 def steer(stream: TextIO, codes: str) -> None:

@@ -214,6 +214,17 @@ def test_ready_once_and_progress_each_second(monkeypatch: pytest.MonkeyPatch) ->
     assert loop.notified == ["WATCHDOG=1", "WATCHDOG=1", "READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG=1"]
 
 
+def test_a_loop_that_is_ten_times_too_slow_is_no_loop_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """systemd kills it after 3 s without a word."""
+    loop = VirtualLoop(monkeypatch)
+    loop.oversleep = dict.fromkeys(range(1000), 0.09)
+    told: list[float] = []
+    monkeypatch.setattr(loop_module, "notify", lambda text, timeout_s: told.append(loop.rig.now))
+    loop.run(100)
+    assert loop.started[-1] - loop.started[0] > 9.0
+    assert max(b - a for a, b in pairwise([loop.started[0], *told, loop.started[-1]])) < 1.5
+
+
 def test_the_gyros_zero_is_kept_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     loop, kept = VirtualLoop(monkeypatch), list[tuple[Zero, float]]()
     loop.loop._keep = lambda zero, now: kept.append((zero, now))

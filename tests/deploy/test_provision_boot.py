@@ -22,7 +22,7 @@ import debian
 import pytest
 
 from laptop.cli.robots import doctor, provision, status
-from laptop.fleet import debs
+from laptop.fleet import bundle
 from laptop.fleet.core.wish import PACKAGES, SUITES
 from laptop.fleet.provision import Rig
 from swarm.config.keyfile import new_key_file
@@ -133,8 +133,8 @@ def pi(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory)
     )
     (folder / "swarm.toml").write_text(CONFIG)
     new_key_file(folder / "key", time.time())
-    sources = [debs.Archive(debian.MIRROR, suite, debs.DEBIAN_KEYS)]
-    debs.download(folder / f"bundle/{suite}-amd64", sources, "amd64", PACKAGES)
+    sources = [bundle.Archive(debian.MIRROR, suite, bundle.DEBIAN_KEYS)]
+    bundle.download(folder / f"bundle/{suite}-amd64", sources, "amd64", PACKAGES)
     sh(ROOT / "deploy/release", "--machine", "x86_64", "--python", SUITES[suite], folder / "bundle")
     # No network of its own: sshd listens on this machine's loopback. It ends with 133 to be booted again.
     boot = f"systemd-nspawn --directory={root} --register=no --keep-unit -q -b"

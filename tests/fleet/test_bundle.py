@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from laptop.cli.robots import bundle as command
-from laptop.fleet import bundle, debs
+from laptop.fleet import bundle
 from swarm.errors import LocalError
 
 
@@ -21,7 +21,7 @@ def test_a_folder_without_a_bundle(tmp_path: Path) -> None:
 def test_a_computer_without_apt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(LocalError, match="there is no apt-get here: make the bundle on Debian"):
-        debs.download(tmp_path / "bundle", [], "arm64")
+        bundle.download(tmp_path / "bundle", [], "arm64")
     assert not (tmp_path / "bundle").exists()
 
 
@@ -53,7 +53,7 @@ def apt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_what_was_downloaded_is_what_the_index_says(tmp_path: Path, apt: Path) -> None:
     folder = tmp_path / "bundle/bookworm-arm64"
-    assert debs.download(folder, [], "arm64", ["a"]) == (1, 3)
+    assert bundle.download(folder, [], "arm64", ["a"]) == (1, 3)
     ((kind, repository),) = bundle.repositories(tmp_path / "bundle").items()
     (package,) = repository.packages.values()
     assert kind == ("bookworm", "arm64")
@@ -62,22 +62,22 @@ def test_what_was_downloaded_is_what_the_index_says(tmp_path: Path, apt: Path) -
     before = (folder / "Packages").read_text()
     apt.write_text(STANZA.replace(SUM[:4], "0000"))
     with pytest.raises(LocalError, match="is something in between"):
-        debs.download(folder, [], "arm64", ["a"])
+        bundle.download(folder, [], "arm64", ["a"])
     assert (folder / "Packages").read_text() == before
 
 
 def test_an_archive_that_cannot_be_reached(tmp_path: Path, apt: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BROKEN", "1")
     with pytest.raises(LocalError, match="Could not resolve 'x'"):
-        debs.download(tmp_path / "bundle", [], "arm64", ["a"])
+        bundle.download(tmp_path / "bundle", [], "arm64", ["a"])
     assert not (tmp_path / "bundle").exists()
 
 
 def test_a_key_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(debs, "DEBIAN_KEYS", tmp_path)
+    monkeypatch.setattr(bundle, "DEBIAN_KEYS", tmp_path)
     with pytest.raises(LocalError, match="a fresh robot has it as"):
-        debs.archives("bookworm", debs.DEBIAN, tmp_path / "none")
-    suites = [archive.suite for archive in debs.archives("trixie", debs.DEBIAN, None)]
+        bundle.archives("bookworm", bundle.DEBIAN, tmp_path / "none")
+    suites = [archive.suite for archive in bundle.archives("trixie", bundle.DEBIAN, None)]
     assert suites == ["trixie", "trixie-updates", "trixie-security"]
 
 
@@ -110,11 +110,11 @@ def test_a_new_release_takes_the_place_of_the_older_one_for_the_same_robots(tmp_
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-@pytest.mark.skipif(shutil.which("apt-get") is None or not debs.DEBIAN_KEYS.exists(), reason="needs Debian's apt")
+@pytest.mark.skipif(shutil.which("apt-get") is None or not bundle.DEBIAN_KEYS.exists(), reason="needs Debian's apt")
 def test_packages_of_debian_for_the_robots_processor(tmp_path: Path) -> None:
     """From Debian's archive, signature checked, for arm64 on whatever this is."""
-    sources = [debs.Archive(debs.DEBIAN, "bookworm", debs.DEBIAN_KEYS)]
-    debs.download(tmp_path / "bookworm-arm64", sources, "arm64", ["rfkill"])
+    sources = [bundle.Archive(bundle.DEBIAN, "bookworm", bundle.DEBIAN_KEYS)]
+    bundle.download(tmp_path / "bookworm-arm64", sources, "arm64", ["rfkill"])
     repository = bundle.read_repository(tmp_path / "bookworm-arm64")
     names = {package.name for package in repository.packages.values()}
     assert names >= {"rfkill", "libc6", "libsmartcols1"}

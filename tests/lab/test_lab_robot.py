@@ -50,7 +50,7 @@ def report(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Report
     folder = tmp_path_factory.mktemp("robot")
     new_key_file(folder / "swarm.key", int(time.time()))
     image = disk.robots(lab_image, folder, CONFIG, folder / "swarm.key")
-    with Machine(image, folder, "r0") as robot:
+    with Machine(image, folder, "r0", niceness=disk.NICENESS) as robot:
         shutil.copy(INSIDE, robot.share)
         words = f"PYTHONPATH={disk.PLACE} /opt/swarm/current/bin/python /share/inside_robot.py"
         run_logged(robot, "the checks of inside_robot.py", words, 700)

@@ -164,7 +164,7 @@ def test_three_machines_find_the_target_and_one_comes_back_from_a_power_cut(
     image = disk.robots(lab_image, tmp_path, config(), tmp_path / "swarm.key")
     with Radio(tmp_path, len(NAMES), machines=True) as radio, ThreadPoolExecutor() as pool:
         machines = [
-            Machine(image, tmp_path / name, name, radio=tmp_path / f"radio-{number}")
+            Machine(image, tmp_path / name, name, radio=tmp_path / f"radio-{number}", niceness=disk.NICENESS)
             for number, name in enumerate(NAMES)
         ]
         assert radio.addresses == [address(number) for number in range(len(NAMES))]

@@ -182,8 +182,8 @@ def test_what_may_not_come_in_is_refused_before_a_piece_was_sent() -> None:
     world = World(line(3))
     world.settle()
     ends: list[str] = []
-    transfers = world.bots["r0"].overlays._unicast.transfers
-    transfers._own._ended = lambda token, to, problem: ends.append(problem)
+    parcels = world.bots["r0"].overlays._unicast.transfers
+    parcels._own._ended = lambda token, to, problem: ends.append(problem)
     for key in ("swarm/r2/balancer/set/mode", "swarm/r2/balancer/set/allowed"):
         world.step("r0", lambda each, key=key: each.send("r2", key, large(1), BULK, world.now, latest=False))
     world.run(3.0)

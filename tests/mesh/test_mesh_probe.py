@@ -102,7 +102,7 @@ def test_answers_that_never_come_are_forgotten() -> None:
     world = World([("r0", "r1")])
     world.run(1.0)
     node = world.bots["r0"].node
-    prober, link = node._prober, node._links["r1"]
+    prober, link = node.connections.prober, node.connections.links["r1"]
     for number in range(100):
         assert prober.ping(EchoRequest("r1", number, 50, count=10), link, number * 1.0) is None
     assert len(prober._sent) <= 10 * (neighbour.FORGET + 1)

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from services.mesh.core.overlays.robot_overlays import MEMBERS_PERIOD, RobotOverlays
 from services.mesh.core.routing.link_state import HOLD_DOWN, HOPS, REFRESH, AdvertisedLinks, LinkStateMap
 from services.mesh.core.routing.membership import SETTLE
-from services.mesh.core.routing.shortest_paths import Edge, routes, routes_by_hops
-from services.mesh.core.routing.topology import Advertisement
+from services.mesh.core.routing.topology import Advertisement, Weight, routes, routes_by_hops
 from sim.virtual.run import simulate
 
 NAMES = [f"r{i}" for i in range(9)]
@@ -25,7 +24,7 @@ def test_levels_give_the_routes_that_dijkstra_gives(edges):
         told[a][b] = there
         if both or a == "r0":
             told[b][a] = back
-            graph[a][b] = graph[b][a] = Edge(1, max(there, back))
+            graph[a][b] = graph[b][a] = Weight(1, max(there, back))
     own = {peer: edge.time for peer, edge in graph["r0"].items()}
     expected = routes("r0", graph)
     found = routes_by_hops("r0", own, {name: links for name, links in told.items() if name != "r0"})

@@ -11,8 +11,7 @@ from overlay_world import SILENCE, World, full, line, ring, thesis_d
 from services.mesh.core.overlays import unicast
 from services.mesh.core.routing import link_state, topology
 from services.mesh.core.routing.link_state import HOPS, TIME, Level, LinkStateMap
-from services.mesh.core.routing.shortest_paths import Edge, routes
-from services.mesh.core.routing.topology import Advertisement, encode_advertisement
+from services.mesh.core.routing.topology import Advertisement, Weight, encode_advertisement, routes
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, UNICAST
 from services.mesh.core.wire.packets import UnicastMessage
@@ -250,7 +249,7 @@ def test_only_what_a_rule_allows_comes_in() -> None:
     world.run(1.0)
     assert world.bots["r2"].inbox == [("swarm/r2/x/set/allowed", b"x")]
     assert world.bots["r2"].counters["unicast_refused"] == 2
-    assert not world.bots["r0"].overlays._unicast._waiting
+    assert not world.bots["r0"].overlays._unicast._own.messages
 
 
 def test_the_latest_value_replaces_one_that_waits() -> None:
@@ -260,7 +259,7 @@ def test_the_latest_value_replaces_one_that_waits() -> None:
     key = "swarm/r1/x/set/allowed"
     for n in range(100):
         world.step("r0", lambda each, n=n: each.send("r1", key, b"%d" % n, SYNC, world.now, latest=True))
-    assert world.bots["r0"].overlays._unicast._waiting == 1
+    assert world.bots["r0"].overlays._unicast._own.messages == 1
     world.edges[frozenset(("r0", "r1"))].alive = True
     world.run(1.0)
     assert world.got("r1", "allowed") == [b"99"]
@@ -377,8 +376,8 @@ def test_whatever_happens_delivered_at_most_once_and_said_truly(
         assert len(world.got(name, f"/send/{name}")) == len(world.names)
     for bot in world.bots.values():
         assert bot.counters["unicast_retries"] == 0
-        assert not bot.overlays._unicast._waiting
-        assert not bot.overlays._unicast._waiting_bytes
+        assert not bot.overlays._unicast._own.messages
+        assert not bot.overlays._unicast._own.size
 
 
 # -- routes ----------------------------------------------------------------------------------------------------
@@ -388,12 +387,12 @@ def test_whatever_happens_delivered_at_most_once_and_said_truly(
 def test_routes_are_shortest_and_agree(n: int, data: st.DataObject) -> None:
     pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
     chosen = data.draw(st.lists(st.sampled_from(pairs), unique=True))
-    graph: dict[str, dict[str, Edge]] = {f"r{i}": {} for i in range(n)}
+    graph: dict[str, dict[str, Weight]] = {f"r{i}": {} for i in range(n)}
     reference = networkx.Graph()
     reference.add_nodes_from(graph)
     for i, j in chosen:
         cost = data.draw(st.integers(1, 5))
-        graph[f"r{i}"][f"r{j}"] = graph[f"r{j}"][f"r{i}"] = Edge(cost, 10 * cost)
+        graph[f"r{i}"][f"r{j}"] = graph[f"r{j}"][f"r{i}"] = Weight(cost, 10 * cost)
         reference.add_edge(f"r{i}", f"r{j}", weight=cost)
     tables = {name: routes(name, graph) for name in graph}
     for name, table in tables.items():

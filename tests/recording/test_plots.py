@@ -9,9 +9,9 @@ import pytest
 from laptop.cli import main
 from laptop.cli.runs.plot import KINDS
 from laptop.plotting import style
-from laptop.plotting.figure import figure
 from laptop.plotting.journeys import JourneyLeg, Pass, legs
 from laptop.plotting.mesh import layout, spots
+from laptop.plotting.style import figure
 from sim.virtual.run import simulate
 from swarm.recording.run import Run
 

@@ -253,6 +253,10 @@ def test_hands_reach_a_running_robot(robot: Robot) -> None:
     robot.wait_balancing()  # caught while it swings up
     wait_until(lambda: any(state.posture == "upright" for state in robot.states[-25:]), what="it stands")
 
+    assert robot.hand("place", "r0", "1.5", "-0.5") == "r0: lies on its back at (1.5, -0.5) m\n"
+    wait_until(lambda: math.dist((robot.truth.x, robot.truth.y), (1.5, -0.5)) < 0.2, what="it is there")
+    wait_until(lambda: robot.states[-1].posture == "back", what="it lies")
+
 
 def test_a_killed_balancers_body_is_where_it_was_when_it_comes_back(robot: Robot) -> None:
     robot.wait_balancing()

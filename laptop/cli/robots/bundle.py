@@ -5,9 +5,9 @@ import subprocess
 from pathlib import Path
 
 import swarm
-from laptop.fleet import debs
+from laptop.fleet import bundle
 from laptop.fleet.core.wish import PACKAGES, SUITES
-from laptop.fleet.transfer import read_release
+from laptop.fleet.install import read_release
 from swarm.errors import LocalError
 from swarm.onboard.arguments import add_json, show
 
@@ -23,9 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--suite", action="append", choices=[*SUITES], help="Debian of the robots; all of them")
     parser.add_argument("--architecture", default="arm64", choices=[*MACHINES], help="of the robots (arm64)")
-    parser.add_argument("--mirror", default=debs.DEBIAN, metavar="URL", help="of Debian (%(default)s)")
+    parser.add_argument("--mirror", default=bundle.DEBIAN, metavar="URL", help="of Debian (%(default)s)")
     parser.add_argument(
-        "--pi-key", type=Path, metavar="FILE", help=f"of Raspberry Pi's archive, a robot's {debs.PI_KEYS[0]}"
+        "--pi-key", type=Path, metavar="FILE", help=f"of Raspberry Pi's archive, a robot's {bundle.PI_KEYS[0]}"
     )
     add_json(parser)
     parser.add_argument("--no-releases", action="store_true", help="packages only")
@@ -33,16 +33,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """One folder of packages and one release for each Debian."""
-    key = args.pi_key or next((path for path in debs.PI_KEYS if path.exists()), None)
-    packages = [*PACKAGES, *(debs.PI_PACKAGES if key is not None else ())]
+    key = args.pi_key or next((path for path in bundle.PI_KEYS if path.exists()), None)
+    packages = [*PACKAGES, *(bundle.PI_PACKAGES if key is not None else ())]
     script = Path(swarm.__file__).parents[1] / "deploy/release"
     if not args.no_releases and not script.exists():
         raise LocalError(f"there is no {script}: call this from a checkout, or with --no-releases")
     folders, releases, lines = {}, [], []
     for suite in dict.fromkeys(args.suite or SUITES):
         folder = args.folder / f"{suite}-{args.architecture}"
-        sources = debs.archives(suite, args.mirror, key)
-        count, size = debs.download(folder, sources, args.architecture, packages)
+        sources = bundle.archives(suite, args.mirror, key)
+        count, size = bundle.download(folder, sources, args.architecture, packages)
         folders[str(folder)] = {"packages": count, "bytes": size}
         lines.append(f"{folder}: {count} packages, {size / 1e6:.0f} MB")
         if not args.no_releases:
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
             lines.append(releases[-1])
     if key is None:
         lines.append(
-            f"without Raspberry Pi's archive (--pi-key): robots need an image that has {' and '.join(debs.PI_PACKAGES)}"
+            f"without Raspberry Pi's archive (--pi-key): robots need an image with {' and '.join(bundle.PI_PACKAGES)}"
         )
     show(args, {"folders": folders, "releases": releases}, lines)
     return 0

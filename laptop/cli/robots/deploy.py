@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from laptop.fleet import everyone, transfer
+from laptop.fleet import everyone
 from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.install import check_name, install, read_files
+from laptop.fleet.install import check_name, install, read_files, read_release
 from laptop.fleet.ssh import Host
 
 HELP = "bring a release, config and key to all robots and switch to it, over ssh"
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Each robot gets the release that fits it; 0 where it runs on every one."""
     config, robots, ssh = everyone.chosen(args)
-    releases = [transfer.read_release(path) for path in args.releases]
+    releases = [read_release(path) for path in args.releases]
     files = read_files(config.path, args.key)
 
     async def job(host: Host, tell: ReportProgress) -> str:

@@ -6,10 +6,10 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from laptop.fleet import bundle, everyone, transfer
+from laptop.fleet import bundle, everyone
 from laptop.fleet.core.wish import DesiredRobot, wish
 from laptop.fleet.everyone import ReportProgress
-from laptop.fleet.install import install, read_files
+from laptop.fleet.install import install, read_files, read_release
 from laptop.fleet.provision import Provisioning, Rig
 from laptop.fleet.ssh import Host, Ssh
 from swarm.config import Config, load
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
     config, robots, ssh = _chosen(args)
     packages = {} if args.bundle is None else bundle.repositories(args.bundle)
     paths = [] if args.bundle is None else sorted(args.bundle.glob("balboa-swarm-*.tar.gz"))
-    releases = [transfer.read_release(path) for path in paths]
+    releases = [read_release(path) for path in paths]
     if args.key is not None:
         read_keys(args.key)  # a wrong one is better known now than on eight robots
     files = read_files(config.path, args.key)

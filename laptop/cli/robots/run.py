@@ -19,9 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--iterations", type=whole(0), metavar="K", help="the last iteration (without: no last one)")
     run_options.add_arguments(parser)
     parser.add_argument(
-        "--set", dest="settings", action="append", default=[], metavar="[ROBOT.]NAME=VALUE",
+        "--set",
+        dest="settings",
+        action="append",
+        default=[],
+        metavar="[ROBOT.]NAME=VALUE",
         help="a parameter of the app, of all robots or one: --set gain=0.5 --set r2.value=3",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-record", action="store_true", help="keep no recording (swarm fetch brings them)")
     parser.add_argument("--force", action="store_true", help="even where release, config or firmware differ")
     everyone.add_arguments(parser, timeout_s=60)

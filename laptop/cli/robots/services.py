@@ -7,8 +7,6 @@ from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from laptop.fleet.units import units
 
-HELP = "start, stop or restart services or apps of all robots"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is to be done, and to which services."""

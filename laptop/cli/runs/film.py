@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarm.errors import LocalError
-from swarm.onboard.arguments import add_json, show
-from swarm.process.terminal import steer
+from swarm.onboard.arguments import add_json, number, show
+from swarm.process.terminal import bar
 
 if TYPE_CHECKING:
     from laptop.view.film import Film
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 HELP = "make a film of a recorded run"
 
-BAR = 40
 SIZES = (160, 4096)
 FPS = (1.0, 120.0)
+SPEED = (0.001, 1000.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,16 +28,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RUN", help="folder or file of a recorded run")
     parser.add_argument("film", type=Path, metavar="FILE.mp4", help="replaced if it is there")
     parser.add_argument("--size", default="1280x720", metavar="WxH", help="pixels, even numbers (1280x720)")
-    parser.add_argument("--fps", type=float, default=30.0, metavar="N", help="pictures a second (30)")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast as it was (1)")
+    parser.add_argument("--fps", type=number(*FPS), default=30.0, metavar="N", help="pictures a second (30)")
+    parser.add_argument("--speed", type=number(*SPEED), default=1.0, metavar="X", help="times as fast as it was (1)")
     parser.add_argument("--from", type=float, dest="begin", metavar="S", help="second of the recording (the first)")
     parser.add_argument("--to", type=float, dest="end", metavar="S", help="second of the recording (the last)")
     parser.add_argument("--dark", action="store_true", help="in dark colours")
     add_json(parser)
     parser.add_argument(
-        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        "--chart",
+        action="append",
+        default=[],
+        metavar="TOPIC:FIELD",
         help="with a chart, e.g. app/consensus/state:state.value; several, if you like",
-    )  # fmt: skip
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,10 +91,6 @@ def _plan(args: argparse.Namespace, feed: "ViewedRecording") -> "Film":
     width, height = (int(size[1]), int(size[2])) if size else (0, 0)
     if width % 2 or height % 2 or not SIZES[0] <= min(width, height) <= max(width, height) <= SIZES[1]:
         raise LocalError(f"--size {args.size}: expected WxH, both even and {SIZES[0]} to {SIZES[1]}")
-    if not FPS[0] <= args.fps <= FPS[1]:
-        raise LocalError(f"--fps {args.fps:g}: expected {FPS[0]:g} to {FPS[1]:g}")
-    if not 0.001 <= args.speed <= 1000.0:
-        raise LocalError(f"--speed {args.speed:g}: expected 0.001 to 1000")
     begin = feed.first if args.begin is None else max(feed.first, args.begin)
     end = feed.last if args.end is None else min(feed.last, args.end)
     if not begin < end:
@@ -107,10 +106,8 @@ def _plan(args: argparse.Namespace, feed: "ViewedRecording") -> "Film":
 
 def _bar(done: int, count: int) -> None:
     """On a terminal a bar that grows, elsewhere a line for each tenth."""
+    bar(sys.stderr, done, count)
     if sys.stderr.isatty():
-        full = BAR * done // count
-        steer(sys.stderr, "\r")
-        sys.stderr.write(f"[{'#' * full}{'.' * (BAR - full)}] {done}/{count}" + ("\n" if done == count else ""))
-        sys.stderr.flush()
+        sys.stderr.write("\n" * (done == count))
     elif 10 * done // count != 10 * (done - 1) // count:
         sys.stderr.write(f"{done}/{count} pictures\n")

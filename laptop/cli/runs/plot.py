@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from laptop.plotting import events, journeys, mesh, places, states, style
-from laptop.plotting.figure import figure
+from laptop.plotting.style import figure
 from swarm.errors import LocalError
 from swarm.onboard.arguments import add_json, show
 from swarm.recording.run import Run
@@ -44,11 +44,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, what to draw, and where."""
     parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
     parser.add_argument("--kind", choices=KINDS, help="what to draw (by the app)")
-    parser.add_argument("--app", default="", metavar="NAME",
-                        help="where robots ran several (the one that the run is about)")  # fmt: skip
+    parser.add_argument(
+        "--app", default="", metavar="NAME", help="where robots ran several (the one that the run is about)"
+    )
     parser.add_argument("--column", action="append", default=[], metavar="NAME", help="of the states, may be repeated")
-    parser.add_argument("--label", action="append", default=[], metavar="NAME=TEXT",
-                        help='what stands at the axis of a state, e.g. "value=x / m"')  # fmt: skip
+    parser.add_argument(
+        "--label",
+        action="append",
+        default=[],
+        metavar="NAME=TEXT",
+        help='what stands at the axis of a state, e.g. "value=x / m"',
+    )
     parser.add_argument("--between", nargs=2, type=float, metavar=("FROM", "TO"), help="only this time of the run, s")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="PNG, PDF or SVG (RUN-KIND.png)")
     add_json(parser)
@@ -59,17 +65,24 @@ def run(args: argparse.Namespace) -> int:
     recorded = Run(args.run, args.app)
     labels = dict(_label(text) for text in args.label)
     kind = args.kind or ("states" if args.column or labels else _of(recorded))
-    draw = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
+    drawing = partial(states.states, columns=args.column, labels=labels) if kind == "states" else KINDS[kind]
     name = "-".join(filter(None, (args.run.resolve().stem, args.app, kind)))
     path = args.output or Path(f"{name}.png")
     with figure(path, settings=style.RC, layout="constrained") as made:
-        draw(made, recorded)
+        drawing(made, recorded)
         for axes in made.axes if args.between else ():
             if axes.get_xlabel() == TIME:
                 axes.set_xlim(*args.between)
     damage = list(recorded.damage)
     show(args, {"picture": str(path), "damage": damage}, [*(f"note: {each}" for each in damage), str(path)])
     return 0
+
+
+def draw(run: Path, app: str, path: Path) -> None:
+    """Draw what is drawn of a recorded run of an app where nothing else is asked for."""
+    recorded = Run(run, app)
+    with figure(path, settings=style.RC, layout="constrained") as made:
+        KINDS[_of(recorded)](made, recorded)
 
 
 def _label(text: str) -> tuple[str, str]:

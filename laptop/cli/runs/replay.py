@@ -11,6 +11,7 @@ from pathlib import Path
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus, Router
 from swarm.errors import LocalError
+from swarm.onboard.arguments import number
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import claim, default_run_dir
 from swarm.recording.reader import RecordedSample
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The run, what of it, how fast, and where to."""
     parser.add_argument("run", type=Path, metavar="RUN", help="its folder, or one recording (.mcap)")
     parser.add_argument("keys", nargs="*", metavar="KEY", help="only these, as z_sub takes them (all)")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="F", help="times as fast (1)")
+    parser.add_argument("--speed", type=number(0, above=True), default=1.0, metavar="F", help="times as fast (1)")
     parser.add_argument("--start", type=float, metavar="S", help="from this time of the run on (its first message)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--json", action="store_true", help="to the terminal, one JSON object a line, at once")
@@ -41,8 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when all of it was played."""
-    if not 0 < args.speed < float("inf"):
-        raise LocalError(f"--speed {args.speed:g}: expected a number above 0")
     recorded = Run(args.run)
     for damage in recorded.damage:
         sys.stderr.write(f"note: {damage}\n")

@@ -5,11 +5,11 @@ import errno
 import json
 import shutil
 import sys
+import tempfile
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from laptop.plotting import simulated_run
 from sim import options as arguments
 from sim import report, scenario
 from sim.options import Options
@@ -31,7 +31,10 @@ def main() -> int:
     if options.demo:
         options = _demo(options)
     if options.virtual:
-        return _virtual(options)
+        with tempfile.TemporaryDirectory(prefix="swarm-sim-") as place:
+            # What is drawn is what was recorded.
+            keeps = options.record is None and options.plot is not None
+            return _virtual(replace(options, record=Path(place) / "run") if keeps else options)
     run_dir = (options.run_dir or default_run_dir()).absolute()
     with claim(run_dir):
         try:
@@ -53,11 +56,12 @@ def _virtual(options: Options) -> int:
     for note in plan.notes:
         sys.stderr.write(note + "\n")
     run = virtual.VirtualRun(options, plan)
+    tell = partial(_tell, options, plan, options.record or Path())
     if options.view:
         from laptop.view import virtual_page  # the server is heavy, and of the extra `lab`
 
-        return virtual_page.watched(run, plan, options, partial(_tell, options, plan))
-    return _tell(options, plan, run.go())
+        return virtual_page.watched(run, plan, options, tell)
+    return tell(run.go())
 
 
 def _run(options: Options, run_dir: Path) -> int:
@@ -65,14 +69,16 @@ def _run(options: Options, run_dir: Path) -> int:
     plan = scenario.build(options, run_dir)
     with ProcessRun(options, plan, run_dir, sys.stderr) as run:
         outcome = run.watch()
-    return _tell(options, plan, outcome)
+    return _tell(options, plan, options.record or run_dir / "records", outcome)
 
 
-def _tell(options: Options, plan: Scenario, outcome: RunOutcome) -> int:
+def _tell(options: Options, plan: Scenario, records: Path, outcome: RunOutcome) -> int:
     found = report.summary(outcome)
     print(report.table(found, outcome))
     if options.plot is not None and plan.app is not None:
-        simulated_run.draw(outcome, found, options.plot)
+        from laptop.cli.runs import plot  # matplotlib's helpers are wanted here alone
+
+        plot.draw(records, plan.app, options.plot)
         print(f"plot        {options.plot}")
     if options.json:
         print(json.dumps(found))

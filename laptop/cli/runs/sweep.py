@@ -16,8 +16,9 @@ from sim.sweep.engines import ENGINES, Engine, dask, local
 from sim.sweep.limit import search
 from sim.sweep.plan import Point, jobs_of, points_of, seeds_of, setting_of, values_of
 from swarm.errors import ConfigError
+from swarm.onboard.arguments import whole
 from swarm.process import log, service
-from swarm.process.terminal import steer
+from swarm.process.terminal import bar, steer
 
 WITHIN = 0.01
 
@@ -33,15 +34,30 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--robots", type=values_of, metavar="N,N", help="numbers of robots")
     p.add_argument("--topology", type=values_of, metavar="NAME,NAME", help="topologies")
     p.add_argument("--algorithm", type=values_of, metavar="NAME,NAME", help="algorithms of the app")
-    p.add_argument("--set", dest="settings", action="append", type=setting_of, default=[],
-                   metavar="NAME=VALUE,VALUE", help="values of a parameter")  # fmt: skip
+    p.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        type=setting_of,
+        default=[],
+        metavar="NAME=VALUE,VALUE",
+        help="values of a parameter",
+    )
     p.add_argument("--seeds", type=seeds_of, default=(1,), metavar="N|A-B", help="seeds 1 to N, or A to B (1)")
-    p.add_argument("--within", type=float, default=WITHIN, metavar="X",
-                   help=f"how near its last value a result has settled, in its unit ({WITHIN:g})")  # fmt: skip
-    p.add_argument("--limit", metavar="NAME=LOW,HIGH",
-                   help="find the largest value of a parameter between these with which all runs settle")  # fmt: skip
+    p.add_argument(
+        "--within",
+        type=float,
+        default=WITHIN,
+        metavar="X",
+        help=f"how near its last value a result has settled, in its unit ({WITHIN:g})",
+    )
+    p.add_argument(
+        "--limit",
+        metavar="NAME=LOW,HIGH",
+        help="find the largest value of a parameter between these with which all runs settle",
+    )
     where = p.add_argument_group("where it is computed")
-    where.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (all cores)")
+    where.add_argument("--jobs", type=whole(1), default=os.cpu_count() or 1, metavar="N", help="processes (all cores)")
     where.add_argument("--engine", choices=ENGINES, default="local", help="local processes, or Dask")
     where.add_argument("--scheduler", metavar="ADDRESS", help="of a running Dask cluster, e.g. tcp://big:8786")
     out = p.add_argument_group("what comes out")
@@ -54,8 +70,6 @@ def main() -> int:
     """0 where no run failed."""
     log.setup("sweep")
     args, rest = parser().parse_known_args()
-    if args.jobs < 1:
-        raise ConfigError("--jobs: at least 1")
     lists = [(name, getattr(args, name)) for name in ("robots", "topology", "algorithm") if getattr(args, name)]
     points = points_of([*lists, *args.settings])
     for point in points:  # what is wrong with the command is said before anything is computed
@@ -92,8 +106,7 @@ def _limits(
         raise ConfigError(f"--limit {args.limit}: {low:g} is not below {high:g}")
     progress = _Progress(sys.stderr, None)
     with engine as run:
-        brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high),
-                          run, progress.done)  # fmt: skip
+        brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high), run, progress.done)
     progress.close()
     print(sweep_results.limits(points, name, brackets))
     if args.json:
@@ -105,8 +118,6 @@ def _limits(
 class _Progress:
     """How many runs are done: one line that is drawn over and over on a terminal; nothing elsewhere."""
 
-    WIDTH = 40
-
     def __init__(self, stream: TextIO, total: int | None) -> None:
         self._stream, self._total = stream, total
         self._count = 0
@@ -114,14 +125,11 @@ class _Progress:
     def done(self) -> None:
         """One more."""
         self._count += 1
-        if not self._stream.isatty():
-            return
-        if self._total is None:
+        if self._total is not None:
+            bar(self._stream, self._count, self._total, " runs")
+        elif self._stream.isatty():
             steer(self._stream, f"\r{self._count} runs")
-        else:
-            full = self.WIDTH * self._count // self._total
-            steer(self._stream, f"\r[{'#' * full}{'.' * (self.WIDTH - full)}] {self._count}/{self._total} runs")
-        self._stream.flush()
+            self._stream.flush()
 
     def close(self) -> None:
         """Take the line away."""

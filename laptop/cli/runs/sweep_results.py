@@ -5,10 +5,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from laptop.plotting import style
-from laptop.plotting.figure import figure
+from laptop.plotting.style import figure
 from sim.sweep.limit import Bracket
 from sim.sweep.measure import Summary, SweptRun, summarize
 from sim.sweep.plan import Point
+from swarm.process.terminal import columns
 
 _NUMBERS = {
     "runs": "runs",
@@ -120,7 +121,5 @@ def _shown(value: object) -> str:
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    lines.insert(1, "  ".join("-" * width for width in widths))
-    return "\n".join(lines)
+    rule = ["-" * max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    return "\n".join(columns([rows[0], rule, *rows[1:]], right=True))

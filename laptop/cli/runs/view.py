@@ -30,9 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--screenshot", type=Path, metavar="FILE.png", help="only write a picture of the page")
     parser.add_argument("--at", type=float, metavar="S", help="of a recording: its instant that is pictured (the last)")
     parser.add_argument(
-        "--chart", action="append", default=[], metavar="TOPIC:FIELD",
+        "--chart",
+        action="append",
+        default=[],
+        metavar="TOPIC:FIELD",
         help="with a chart in the picture, e.g. app/consensus/state:state.value; several, if you like",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-open", action="store_true", help="only print the address")
 
 
@@ -46,7 +49,7 @@ def announce(address: str, *, browse: bool) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     try:
-        from laptop.view import screenshot, server
+        from laptop.view import film, server
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from laptop.view.control import Control
@@ -87,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
         async def ready(address: str) -> None:
             if args.screenshot is not None:
-                await screenshot.take(address, args.screenshot, at, args.chart)
+                await film.take(address, args.screenshot, at, args.chart)
                 print(args.screenshot)
                 ended.set()
                 return

@@ -1,7 +1,6 @@
 """Steps that look whether a machine can be a robot at all, before anything on it is changed."""
 
-from laptop.fleet.core.verdict import Facts, Verdict, change, failed, ok
-from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, DesiredRobot
+from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, DesiredRobot, Facts, Verdict, change, failed, ok
 
 
 def board(facts: Facts, wish: DesiredRobot) -> Verdict:

@@ -84,9 +84,9 @@ def adapter(robot: ExaminedRobot) -> Finding:
     """The Bluetooth adapter is there, and it is the one that swarm.toml names."""
     if robot.config.robot(robot.name).link is not None:
         return skipped("its links are not Bluetooth's")
-    if robot.system is None or robot.system["pairing"] is None:
+    found = robot.facts["pairing"]
+    if found is None:
         return SIMULATED
-    found = robot.system["pairing"]
     if found["problem"]:
         return bad(
             found["problem"], "swarm provision; firmware: the check `radio`; swarm command 'dmesg | grep Bluetooth'"
@@ -103,9 +103,10 @@ def adapter(robot: ExaminedRobot) -> Finding:
 
 def pairing(robot: ExaminedRobot) -> Finding:
     """All neighbours are paired and trusted."""
-    if robot.system is None or robot.system["pairing"] is None or robot.config.robot(robot.name).link is not None:
-        return SIMULATED if robot.system is None else skipped("its links are not Bluetooth's")
-    known = robot.system["pairing"].get("devices") or {}
+    its = robot.facts["pairing"]
+    if its is None or robot.config.robot(robot.name).link is not None:
+        return skipped("its links are not Bluetooth's")
+    known = its.get("devices") or {}
     near = [name for name in robot.config.neighbours(robot.name) if robot.config.robot(name).link is None]
     missing = []
     for name in near:
@@ -118,7 +119,7 @@ def pairing(robot: ExaminedRobot) -> Finding:
     if robot.config.mesh.rfcomm_encrypt:
         return bad(text, "swarm pair")
     # The lower address calls (swarm pair, the mesh); bluetoothd takes calls of devices alone that it is paired with.
-    own = robot.system["pairing"].get("address", "")
+    own = its.get("address", "")
     if deaf := [name for name in missing if robot.addresses.get(name, own) < own]:
         return bad(f"{text}: it takes no call of {' '.join(deaf)}", "swarm pair")
     return warning(f"{text}: they take no call of it", "swarm pair")

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 from laptop.fleet.core import steps
 from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
-from laptop.fleet.core.verdict import ProvisioningStep
-from laptop.fleet.core.wish import DesiredRobot, wish
+from laptop.fleet.core.wish import DesiredRobot, ProvisioningStep, wish
 
 LOW_DISK = 200_000_000
 LOW_MEMORY = 40_000_000
@@ -27,9 +26,7 @@ def _step(step: ProvisioningStep) -> Callable[[ExaminedRobot], Finding]:
     """A step of provisioning as a check: the same judgement."""
 
     def judge(robot: ExaminedRobot) -> Finding:
-        if robot.system is None:
-            return SIMULATED
-        verdict = step.judge(robot.system, _wish(robot))
+        verdict = step.judge(robot.facts, _wish(robot))
         if verdict.state == "ok":
             return ok(verdict.text)
         if verdict.state == "change":
@@ -52,9 +49,7 @@ def disk(robot: ExaminedRobot) -> Finding:
 
 def memory(robot: ExaminedRobot) -> Finding:
     """Memory for one more app."""
-    if robot.system is None:
-        return SIMULATED
-    free = robot.system["memory"]
+    free = robot.facts["memory"]
     if free is None:
         return warning("it does not tell", "look at /proc/meminfo there")
     text = f"{free / 1e6:.0f} MB to be had"
@@ -71,9 +66,7 @@ _NOW = {0: "too little voltage", 1: "slowed down", 2: "throttled", 3: "at its li
 
 def heat(robot: ExaminedRobot) -> Finding:
     """Neither hot nor short of voltage."""
-    if robot.system is None:
-        return SIMULATED
-    celsius, flags = robot.system["temperature"], robot.system["throttled"] or 0
+    celsius, flags = robot.facts["temperature"], robot.facts["throttled"] or 0
     text = "no temperature" if celsius is None else f"{celsius:.0f} degrees"
     now = [word for bit, word in _NOW.items() if flags >> bit & 1]
     past = [word for bit, word in _NOW.items() if flags >> (bit + 16) & 1]
@@ -96,7 +89,11 @@ def services(robot: ExaminedRobot) -> Finding:
             return bad(f"no word from {' '.join(silent)}", "what it says is in the simulation's log; is it stopped?")
         return ok("all of them answer")
     found = robot.system["services"]
-    down = [f"{name.removeprefix('swarm-')} ({each.get('Result', '?')})" for name, each in found.items() if _down(each)]
+    down = [
+        f"{name.removeprefix('swarm-')} ({each.get('Result', '?')})"
+        for name, each in found.items()
+        if each.get("ActiveState") != "active"
+    ]
     if any(each.get("LoadState") == "not-found" for each in found.values()):
         return bad("there are none", "install a release: swarm provision, or swarm deploy")
     if down:
@@ -109,15 +106,9 @@ def services(robot: ExaminedRobot) -> Finding:
     return ok("all run")
 
 
-def _down(service: dict[str, str]) -> bool:
-    return service.get("ActiveState") != "active"
-
-
 def release(robot: ExaminedRobot) -> Finding:
     """A release is installed."""
-    if robot.system is None:
-        return SIMULATED
-    current = robot.system["current"]
+    current = robot.facts["current"]
     if not current:
         return bad("no release is installed", "swarm provision, or swarm deploy")
     return ok(str(current))
@@ -125,13 +116,11 @@ def release(robot: ExaminedRobot) -> Finding:
 
 def config(robot: ExaminedRobot) -> Finding:
     """The robot's swarm.toml is ours, and it knows who it is."""
-    if robot.system is None:
-        return SIMULATED
-    if robot.system["config"] is None:
+    if robot.facts["config"] is None:
         return bad("it has no /etc/swarm/swarm.toml", "swarm deploy")
-    if robot.system["robot"] != robot.name:
-        return bad(f"it takes itself for {robot.system['robot']}", "swarm deploy, or mend `host` in swarm.toml")
-    if robot.system["config"] != robot.digest:
+    if robot.facts["robot"] != robot.name:
+        return bad(f"it takes itself for {robot.facts['robot']}", "swarm deploy, or mend `host` in swarm.toml")
+    if robot.facts["config"] != robot.digest:
         return bad(f"its swarm.toml is not {robot.config.path}", "swarm deploy brings this one")
     return ok("the same as here")
 

@@ -8,6 +8,10 @@ from swarm.config.types import Config
 from swarm.frozen import frozen
 
 
+class SimulatedError(Exception):
+    """A simulated robot was asked for its own computer."""
+
+
 @frozen
 class ExaminedRobot:
     """All that was found out about one robot. What could not be asked is None."""
@@ -28,6 +32,13 @@ class ExaminedRobot:
     """Bluetooth addresses by robot, as the config has them."""
     key: Mapping[str, Any] | None = None
     """Mode, owner and ids of the key file."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What was found out about its own computer; raises `SimulatedError` where it has none."""
+        if self.system is None:
+            raise SimulatedError
+        return self.system
 
     def said(self, topic: str) -> Mapping[str, Any]:
         """The newest message under a topic, empty where there was none."""
@@ -77,3 +88,4 @@ def skipped(text: str) -> Finding:
 
 
 SIMULATED = skipped("a simulated robot has none")
+"""What a check says that asks for a simulated robot's own computer."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from laptop.fleet.core import checks_robot, checks_system
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
-from laptop.fleet.core.checkup import Check, ExaminedRobot, Finding, bad
+from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, SimulatedError, bad
 
 CHECKS: tuple[Check, ...] = (*checks_system.CHECKS, *checks_robot.CHECKS)
 
@@ -17,6 +17,8 @@ def examine(robot: ExaminedRobot) -> dict[str, Finding]:
 def _judged(check: Check, robot: ExaminedRobot) -> Finding:
     try:
         return check.judge(robot)
+    except SimulatedError:
+        return SIMULATED
     except MISUNDERSTOOD as error:
         return bad(misunderstood(error), "the same release on all robots? swarm deploy")
 

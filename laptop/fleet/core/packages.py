@@ -1,8 +1,17 @@
 """Steps about software: Debian's packages from a bundle, the kernel, the radio's firmware."""
 
 from laptop.fleet.core import texts
-from laptop.fleet.core.verdict import Facts, Verdict, change, failed, ok
-from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, MIN_KERNEL, DesiredRobot
+from laptop.fleet.core.wish import (
+    FIRMWARE_PACKAGE,
+    KERNEL_PACKAGE,
+    MIN_KERNEL,
+    DesiredRobot,
+    Facts,
+    Verdict,
+    change,
+    failed,
+    ok,
+)
 
 FIRMWARE = {
     "/lib/firmware/brcm/BCM43430B0.raspberrypi,model-zero-2-w.hcd": "SYN43430B0.hcd",

@@ -1,8 +1,7 @@
 """Steps about settings: files of the system, each edited so that what others wrote in it stays."""
 
 from laptop.fleet.core import texts
-from laptop.fleet.core.verdict import Change, Facts, Verdict, change, failed, ok
-from laptop.fleet.core.wish import I2C_HZ, DesiredRobot
+from laptop.fleet.core.wish import I2C_HZ, Change, DesiredRobot, Facts, Verdict, change, failed, ok
 
 CONFIG_TXT = ("/boot/firmware/config.txt", "/boot/config.txt")
 CMDLINE = ("/boot/firmware/cmdline.txt", "/boot/cmdline.txt")

@@ -6,8 +6,7 @@ while any step that comes before packages (`FIRST`) cannot be helped.
 """
 
 from laptop.fleet.core import before, packages, settings
-from laptop.fleet.core.verdict import ProvisioningStep
-from laptop.fleet.core.wish import MIN_FREE
+from laptop.fleet.core.wish import MIN_FREE, ProvisioningStep
 
 LOOK = {
     "files": [*settings.FILES],

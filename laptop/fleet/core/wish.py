@@ -1,7 +1,8 @@
-"""What a robot is to be once it is provisioned."""
+"""What a robot is to be once it is provisioned, and what a step finds on it and would change there."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field
+from typing import Any
 
 from swarm.config.types import Config
 from swarm.frozen import frozen
@@ -86,3 +87,44 @@ def wish(
         secure=config.mesh.key_file is not None,
         wifi=wifi,
     )
+
+
+Facts = Mapping[str, Any]
+Change = dict[str, Any]
+"""As `swarm.onboard.bootstrap.changes` takes it."""
+
+
+@frozen
+class Verdict:
+    """What a step finds."""
+
+    state: str
+    """ok, change or failed."""
+    text: str
+    """What is so; what will be changed; what is wrong and how to mend it."""
+    changes: tuple[Change, ...] = ()
+    reboot: bool = False
+    """In force only after a reboot."""
+
+
+def ok(text: str) -> Verdict:
+    """It is as it should be."""
+    return Verdict("ok", text)
+
+
+def failed(text: str) -> Verdict:
+    """It is not, and no change of ours helps."""
+    return Verdict("failed", text)
+
+
+def change(text: str, *changes: Change, reboot: bool = False) -> Verdict:
+    """It is not, and these changes help."""
+    return Verdict("change", text, changes, reboot)
+
+
+@frozen
+class ProvisioningStep:
+    """One idea."""
+
+    name: str
+    judge: Callable[[Facts, DesiredRobot], Verdict]

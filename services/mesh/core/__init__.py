@@ -1,1 +1,18 @@
-"""What the mesh does, without IO."""
+"""What the mesh of a robot does, without IO: the clock, randomness and bytes come in as arguments.
+
+`node` is what the shell (`services.mesh`) and virtual time (`sim.virtual`) drive: they feed it bytes, samples of the
+bus and the time, and carry out its `actions`. It joins the `relay` rules, the `connections` and the `overlays`.
+
+    node          one robot: rules, connections and overlays joined; carries out what the overlays ask for
+    connections   its sessions, and the links that they make
+    overlays/     flood, unicast, stop, what apps ask for
+    bulk/         messages that are larger than a packet, and numbered messages
+    routing/      who is there, which links there are and are to be, the ways over them
+    link/         one connection: calls, handshake, heartbeats, queues, flow, clock
+    wire/         bytes of frames and packets, authentication
+    actions, events   what a core asks of its shell, and what has happened
+    relay         which keys leave to whom, and which may come in
+    radio_model   delays, rates and losses of simulated links; for simulations alone
+
+Imports run downwards in this order; `pyproject.toml` holds it.
+"""

@@ -77,3 +77,33 @@ LinkAction = Connect | Disconnect | Write | LogLine
 """What a topology asks of its node."""
 Action = Dial | Close | LinksChanged | LogLine | Write | Received
 """What a node asks of its shell."""
+
+MAX_NOTED = 256
+"""Different problems logged; later new ones are only counted."""
+
+
+class Actions:
+    """What a node asks of its shell, in the order in which it is to be carried out."""
+
+    def __init__(self) -> None:
+        self._actions: list[Action] = []
+        self._noted: set[str] = set()
+
+    def add(self, *actions: Action) -> None:
+        """Ask for these."""
+        self._actions += actions
+
+    def note(self, problem: str, text: str) -> None:
+        """Log a problem the first time only: neighbours may repeat it as often as they like."""
+        if problem not in self._noted and len(self._noted) < MAX_NOTED:
+            self._noted.add(problem)
+            self._actions.append(LogLine(text, problem=True))
+
+    def tell(self, text: str) -> None:
+        """Log what has happened to a link, and publish its state."""
+        self._actions += (LinksChanged(), LogLine(text, problem=False))
+
+    def take(self) -> list[Action]:
+        """Those since the last call."""
+        actions, self._actions = self._actions, []
+        return actions

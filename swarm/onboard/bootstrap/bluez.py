@@ -141,9 +141,15 @@ class Bluez:
     # -- D-Bus -----------------------------------------------------------------------------------------------------
 
     def call(
-        self, path: str, interface: str, member: str, signature: str = "", body: list[Any] | None = None,
-        *, seconds: float = 30.0,
-    ) -> tuple[Any, ...]:  # fmt: skip
+        self,
+        path: str,
+        interface: str,
+        member: str,
+        signature: str = "",
+        body: list[Any] | None = None,
+        *,
+        seconds: float = 30.0,
+    ) -> tuple[Any, ...]:
         """Call a method of bluetoothd and return what it returns; raises `BluezError`."""
         message = new_method_call(DBusAddress(path, _BLUEZ, interface), member, signature or None, tuple(body or ()))
         message.header.flags |= MessageFlag.no_auto_start  # a service that does not run would be waited for in vain

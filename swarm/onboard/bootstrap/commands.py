@@ -23,6 +23,12 @@ def run(*words: str, seconds: float = 60.0) -> tuple[int, str, str]:
     return done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace")
 
 
+def unit(name: str, properties: str) -> dict[str, str]:
+    """Properties of a unit of systemd; empty where there is no systemd."""
+    _, out, _ = run("systemctl", "show", name, f"--property={properties}")
+    return dict(row.split("=", 1) for row in out.splitlines() if "=" in row)
+
+
 def below(root: str, path: str) -> Path:
     """`path` of the robot as a path here."""
     return Path(root) / path.lstrip("/")

@@ -12,11 +12,12 @@ from collections.abc import Callable
 from typing import Any
 
 from swarm.onboard.bootstrap import facts, pairing
-from swarm.onboard.bootstrap.commands import below, line, run, text
+from swarm.onboard.bootstrap.commands import below, line, run, text, unit
 
 I2C_SLAVE = 0x0703
 """ioctl of linux/i2c-dev.h: whom the next reads and writes are for."""
 
+_ASKED = "LoadState,ActiveState,SubState,NRestarts,Result,UnitFileState"
 SERVICES = ("swarm-bus", "swarm-mesh", "swarm-balancer", "swarm-dwm")
 
 
@@ -24,7 +25,7 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
     """The facts, and: memory, temperature, throttled, services, devices, key, config, robot, pairing."""
     root = request.get("root", "/")
     found = facts.main(request, tell)
-    services = {name: _service(name) for name in SERVICES}
+    services = {name: unit(f"{name}.service", _ASKED) for name in SERVICES}
     idle = services["swarm-balancer"].get("ActiveState") != "active"
     with contextlib.suppress(OSError):
         key = below(root, "/etc/swarm/key")
@@ -68,12 +69,6 @@ def _throttled(root: str) -> int | None:
         return int(said, 16)
     except ValueError:
         return None
-
-
-def _service(name: str) -> dict[str, str]:
-    wanted = "LoadState,ActiveState,SubState,NRestarts,Result,UnitFileState"
-    _, out, _ = run("systemctl", "show", name + ".service", "--property=" + wanted)
-    return dict(row.split("=", 1) for row in out.splitlines() if "=" in row)
 
 
 def _devices(root: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from swarm.onboard.bootstrap.commands import below, line, run, text
+from swarm.onboard.bootstrap.commands import below, line, run, text, unit
 
 PLACES = {
     "model": "/proc/device-tree/model",
@@ -44,7 +44,7 @@ def main(request: dict[str, Any], tell: Callable[[object], None]) -> dict[str, A
         "there": [path for path in request.get("there", ()) if below(root, path).exists()],
         "packages": _packages(request.get("packages", ())),
         "broken": _broken(),
-        "units": {unit: _unit(unit) for unit in request.get("units", ())},
+        "units": {name: unit(name, "LoadState,ActiveState,UnitFileState") for name in request.get("units", ())},
         "hostname": socket.gethostname() if root == "/" else line(below(root, "/etc/hostname")),
         "blocked": _blocked(root),
         "current": (_link(root, "/opt/swarm/current") or "").rpartition("/")[2],
@@ -88,11 +88,6 @@ def _packages(names: list[str]) -> dict[str, str]:
 def _broken() -> str:
     """Packages that were left in the middle of their installation."""
     return " ".join(row.split()[0] for row in run("dpkg", "--audit")[1].splitlines() if row.startswith(" "))
-
-
-def _unit(name: str) -> dict[str, str]:
-    _, out, _ = run("systemctl", "show", name, "--property=LoadState,ActiveState,UnitFileState")
-    return dict(row.split("=", 1) for row in out.splitlines() if "=" in row)
 
 
 def _blocked(root: str) -> list[str]:

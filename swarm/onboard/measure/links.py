@@ -21,8 +21,6 @@ from swarm.onboard.measure.figures import FLOOD, NEIGHBOURS, OVERLAYS, UNICAST, 
 from swarm.onboard.measure.senders import Floods, Pings, Sender, UnicastMessages
 from swarm.onboard.mesh.collected import CollectedMesh
 
-HELP = "round trips and throughput of links and paths"
-
 SIZES = (50, 200, 500, 750, 1000)
 """Bytes; those of the thesis' figure 3.19."""
 

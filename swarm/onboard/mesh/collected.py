@@ -49,8 +49,12 @@ class CollectedMesh:
     @cached_property
     def clashes(self) -> dict[str, str]:
         """Names that two robots have, by the robots that were asked, and how that was noticed."""
-        return {name: text for view in self.views.values() if view.links is not None
-                for name, text in view.links.clashes.items()}  # fmt: skip
+        return {
+            name: text
+            for view in self.views.values()
+            if view.links is not None
+            for name, text in view.links.clashes.items()
+        }
 
     @cached_property
     def states(self) -> dict[tuple[str, str], bool]:

@@ -26,8 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for each in (drop, add):
         each.add_argument("which", nargs="+", metavar="ROBOT")
     for each in (drop, add, renew):
-        each.add_argument("--force", action="store_true", help="even without a majority of the members: only where the "
-                          "others are known to have stopped, else both parts go on")  # fmt: skip
+        each.add_argument(
+            "--force",
+            action="store_true",
+            help="even without a majority of the members: only where the "
+            "others are known to have stopped, else both parts go on",
+        )
         each.add_argument("--timeout", type=number(0), default=10.0, metavar="S", help="seconds to wait for it (10)")
     for each in (look, drop, add, renew):
         each.add_argument("--app", required=True, metavar="NAME")

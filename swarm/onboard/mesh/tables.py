@@ -65,9 +65,22 @@ def robots(mesh: CollectedMesh) -> list[str]:
 def links(mesh: CollectedMesh) -> list[str]:
     """One line for each end of each link of the robots that were asked."""
     rows: list[Sequence[str]] = [
-        ("link", "state", "made", "rtt min", "median", "p99 ms", "out", "in B/s", "queue", "window", "lost", "refused",
-         "why"),
-    ]  # fmt: skip
+        (
+            "link",
+            "state",
+            "made",
+            "rtt min",
+            "median",
+            "p99 ms",
+            "out",
+            "in B/s",
+            "queue",
+            "window",
+            "lost",
+            "refused",
+            "why",
+        ),
+    ]
     for name, link in mesh.links():
         rows.append(
             (

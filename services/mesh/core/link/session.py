@@ -13,15 +13,7 @@ wire.
 from collections import Counter
 from collections.abc import Callable
 
-from services.mesh.core.events import (
-    Event,
-    HandshakeFailed,
-    LinkDown,
-    LinkRecovered,
-    LinkSuspect,
-    LinkUp,
-    Received,
-)
+from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.link import calls, flow
 from services.mesh.core.link.calls import Local
 from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
@@ -350,14 +342,8 @@ class Session:
         if key_id is not None:
             # The decoder takes nothing that `encode` would write differently, so this is the frame as it was sent.
             theirs = frames.encode(frame.kind, frame.priority, frame.body)
-            self._auth = Keys(
-                local.keys[key_id],
-                key_id,
-                frames.VERSION,
-                self._hello,
-                theirs,
-                dialler=self.dialled is not None,
-            )
+            dialler = self.dialled is not None
+            self._auth = Keys(local.keys[key_id], key_id, frames.VERSION, self._hello, theirs, dialler=dialler)
         self._confirm = frames.encode_confirm(b"" if self._auth is None else self._auth.confirm)
         self._urgent.append(self._confirm)
 

@@ -6,11 +6,12 @@ the word that there is no such request here.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from services.mesh.core.overlays import flood
 from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.unicast import Hop, Unicast
+from services.mesh.core.routing.topology import Route
 from services.mesh.core.routing.wanted_links import Linking
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, PRIORITIES
@@ -30,6 +31,10 @@ from swarm.messages.codec import encode
 from swarm.messages.keys import is_name
 from swarm.messages.keys import key as key_of
 
+LEAST_PATIENCE = {CONTROL: 1.0}
+LEAST_PATIENCE_ELSE = 3.0
+"""s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
+
 MAX_TICKETS = 1024
 """Requests whose answers are remembered, so that a repeated request is answered again, not done again."""
 
@@ -43,6 +48,7 @@ class _Ticket:
     announce: bool = False
 
 
+Request = FloodRequest | SendRequest | Reminder | TopologyRequest
 Answer = Flooded | Sent | TopologySet
 
 
@@ -54,17 +60,16 @@ class OverlayRequests:
         me: str,
         *,
         to_bus: Callable[[str, bytes, int], None],
-        patience: Callable[[int], float],
         now: Callable[[], float],
     ) -> None:
-        """`patience(priority)` is how long a confirmed flood may take, s. `flood` and `unicast` are to be set before
-        anything is asked."""
+        """`flood`, `unicast` and `routes` (the ways to all robots) are to be set before anything is asked."""
         self._me = me
         self._to_bus = to_bus
-        self._patience = patience
         self._now = now
         self.flood: FloodOverlay
         self.unicast: Unicast
+        self.routes: Callable[[], Mapping[str, Route]]
+        self.linking: Linking | None = None
         self._tickets: OrderedDict[str, Answer | _Ticket] = OrderedDict()
         self._flooded_key = key_of(me, "mesh", "flooded")
         self._keys = {
@@ -75,7 +80,20 @@ class OverlayRequests:
         self._progress_key = key_of(me, "mesh", "progress")
         self._passed_key = key_of(me, "mesh", "passed")
 
-    def request_flood(self, request: FloodRequest) -> None:
+    def take(self, request: Request) -> None:
+        """Do what is asked; the answer goes to the own bus."""
+        match request:
+            case FloodRequest():
+                self._request_flood(request)
+            case SendRequest():
+                self._request_send(request)
+            case TopologyRequest():
+                if self.linking is not None:
+                    self._request_topology(request, self.linking)
+            case Reminder():
+                self._remind(request)
+
+    def _request_flood(self, request: FloodRequest) -> None:
         """The answer goes to `mesh/flooded`."""
         token = _Ticket(request.ticket, request.app, request.announce)
         if self._is_known(token):
@@ -91,7 +109,7 @@ class OverlayRequests:
             problem = "too many floods, or bytes of large ones, are under way"
         self._answer_flood(token, (), complete=False, problem=problem)
 
-    def request_send(self, request: SendRequest) -> None:
+    def _request_send(self, request: SendRequest) -> None:
         """The answer goes to `mesh/sent`."""
         token = _Ticket(request.ticket, request.app)
         if self._is_known(token):
@@ -104,14 +122,14 @@ class OverlayRequests:
         priority = PRIORITIES[request.priority]
         self.unicast.send(token, request.to, key, request.payload, priority, self._now(), timeout=request.timeout)
 
-    def request_topology(self, request: TopologyRequest, linking: Linking) -> None:
+    def _request_topology(self, request: TopologyRequest, linking: Linking) -> None:
         """Somebody's wish for other links; the answer goes to `mesh/topology_set`."""
         if self._is_known(_Ticket(request.ticket, "")):
             return
         problem = linking.set(request.shape, request.edges, request.after, self._now())
         self._end(TopologySet(self._now(), request.ticket, linking.value.version, problem))
 
-    def remind(self, reminder: Reminder) -> None:
+    def _remind(self, reminder: Reminder) -> None:
         """The answer again, or how far it is."""
         known = self._tickets.get(reminder.ticket)
         if known is not None and not isinstance(known, _Ticket):
@@ -143,6 +161,15 @@ class OverlayRequests:
         ticket = hop.token.ticket if isinstance(hop.token, _Ticket) else ""
         passed = Passed(self._now(), app, hop.sender, hop.to, hop.number, hop.back, hop.next_hop, ticket)
         self._to_bus(self._passed_key, encode(passed), CONTROL)
+
+    def _patience(self, priority: int) -> float:
+        """How long a confirmed flood may take, s: 4 (D + 1) L, twice the time there and back, 2 D L, and one hop to
+        spare."""
+        farthest = max(self.routes().values(), key=lambda route: route.time, default=None)
+        least = LEAST_PATIENCE.get(priority, LEAST_PATIENCE_ELSE)
+        if farthest is None:
+            return least
+        return max(least, 4 * (farthest.hops + 1) * (farthest.time / farthest.hops) * 1e-4)
 
     def _answer_flood(self, token: _Ticket, robots: tuple[str, ...], *, complete: bool, problem: str) -> None:
         answer = Flooded(self._now(), token.ticket, token.app, robots, complete, problem)

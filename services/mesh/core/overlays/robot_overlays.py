@@ -10,12 +10,11 @@ from functools import lru_cache
 
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
-from services.mesh.core.bulk.pieces import Packet
 from services.mesh.core.events import Received
 from services.mesh.core.overlays import flood, flood_store, large_messages, unicast
 from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.large_messages import Large
-from services.mesh.core.overlays.requests import OverlayRequests
+from services.mesh.core.overlays.requests import OverlayRequests, Request
 from services.mesh.core.overlays.stop import Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
 from services.mesh.core.routing.link_state import HOPS, AdvertisedLinks, LinkStateMap
@@ -24,17 +23,7 @@ from services.mesh.core.routing.wanted_links import InitialLinks, Linking
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
 from swarm.errors import FrameError, PayloadError
-from swarm.messages import (
-    FloodRequest,
-    Members,
-    MeshGraph,
-    Reminder,
-    SendRequest,
-    Stop,
-    Stopped,
-    Topology,
-    TopologyRequest,
-)
+from swarm.messages import Members, MeshGraph, Stop, Stopped, Topology
 from swarm.messages.codec import encode
 from swarm.messages.keys import is_name, parse
 from swarm.messages.keys import key as key_of
@@ -42,17 +31,13 @@ from swarm.messages.keys import key as key_of
 MEMBERS_PERIOD = 10.0
 """s between two publications of `mesh/members` when nothing changes."""
 
-LEAST_PATIENCE = {CONTROL: 1.0}
-LEAST_PATIENCE_ELSE = 3.0
-"""s that one try of a confirmed flood may take at least; less urgent classes may have to wait in queues."""
-
 COUNTERS = (*flood.COUNTERS, *flood_store.COUNTERS, *large_messages.COUNTERS, *unicast.COUNTERS,
             *transfers.COUNTERS, *exchange.COUNTERS, "bad_packets", "topology_foreign")  # fmt: skip
 
 _NEVER = float("inf")
 
-
 Action = Transmit | Received | LinkAction
+"""What the overlays ask of their node."""
 
 
 class RobotOverlays:
@@ -88,7 +73,7 @@ class RobotOverlays:
         self._admits_unicast = admits_unicast
         self._actions: list[Action] = []
         emit = self._actions.append
-        self._requests = OverlayRequests(me, to_bus=self._to_bus, patience=self._patience, now=lambda: self._now)
+        self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self._now)
         self._flood = FloodOverlay(
             me, incarnation, self._robots,
             emit=emit, deliver=self._on_flood, reached=self._requests.reached, towards=self._towards,
@@ -107,19 +92,18 @@ class RobotOverlays:
         self._unicast = Unicast(
             me, incarnation, self._robots,
             emit=emit, route=self._map.route, admits=self._admits_message, deliver=self._to_bus,
-            ended=self._requests.sent, passed=self._requests.passed, on_large=self._on_large, counters=counters,
+            ended=self._requests.sent, passed=self._requests.passed, counters=counters,
         )  # fmt: skip
-        self._requests.flood, self._requests.unicast = self._flood, self._unicast
+        self._requests.flood = self._flood
+        self._requests.unicast = self._unicast
+        self._requests.routes = self._map.routes
         self._large = Large(
             me, self._unicast.transfers, self._flood.large,
             emit=self._unicast.carry, neighbours=self._map.neighbours, counters=counters,
         )  # fmt: skip
+        self._unicast.on_large = self._large.receive
         self._register = Register(
-            me,
-            lambda: self._flood.incarnation,
-            self._robots,
-            emit=emit,
-            changed=lambda: self._stops.changed(self._now),
+            me, lambda: self._flood.incarnation, self._robots, emit=emit, changed=lambda: self._stops.changed(self._now)
         )
         self._stops = Stops(me, self._register, self._flood, self._to_bus)
         names = _sorted(self._robots)
@@ -137,10 +121,8 @@ class RobotOverlays:
         self.linking: Linking | None = None
         """Which links there are to be; None where that is the caller's matter."""
         if start is not None:
-            self.linking = Linking(
-                me, start, self._map,
-                emit=emit, act=emit, random=random, counters=counters,
-            )  # fmt: skip
+            linking = Linking(me, start, self._map, act=emit, random=random, counters=counters)
+            self.linking = self._requests.linking = linking
 
     # -- links and packets -------------------------------------------------------------------------------------
 
@@ -258,18 +240,10 @@ class RobotOverlays:
         else:
             self._unicast.send(None, to, key, payload, priority, now, latest=latest)
 
-    def request(self, request: FloodRequest | SendRequest | Reminder | TopologyRequest, now: float) -> None:
+    def request(self, request: Request, now: float) -> None:
         """An app's wish; the answer goes to the own bus."""
         self._now = now
-        if isinstance(request, FloodRequest):
-            self._requests.request_flood(request)
-        elif isinstance(request, SendRequest):
-            self._requests.request_send(request)
-        elif isinstance(request, TopologyRequest):
-            if self.linking is not None:
-                self._requests.request_topology(request, self.linking)
-        else:
-            self._requests.remind(request)
+        self._requests.take(request)
 
     def stop(self, stop: Stop, now: float) -> None:
         """Somebody on this robot has published `swarm/stop`."""
@@ -377,23 +351,12 @@ class RobotOverlays:
             self._survey.heard(origin, incarnation, key, payload)
         self._to_bus(key, payload, priority)
 
-    def _on_large(self, packet: Packet, now: float) -> None:
-        self._large.receive(packet, now)
-
     def _publish_links(self, payload: bytes) -> None:
         self._flood.publish(self._lsa_key, payload, CONTROL, self._now, latest=True)
 
     def _towards(self, robot: str) -> str | None:
         route = self._map.route(robot)
         return route.next_hop if route is not None else None
-
-    def _patience(self, priority: int) -> float:
-        """4 (D + 1) L: twice the time there and back, 2 D L, and one hop to spare."""
-        farthest = max(self._map.routes().values(), key=lambda route: route.time, default=None)
-        least = LEAST_PATIENCE.get(priority, LEAST_PATIENCE_ELSE)
-        if farthest is None:
-            return least
-        return max(least, 4 * (farthest.hops + 1) * (farthest.time / farthest.hops) * 1e-4)
 
     def _routes_changed(self, now: float, *, look: bool = True) -> None:
         self._version = self._map.version

@@ -21,7 +21,7 @@ from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.numbered import Limits, Outbound, Outgoing, SeenLives
 from services.mesh.core.bulk.pieces import Packet
 from services.mesh.core.bulk.transfers import Transfers
-from services.mesh.core.routing.shortest_paths import Route
+from services.mesh.core.routing.topology import Route
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, SYNC, UNICAST
 from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
@@ -114,12 +114,12 @@ class Unicast:
         deliver: Callable[[str, bytes, int], None],
         ended: Callable[[object, str, str], None],
         passed: Callable[[Hop], None],
-        on_large: Callable[[Packet, float], None],
         counters: Counter[str],
     ) -> None:
         """`admits(sender, key)` says what may come in; `ended(token, to, problem)` is called once for each `send`,
         with an empty problem where the message was delivered; `passed(hop)` each time that this robot hands a message
-        or an answer to a neighbour; `on_large(packet, now)` takes what comes for this robot about large messages."""
+        or an answer to a neighbour. `on_large(packet, now)`, which takes what comes for this robot about large
+        messages, is to be set before anything comes."""
         self._me = me
         self._incarnation = incarnation
         self._robots = robots
@@ -130,7 +130,7 @@ class Unicast:
         self._ended = ended
         self._passed = passed
         self._counters = counters
-        self._on_large = on_large
+        self.on_large: Callable[[Packet, float], None]
         self.transfers = Transfers(
             me, incarnation, emit=self.carry, admits=admits, deliver=deliver, ended=ended, counters=counters
         )
@@ -207,7 +207,7 @@ class Unicast:
                 packet = pieces.decode(data)
                 self._check(packet.sender, packet.to, packet.id.origin)
                 if packet.to == self._me:
-                    self._on_large(packet, now)
+                    self.on_large(packet, now)
                 elif packet.ttl <= 1:
                     self._counters["unicast_expired"] += 1
                 elif (route := self._route(packet.to)) is None:

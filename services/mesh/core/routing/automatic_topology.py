@@ -244,3 +244,8 @@ def _farthest(graph: _Graph, pairs: Sequence[Pair]) -> tuple[int, Pair]:
 
     best = max(pairs, key=merit)
     return merit(best)[0], best
+
+
+def places(bits: int, count: int) -> list[int]:
+    """The places below `count` whose bit is set. A peer may have set others."""
+    return [place for place in range(count) if bits >> place & 1]

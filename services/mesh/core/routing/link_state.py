@@ -10,8 +10,15 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 
-from services.mesh.core.routing.shortest_paths import Edge, Route, routes, routes_by_hops
-from services.mesh.core.routing.topology import Advertisement, decode_advertisement, encode_advertisement
+from services.mesh.core.routing.topology import (
+    Advertisement,
+    Route,
+    Weight,
+    decode_advertisement,
+    encode_advertisement,
+    routes,
+    routes_by_hops,
+)
 from swarm.errors import FrameError
 
 HOPS, TIME = "hops", "time"
@@ -98,9 +105,9 @@ class AdvertisedLinks:
 
 
 @lru_cache(maxsize=1024)
-def _edge(metric: str, time: int) -> Edge:
+def _edge(metric: str, time: int) -> Weight:
     # Times come in steps, so a large map has many equal edges.
-    return Edge(1 if metric == HOPS else time, time)
+    return Weight(1 if metric == HOPS else time, time)
 
 
 class LinkStateMap:
@@ -289,14 +296,14 @@ class LinkStateMap:
             self._routes = routes(self._me, self.graph())
         return self._routes
 
-    def graph(self) -> dict[str, dict[str, Edge]]:
+    def graph(self) -> dict[str, dict[str, Weight]]:
         """All edges that count, both directions of each with the same cost."""
         own = {peer: self._edge(time, 0) for peer, time in self._own_times().items()}
         graph = {self._me: own}
         for name, known in self._known.items():
             if name == self._me:
                 continue
-            edges: dict[str, Edge] = {}
+            edges: dict[str, Weight] = {}
             for peer, time in known.advertisement.neighbours.items():
                 if peer == self._me:
                     if name in own:
@@ -374,7 +381,7 @@ class LinkStateMap:
                 own[peer] = max(link.level.time, theirs or 0)
         return own
 
-    def _edge(self, time: int, back: int) -> Edge:
+    def _edge(self, time: int, back: int) -> Weight:
         return _edge(self._metric, max(time, back))
 
     def _changed(self) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from services.mesh.core.routing.link_state import LinkStateMap
-from services.mesh.core.routing.shortest_paths import Route
+from services.mesh.core.routing.topology import Route
 from swarm.messages import GraphRobot, Member, MemberChange, MeshGraph, Stopped
 from swarm.messages.codec import decode
 

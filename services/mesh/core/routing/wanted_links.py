@@ -1,8 +1,9 @@
 """Which links this robot has: those of the topology in force, and for a while those that hold the swarm together.
 
-The topology (core.topology) is a register that neighbours merge: the greatest value holds. It goes to each new link,
-and what is new to a robot goes on to its other neighbours at once, so it reaches everybody who can be reached, whoever
-issued it and whether that robot is still there. (A flooded latest value would be void when its origin restarts.)
+The topology (`routing.topology`) is a register that neighbours merge: the greatest value holds. It goes to each new
+link, and what is new to a robot goes on to its other neighbours at once, so it reaches everybody who can be reached,
+whoever issued it and whether that robot is still there. (A flooded latest value would be void when its origin
+restarts.)
 
 Make before break. A new value's links are asked for at once. A link that it does not contain stays until
 1. every robot in reach has the same value (its link state says so), or `PATIENCE` is over,
@@ -10,20 +11,20 @@ Make before break. A new value's links are asked for at once. A link that it doe
 3. for `GRACE` its two ends have been connected without it: by links of the topology, and unwanted ones of lower rank.
 By 3 the links that stay are a minimum spanning forest with the topology's links at no cost (Kruskal 1956), so robots
 that drop links at the same time, on old news even, never count on one another's: whatever is dropped, a chain of lower
-ones remains. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good, should the
-links that are to replace it never come up: a bad topology leaves a swarm that can be told a better one.
+ones remains. By 1 all ranks are of one value. So a link that alone holds two parts together stays for good
+where its replacements never come up: a bad topology leaves a swarm that can be told a better one.
 
 Any robot of the configuration may call: it may have missed the news, or look for the rest of its swarm. Its link counts
-as an unwanted one. Who cannot be reached is looked for (core.search) once the topology is not the configuration's own.
+as an unwanted one. Who cannot be reached is looked for (`link.calls`) once the topology is not the configuration's own.
 """
 
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from services.mesh.core.actions import Connect, Disconnect, Emit, LinkAction, LogLine, Transmit, Write
+from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Transmit, Write
 from services.mesh.core.link.calls import Search
-from services.mesh.core.routing.automatic_topology import plan
+from services.mesh.core.routing.automatic_topology import places, plan
 from services.mesh.core.routing.link_state import LinkStateMap
 from services.mesh.core.routing.topology import AUTO, MAX_LINKS, MAX_STEP, MAX_VERSION, Ground, TopologyVersion
 from services.mesh.core.wire import frames
@@ -77,8 +78,7 @@ class Linking:
         start: InitialLinks,
         map: LinkStateMap,
         *,
-        emit: Emit,
-        act: Callable[[LinkAction], None],
+        act: Callable[[Transmit | LinkAction], None],
         random: Callable[[], float],
         counters: Counter[str],
     ) -> None:
@@ -87,7 +87,6 @@ class Linking:
         self._ground = start.ground
         self._dials = start.dials
         self._map = map
-        self._emit = emit
         self._act = act
         self._counters = counters
         self._place = start.ground.place
@@ -267,7 +266,7 @@ class Linking:
     def _send(self, peer: str) -> None:
         data = self._ground.encode(self.value)
         priority = frames.CONTROL if len(data) <= frames.MAX_PAYLOAD else frames.BULK
-        self._emit(Transmit(peer, frames.FLOOD, self._channel, data, priority))
+        self._act(Transmit(peer, frames.FLOOD, self._channel, data, priority))
 
     def _announce(self, now: float) -> None:
         """Tell the swarm which value holds here and, where the automatic rule wants to know, whom we hear."""
@@ -380,8 +379,8 @@ class Linking:
         up = {self._edge(a, b) for a, near in self._map.graph().items() for b in near if a in members and b in members}
         heard = set(up)
         for name in members:
-            places = _places(self._map.heard(name), len(names))
-            heard |= {self._edge(name, names[place]) for place in places if names[place] in members - {name}}
+            reached = places(self._map.heard(name), len(names))
+            heard |= {self._edge(name, names[place]) for place in reached if names[place] in members - {name}}
         silent = {edge for edge in self.value.edges if edge[0] in members and edge[1] in members and edge not in heard}
         self._dead = {edge: self._dead.get(edge, now) for edge in silent}
         dead = {edge for edge, since in self._dead.items() if now >= since + FORGET}
@@ -395,8 +394,3 @@ class Linking:
             self._act(LogLine(text, problem=True))
         else:
             self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, edges=edges), None, now)
-
-
-def _places(bits: int, count: int) -> list[int]:
-    """The places below `count` whose bit is set. A peer may have set others."""
-    return [place for place in range(count) if bits >> place & 1]
