@@ -36,9 +36,10 @@ ROOT = Path(__file__).parents[1]
 
 ELSEWHERE = {
     "services/apps/__main__.py": "makes a number of a hash of its own",
-    "services/apps/core/strand.py": "its own stamp in a snapshot whose lengths were checked",
+    "services/apps/core/lockstep_run.py": "its own stamp in a snapshot whose lengths were checked",
     "services/apps/event_runner.py": "states of the size that `Asynchronous` has checked",
-    "services/apps/host.py": "passes on what `split_batch` takes apart",
+    "services/apps/event_host.py": "states of the size that the lockstep has checked",
+    "services/apps/host.py": "makes a number of a hash of its own",
     "sim/rehearsal/examine.py": "states that it has packed itself",
     "services/apps/runner.py": "states of the size that the lockstep has checked",
     "services/apps/slots.py": "its own file: tests/apps/test_files.py",
@@ -49,7 +50,6 @@ ELSEWHERE = {
     "services/mesh/links/sim.py": "simulated links only",
     "sim/app_requests_server.py": "a simulation's own socket: tests/sim/test_orders.py",
     "sim/run.py": "makes a number of random bytes of its own",
-    "sim/virtual/world.py": "states that it has packed itself",
     "laptop/cli/runs/import_csv.py": "makes a number of a hash of its own",
     "swarm/onboard/samples.py": "shows frames of lockstep: tests/test_z_sub.py",
     "swarm/recording/core/foxglove.py": "a schema of its own",

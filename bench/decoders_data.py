@@ -21,7 +21,7 @@ from laptop.view.picture import Picture, places
 from services.balancer import link
 from services.balancer.core import balboa, imu, intel_hex, uwb
 from services.dwm.core import calibration_file, calls, shell, tlv
-from services.dwm.core.exchange import Exchange
+from services.dwm.core.exchange import ModuleExchange
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position
 from services.mesh import link_address
 from swarm import messages
@@ -30,17 +30,17 @@ from swarm.config import keyfile
 from swarm.config.load import parse as parse_config
 from swarm.core import state
 from swarm.core.asynchronous import Asynchronous
-from swarm.core.epoch_notes import NONE, Ballot, Kept, Note, Offer, Vote, first, following
+from swarm.core.epoch_notes import NONE, Ballot, EpochNote, Offer, SavedEpochs, Vote, first, following
 from swarm.core.epochs import Epochs
 from swarm.core.lockstep import Channel, Lockstep
-from swarm.core.lockstep_frames import Heard, Snapshot, decode_frame, encode_step, encode_want
+from swarm.core.lockstep_frames import HeardNeighbour, Snapshot, decode_frame, encode_step, encode_want
 from swarm.errors import ConfigError, FrameError, LocalError, PayloadError, RecordingError, RemoteError
 from swarm.messages import codec
 from swarm.messages.json_values import json_value
 from swarm.recording import thesis_csv
 from swarm.recording.core import json_text
 from swarm.recording.core.writer import Writer
-from swarm.recording.reader import Reader
+from swarm.recording.reader import RecordingReader
 from swarm.recording.survey import survey
 from swarm.recording.thesis_ranges import read_recording
 
@@ -98,9 +98,9 @@ _NEXT = following(_BEGIN, "r1", 7, ("r0", "r1"), ("r0", "r1"), (("r0", "r1"),), 
 _NOTES = tuple(
     note.encode()
     for note in (
-        Note("r0", 3, 9, _BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), _NEXT), None, 0),
-        Note("r2", 3, 9, _NEXT, -1, False, (), NONE, None, Offer(Ballot(4, "r2"), _NEXT, True), 7),
-        Note("r1", 3, 9, _BEGIN, 8, True, (), Ballot(4, "r2"), None, Offer(Ballot(4, "r2"), None, False), 0),
+        EpochNote("r0", 3, 9, _BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), _NEXT), None, 0),
+        EpochNote("r2", 3, 9, _NEXT, -1, False, (), NONE, None, Offer(Ballot(4, "r2"), _NEXT, True), 7),
+        EpochNote("r1", 3, 9, _BEGIN, 8, True, (), Ballot(4, "r2"), None, Offer(Ballot(4, "r2"), None, False), 0),
     )
 )
 
@@ -121,7 +121,7 @@ def _epochs(rng: random.Random) -> Made:
         epochs.handle_timer(now)
         for action in epochs.actions():
             if (told := getattr(action, "data", None)) is not None and told is not data:
-                Note.decode(told)
+                EpochNote.decode(told)
 
     return _NOTES, feed
 
@@ -175,7 +175,7 @@ def _asynchronous(rng: random.Random) -> Made:
 
 def _snapshots(rng: random.Random) -> Made:
     """Snapshots; half of them with a checksum that is right, as another version might have left them."""
-    heard = {"r0": Heard(3, 6, [bytes(8), None, bytes(8)]), "r2": Heard()}
+    heard = {"r0": HeardNeighbour(3, 6, [bytes(8), None, bytes(8)]), "r2": HeardNeighbour()}
     golden = Snapshot(_RUN, 0, _SCHEMA, 8, 6, bytes(8), bytes(8), heard, state.pack_private({"a": (1, [2.0])})).encode()
 
     def feed(data: bytes) -> None:
@@ -199,7 +199,7 @@ def _tlv(rng: random.Random) -> Made:
     known = (LOC_GET, calls.POS_GET, calls.CFG_GET, calls.UPD_RATE_GET, calls.VER_GET, calls.NODE_ID_GET)
 
     def feed(data: bytes) -> None:
-        exchange = Exchange(known[int(rng.random() * len(known))])
+        exchange = ModuleExchange(known[int(rng.random() * len(known))])
         exchange.receive(data)
         exchange.expire()
 
@@ -210,7 +210,7 @@ def _tlv(rng: random.Random) -> Made:
 
 def _shell(rng: random.Random) -> Made:
     """Lines of the UWB module's shell mode, in pieces."""
-    reader = shell.Reader()
+    reader = shell.ShellReader()
 
     def feed(data: bytes) -> None:
         reader.receive(data)
@@ -266,7 +266,7 @@ def _recordings(rng: random.Random) -> Made:
         if rng.random() < 0.5:
             survey(file)
             return
-        for each in Reader(path).samples():
+        for each in RecordingReader(path).samples():
             assert each.message is not None
 
     return [_recording()], feed
@@ -413,12 +413,12 @@ TARGETS = (
                   lambda data: decode_frame(data, 8), text(Channel.parse)), (FrameError,)),
     Target("lockstep: frames to a core", ("swarm/core/lockstep_frames.py",), _lockstep),
     Target("asynchronous: frames to a core", ("swarm/core/asynchronous.py",), _asynchronous),
-    Target("epochs: notes", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"), simple(_NOTES, Note.decode),
+    Target("epochs: notes", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"), simple(_NOTES, EpochNote.decode),
            (PayloadError,)),
     Target("epochs: notes to a core", ("swarm/core/epoch_notes.py",), _epochs),
     Target("ballots", ("swarm/core/epoch_notes.py", "swarm/messages/codec.py"),
-           simple([codec.encode(Kept(1, 2, Note.decode(note))) for note in _NOTES],
-                  lambda data: codec.decode(Kept, data, "ballot")), (PayloadError,)),
+           simple([codec.encode(SavedEpochs(1, 2, EpochNote.decode(note))) for note in _NOTES],
+                  lambda data: codec.decode(SavedEpochs, data, "ballot")), (PayloadError,)),
     Target("snapshots", ("swarm/core/lockstep_frames.py",), _snapshots, (LocalError,)),
     Target("UWB module: answers", ("services/dwm/core/tlv.py", "services/dwm/core/calls.py"), _tlv),
     Target("UWB module: requests", ("services/dwm/core/calls.py",), simple([b"\x0c\x00", b"\x02\x00"], calls.call_of),
@@ -455,7 +455,7 @@ TARGETS = (
     Target("fetch: list of files", (), simple([_LIST], text(collect.parse_list)), (RemoteError,)),
     Target("fetch: stream of files", (), _stream, (RemoteError,)),
     Target("fetch: journal", ("laptop/fleet/journal.py",),
-           simple([_ENTRY, b"123 s=1;i=2\n"], text(journal.entry), text(journal.Mark.of))),
+           simple([_ENTRY, b"123 s=1;i=2\n"], text(journal.entry), text(journal.JournalMark.of))),
     Target("fleet: versions of robots", ("laptop/fleet/versions.py",),
            simple([b'{"value": {"revision": 3, "layout": 2}}'], text(versions.firmware))),
 )  # fmt: skip

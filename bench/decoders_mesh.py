@@ -6,25 +6,25 @@ from collections.abc import Callable, Sequence
 
 from bench.decoders_run import Target
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.pieces import Id, Packet
+from services.mesh.core.bulk.pieces import MessageId, Packet
 from services.mesh.core.events import Received
 from services.mesh.core.link import neighbour
 from services.mesh.core.link.calls import Local
-from services.mesh.core.link.clock import Claim, encode_claim
+from services.mesh.core.link.clock import ClockClaim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_ack, encode_fragment
 from services.mesh.core.link.session import Session
-from services.mesh.core.node import Node
+from services.mesh.core.node import MeshNode
 from services.mesh.core.overlays import stop
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.overlays.stop import Halt, Mark
 from services.mesh.core.overlays.viewing import KEYS, Viewing
-from services.mesh.core.relay import Relay
+from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing import topology
-from services.mesh.core.routing.topology import Advertisement, Ground, Topology
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.topology import Advertisement, Ground, TopologyVersion
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire import frames, packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, NEIGHBOURS, SYNC, UNICAST, Bind, Heartbeat, Hello
-from services.mesh.core.wire.packets import Ack, Echo, Message, Spread
+from services.mesh.core.wire.packets import Ack, EchoPacket, Spread, UnicastMessage
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.lockstep_frames import encode_step
 from swarm.errors import FrameError, PayloadError
@@ -45,15 +45,15 @@ PACKETS = (
     packets.encode_spread(Spread(7, 5, b"", echo=True, size=20_000)),
     packets.encode_spread(Spread(7, 9, topology.encode_advertisement(Advertisement({"r1": 300}, topology=5, heard=7)))),
     topology.encode_advertisement(Advertisement({"r1": 300, "r2": 65535}, leaving=True, heard=3)),
-    packets.encode_echo(Echo(7, 5, ("r2", "r3"), lost=True, orphan=True, ttl=9)),
+    packets.encode_echo(EchoPacket(7, 5, ("r2", "r3"), lost=True, orphan=True, ttl=9)),
     *packets.encode_digests({"r2": (7, 5), "r3": (8, 6)}, answer=True),
     packets.encode_summary(77),
     *stop.encode_halts(Halt({"r2": (Mark(7, 5), "smoke")}, {"r3": Mark(8, 6)})),
-    packets.encode_message(Message("r0", "r1", 7, 5, "swarm/r0/app/x/send/r1", b"hello", 32)),
-    packets.encode_message(Message("r0", "r3", 7, 5, "swarm/r0/app/x/send/r3", b"hello", 32)),
+    packets.encode_message(UnicastMessage("r0", "r1", 7, 5, "swarm/r0/app/x/send/r1", b"hello", 32)),
+    packets.encode_message(UnicastMessage("r0", "r3", 7, 5, "swarm/r0/app/x/send/r3", b"hello", 32)),
     packets.encode_ack(Ack("r0", "r1", 7, 5, refused=False, ttl=32)),
     *(
-        pieces.encode(Packet(kind, "r0", "r1", Id("r0", 7, 5, flood), body, 32))
+        pieces.encode(Packet(kind, "r0", "r1", MessageId("r0", 7, 5, flood), body, 32))
         for kind, body in (
             (pieces.OFFER, pieces.encode_offer(5000, "swarm/r0/app/x/send/r1")),
             (pieces.WANT, pieces.encode_want(1, range(9))),
@@ -64,8 +64,8 @@ PACKETS = (
         )
         for flood in (False, True)
     ),
-    packets.encode_message(packets.Message("r0", "r1", 7, 0, "swarm/r0/app/x/sync/1/r1/around", b"x", 9)),
-    Ground(NAMES, (), auto=True).encode(Topology(2, 1, "r0", True, EDGES)),
+    packets.encode_message(packets.UnicastMessage("r0", "r1", 7, 0, "swarm/r0/app/x/sync/1/r1/around", b"x", 9)),
+    Ground(NAMES, (), auto=True).encode(TopologyVersion(2, 1, "r0", True, EDGES)),
     encode(Watch(1.0, 5.0)),
 )
 
@@ -79,10 +79,10 @@ CHANNELS = (
 """What the member's link may be bound to."""
 
 
-def _overlays(rng: random.Random) -> Overlays:
+def _overlays(rng: random.Random) -> RobotOverlays:
     """Those of r1, which has links with r0 and r2, and an automatic topology to plan."""
-    start = Start(Ground(NAMES, (), auto=True), {name: True for name in NAMES if name != "r1"})
-    return Overlays(
+    start = InitialLinks(Ground(NAMES, (), auto=True), {name: True for name in NAMES if name != "r1"})
+    return RobotOverlays(
         "r1", frozenset(NAMES), incarnation=10**15, random=rng.random, counters=Counter(), start=start,
         admits_flood=lambda key: True, admits_unicast=lambda sender, key: True,
     )  # fmt: skip
@@ -132,7 +132,7 @@ def _decoders(decoders: Sequence[Callable[[bytes], object]]) -> Callable[[random
 
 def _topologies(rng: random.Random) -> Made:
     ground = Ground(NAMES, EDGES, auto=False)
-    value = Topology(2, 1, "r0", False, EDGES)
+    value = TopologyVersion(2, 1, "r0", False, EDGES)
 
     def feed(data: bytes) -> None:
         if rng.random() < 0.5:
@@ -147,11 +147,13 @@ def _local(robot: str, dials: dict[str, bool]) -> Local:
     return Local(robot, "lab", 10**15, False, dials, frozenset(NAMES), keys=KEYS_OF_TEST)
 
 
-def _node(rng: random.Random) -> Node:
+def _node(rng: random.Random) -> MeshNode:
     """The mesh of r1, which others call."""
-    relay = Relay("r1", ("r0", "r2"), DEFAULT_RELAY, NAMES)
+    relay = KeyRelay("r1", ("r0", "r2"), DEFAULT_RELAY, NAMES)
     local = _local("r1", {"r0": False, "r2": False, "r3": True})
-    return Node(local, relay, _overlays(rng), random=rng.random, nonce=lambda: rng.randbytes(16), counters=Counter())
+    return MeshNode(
+        local, relay, _overlays(rng), random=rng.random, nonce=lambda: rng.randbytes(16), counters=Counter()
+    )
 
 
 HELLO = frames.encode_hello(Hello("lab", "r0", 5, bytes(16), True, False, (1,)))
@@ -186,7 +188,7 @@ def _stranger(rng: random.Random) -> Made:
 
 FRAMES = (
     frames.encode_heartbeat(Heartbeat(1_000_000, 2_000_000, 3_000_000)),
-    encode_claim(Claim("r0", 1, 5, 0, False, True, 5.0, 1e3, 1e-5, 1e-3)),
+    encode_claim(ClockClaim("r0", 1, 5, 0, False, True, 5.0, 1e3, 1e-5, 1e-3)),
     frames.encode_bind(Bind(3, FLOOD, "swarm/r2/app/x/flood")),
     frames.encode_bye(frames.CLOSING),
     encode_ack(5),
@@ -201,7 +203,7 @@ FRAMES = (
 class _Member:
     """A member at the other end of a link with r1: it authenticates itself, and then says anything."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: MeshNode) -> None:
         self._node = node
         self._session: Session | None = None
         self._own: Session | None = None

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from bench import footprint
 from bench.rows import Row
-from services.dwm.core.diagnosis import Watch
+from services.dwm.core.diagnosis import DiagnosisWatch
 from services.dwm.core.pipeline import Pipeline
-from services.dwm.core.poller import Poller, Report
+from services.dwm.core.poller import ModuleReport, Poller
 from services.dwm.core.tlv import Position, encode_location
 from sim.core.uwb import Module, Tag
 from sim.run import SERVICE_MODULES
@@ -74,7 +74,7 @@ def _updates(kind: str) -> Callable[[], None]:
     modules = [Module(a.address, a.x, a.y, a.z, Position(a.x, a.y, a.z, 100)) for a in ANCHORS]
     tag = Tag(random.Random(1))
     pipeline = Pipeline(replace(Dwm(), filter=kind), {}, kind=kind, anchors=ANCHORS)
-    watch = Watch(ANCHORS, {}, 0.0)
+    watch = DiagnosisWatch(ANCHORS, {}, 0.0)
     poller = Poller(10.0, 0.0)
     # Forward by a metre at 0.2 m/s and back again.
     way = [*range(LEG), *range(LEG, 0, -1)]
@@ -92,7 +92,7 @@ def _updates(kind: str) -> Callable[[], None]:
         poller.to_send()
         poller.receive(answers[count % len(answers)], now + 0.02)
         for event in poller.events():
-            if isinstance(event, Report):
+            if isinstance(event, ModuleReport):
                 watch.report(event.location, now)
                 for message in pipeline.report(event.location, now):
                     encode(message)

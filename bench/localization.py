@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bench.rows import Row
 from bench.uwb_motion import ANCHORS, SEEDS, WARM_UP, Outcome, errors, lag, rms, run
-from services.dwm.core.ekf import Ekf, Noise
+from services.dwm.core.ekf import Ekf, EkfNoise
 from services.dwm.core.filters import percentile
 from services.dwm.core.tracker import Tracker
 
@@ -102,7 +102,7 @@ def cost(periods: int) -> tuple[float, int]:
 def full_rate_cost(periods: int) -> float:
     """CPU time (s) of ten predictions and four updates of the bare filter."""
 
-    ekf = Ekf(tuple(ANCHORS.values()), 0.0, (1.0, 1.0), 0.0, 0.3, Noise())
+    ekf = Ekf(tuple(ANCHORS.values()), 0.0, (1.0, 1.0), 0.0, 0.3, EkfNoise())
     start = time.process_time()
     for _ in range(periods):
         for _ in range(10):

@@ -14,7 +14,7 @@ from laptop.cli.runs import sim
 from sim import run
 from sim.core import start_timeout
 from sim.monitor import Monitor
-from sim.run import Run
+from sim.run import ProcessRun
 from swarm.messages import LedChange, Target, Truth
 from swarm.process import service
 
@@ -34,7 +34,7 @@ class Away(Monitor):
         """Keep it."""
 
 
-class OneRobot(Run):
+class OneRobot(ProcessRun):
     """Starts the processes of one robot, and in place of the first of the others the one that plays them all."""
 
     def _start_robot(self, name: str) -> None:
@@ -46,7 +46,7 @@ class OneRobot(Run):
 
 def main() -> int:
     """Like `bench.socket_sim`. For the simulation the swarm never starts, since most robots have no bus."""
-    sim.Run = OneRobot  # type: ignore[attr-defined]
+    sim.ProcessRun = OneRobot  # type: ignore[attr-defined]
     run.Monitor = Away  # type: ignore[attr-defined]
     start_timeout.START_LIMIT_S = math.inf
     return socket_sim.main()

@@ -16,7 +16,7 @@ from services.apps.host import schema_of
 from services.apps.runner import Runner as App
 from services.mesh.__main__ import CHANCE, incarnation, local_by_file
 from services.mesh.core.routing.topology import Ground
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.locked_runtime import LockedRuntime
 from services.mesh.mesh import Mesh
 from services.mesh.network import Network
@@ -51,7 +51,7 @@ class Peer:
         self._mesh = Mesh(
             config,
             local,
-            Start(Ground(config.names, config.edges, auto=config.auto), local.dials),
+            InitialLinks(Ground(config.names, config.edges, auto=config.auto), local.dials),
             CHANCE,
             incarnation(),
             runtime,

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bench.restless import swing
 from swarm.core.graph import Graph
-from swarm.recording.reader import Reader
+from swarm.recording.reader import RecordingReader
 from swarm.recording.trajectory import epoch_topic, is_state
 
 State = tuple[float, int]
@@ -42,7 +42,7 @@ def read(paths: Mapping[str, Sequence[Path]], graph: Graph) -> dict[int, Epoch]:
     epochs = {0: Epoch(0, 0, graph)}
     for robot, files in paths.items():
         number = 0
-        for sample in (sample for path in files for sample in Reader(path).samples()):
+        for sample in (sample for path in files for sample in RecordingReader(path).samples()):
             message = sample.message
             if is_state(sample.topic):
                 state = float(message["state"]["value"]), int(message["result"]["n"])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from bench.rows import Row
 from services.mesh.core.link.calls import Local
-from services.mesh.core.link.clock import MeshClock
+from services.mesh.core.link.clock import ClockSync
 from services.mesh.core.link.session import Session
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Tagger
@@ -66,7 +66,7 @@ def _best(call: Callable[[], object], number: int) -> float:
 def _session(robot: str, peer: str, dials: bool, keys: dict[int, bytes]) -> Session:
     local = Local(robot, "lab", 1, not keys, {peer: dials}, frozenset((robot, peer)), keys=keys)
     dialled = peer if dials else None
-    clock = MeshClock(local.robot, local.incarnation, local.robots)
+    clock = ClockSync(local.robot, local.incarnation, local.robots)
     return Session(local, os.urandom(16), 0.0, dialled=dialled, admit=lambda *_: True, clock=clock, counters=Counter())
 
 

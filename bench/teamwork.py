@@ -15,7 +15,7 @@ from bench.simulation import simulate
 from sim.options import parse
 from sim.scenario import build
 from sim.scene import CONTACT_M
-from sim.virtual.run import PLACE, Run
+from sim.virtual.run import PLACE, VirtualRun
 
 LINKS = ("--robots", "6", "--topology", "line", "--latency", "30ms", "--jitter", "10ms")
 NEIGHBOURS_MS, ALL_MS, TOGETHER_S = 10.0, 20.0, 30.0
@@ -180,7 +180,7 @@ def _virtual(
     if places:
         simulation = replace(scenario.config.simulation, places=dict(places))
         scenario = replace(scenario, config=replace(scenario.config, simulation=simulation))
-    outcome = Run(options, scenario).go()
+    outcome = VirtualRun(options, scenario).go()
     results = [path.value(path.last, "result.reached") for path in outcome.trajectories.values() if app == "goto"]
     return {**outcome.scene, "seconds": outcome.seconds, "all_arrived": all(each == 1 for each in results)}
 

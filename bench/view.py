@@ -25,7 +25,7 @@ from bench.simulation import Simulation
 from laptop.view import chromium
 from swarm import clock
 from swarm.recording.core import json_text
-from swarm.recording.reader import SUFFIX, Reader
+from swarm.recording.reader import SUFFIX, RecordingReader
 
 NAMES = tuple(f"r{index}" for index in range(6))
 SIZE = (1400, 1000)
@@ -226,7 +226,7 @@ def _each(
     """The mean over all robots of what `of` makes of their messages in each window."""
     found: list[list[float]] = [[] for _ in windows]
     for name in NAMES:
-        reader = Reader(records / f"{name}.consensus{SUFFIX}")
+        reader = RecordingReader(records / f"{name}.consensus{SUFFIX}")
         messages = [
             (message["t"], message)
             for sample in reader.samples()

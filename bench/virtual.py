@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from bench.rows import Row
 from sim.options import parse
 from sim.scenario import build
-from sim.virtual.run import PLACE, Run
+from sim.virtual.run import PLACE, VirtualRun
 
 SIX_S, THOUSAND_S, TEN_THOUSAND_S = 1.0, 60.0, 120.0
 FLAT = 1.3
@@ -75,7 +75,7 @@ def _seconds(robots: int, topology: str, iterations: int, *more: str) -> float:
         ["consensus", "--virtual", "--robots", str(robots), "--topology", topology, "--iterations", str(iterations),
          *more]
     )  # fmt: skip
-    run = Run(options, build(options, PLACE))
+    run = VirtualRun(options, build(options, PLACE))
     began = time.process_time()
     run.go()
     return time.process_time() - began

@@ -8,7 +8,7 @@ import msgpack
 
 from services.apps.loader import BUILT_IN
 from sim.control import app_requests, datagrams
-from sim.control.app_requests import Order
+from sim.control.app_requests import AppRequest
 from sim.processes import Processes
 from swarm.errors import LocalError, SwarmError
 
@@ -48,7 +48,7 @@ class Orders:
         """Take no more."""
         self._socket.close()
 
-    def _carry_out(self, order: Order) -> str:
+    def _carry_out(self, order: AppRequest) -> str:
         unknown = [name for name in order.robots if name not in self._names]
         if unknown:
             raise LocalError(f"no robot {unknown[0]}, there are {', '.join(self._names)}")

@@ -8,7 +8,7 @@ from sim.quantities import (
     AppSetting,
     Cut,
     Off,
-    Press,
+    ScheduledPress,
     at_least,
     cut,
     duration,
@@ -60,7 +60,7 @@ class Options:
     """How far the rates of the robots' clocks err at most, 1e-6 = 1 ppm; 0: all have one clock."""
     cuts: tuple[Cut, ...]
     offs: tuple[Off, ...]
-    presses: tuple[Press, ...]
+    presses: tuple[ScheduledPress, ...]
     lying: str | None
     """front or back: how robots lie at the start; None: as the app wants it."""
     seconds: float | None

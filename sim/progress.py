@@ -12,7 +12,7 @@ TERMINAL_PERIOD_S = 0.25
 PLAIN_PERIOD_S = 2.0
 
 
-class Progress:
+class ProgressDisplay:
     """Draws the state of the run on `stream`, at most every period."""
 
     def __init__(self, stream: TextIO, scenario: Scenario) -> None:

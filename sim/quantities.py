@@ -55,7 +55,7 @@ class Off:
 
 
 @frozen
-class Press:
+class ScheduledPress:
     """A button that somebody presses."""
 
     robot: str
@@ -118,12 +118,12 @@ def off(text: str) -> Off:
     return Off(match[1], at, seconds)
 
 
-def press(text: str) -> Press:
+def press(text: str) -> ScheduledPress:
     """A button `r4.A@5s`: whose, which, when."""
     match = re.fullmatch(r"([a-z][a-z0-9_-]*)\.([ABCabc])@(.+)", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a button such as r4.A@5s (robot, button, time)")
-    return Press(match[1], match[2].upper(), duration(match[3]))
+    return ScheduledPress(match[1], match[2].upper(), duration(match[3]))
 
 
 class AppSetting(NamedTuple):

@@ -21,7 +21,7 @@ TARGET_COLUMNS = ("result.x", "result.y")
 
 
 @frozen
-class Outcome:
+class RunOutcome:
     """What was seen of a run when it ended."""
 
     scenario: Scenario
@@ -62,7 +62,7 @@ class Outcome:
         return {name: self.target(path.times[path.last]) for name, path in self.trajectories.items() if path.last >= 0}
 
 
-def summary(outcome: Outcome) -> Json:
+def summary(outcome: RunOutcome) -> Json:
     """The object of `--json`: lengths in m but for names with `_cm`, times in s."""
     scenario = outcome.scenario
     paths = outcome.trajectories
@@ -126,7 +126,7 @@ def result(path: Trajectory) -> Json | None:
     }
 
 
-def bodies(outcome: Outcome) -> Json:
+def bodies(outcome: RunOutcome) -> Json:
     """What there is to say of robots that only balance."""
     return {
         name: None
@@ -160,7 +160,7 @@ def estimate(path: Trajectory, k: int | None = None) -> tuple[float, float]:
     return (x, y)
 
 
-def target_error_cm(outcome: Outcome, estimates: Mapping[str, tuple[float, float]]) -> float | None:
+def target_error_cm(outcome: RunOutcome, estimates: Mapping[str, tuple[float, float]]) -> float | None:
     """Mean distance of the robots' last estimates to the true target, cm; None where a robot has none."""
     targets = outcome.targets()
     distances = [math.dist(place, targets[name]) if name in targets else math.nan for name, place in estimates.items()]
@@ -182,7 +182,7 @@ def replay_deviation_cm(scenario: Scenario, paths: Mapping[str, Trajectory]) -> 
     return 100 * max(distances)
 
 
-def table(report: Json, outcome: Outcome) -> str:
+def table(report: Json, outcome: RunOutcome) -> str:
     """The report for people."""
     rows = [("robot", "iterations", *_headings(outcome), "restarts")]
     names = outcome.scenario.config.names
@@ -210,13 +210,13 @@ def _results(path: Trajectory) -> str:
     return ", ".join(f"{name}={_short(value)}" for name, value in (result(path) or {}).items()) or "-"
 
 
-def _headings(outcome: Outcome) -> tuple[str, ...]:
+def _headings(outcome: RunOutcome) -> tuple[str, ...]:
     if outcome.scenario.app == "localization":
         return ("target x m", "target y m", "error cm")
     return ("result",) if outcome.scenario.app else ("mode", "tilt deg")
 
 
-def _cells(outcome: Outcome, name: str) -> tuple[str, ...]:
+def _cells(outcome: RunOutcome, name: str) -> tuple[str, ...]:
     path = outcome.trajectories.get(name, trajectory.EMPTY)
     if outcome.scenario.app == "localization":
         x, y = estimate(path)
@@ -232,7 +232,7 @@ def _cells(outcome: Outcome, name: str) -> tuple[str, ...]:
     return ("-", "-") if body is None else (body.fault or body.mode, f"{math.degrees(body.tilt):.1f}")
 
 
-def _sentences(report: Json, outcome: Outcome) -> list[str]:
+def _sentences(report: Json, outcome: RunOutcome) -> list[str]:
     lines = []
     median, p95 = report["iteration_s_median"], report["iteration_s_p95"]
     if isinstance(median, float) and isinstance(p95, float):

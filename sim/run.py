@@ -19,11 +19,11 @@ from sim.monitor import Monitor, Seen
 from sim.options import PRESS_S, Options
 from sim.power_server import Power
 from sim.processes import APP_FAULT, Processes
-from sim.progress import Progress
-from sim.quantities import Cut, Press
-from sim.report import Outcome
+from sim.progress import ProgressDisplay
+from sim.quantities import Cut, ScheduledPress
+from sim.report import RunOutcome
 from sim.scenario import Scenario
-from sim.world import World
+from sim.world import BodyWorld
 from swarm import clock
 from swarm.config.dump import dump
 from swarm.errors import LocalError
@@ -48,7 +48,7 @@ TICK_S = 0.05
 REFRESH_LIMIT_S = 0.5
 
 
-class Run:
+class ProcessRun:
     """Starts a swarm, watches it until it is done, and ends it. Use as a context: leaving it ends every process."""
 
     def __init__(self, options: Options, scenario: Scenario, run_dir: Path, stream: TextIO) -> None:
@@ -57,7 +57,7 @@ class Run:
         self._run_dir = run_dir
         self._records = (options.record or run_dir / "records").absolute()
         self._commanded = footprint.commanded()
-        self._progress = Progress(stream, scenario)
+        self._progress = ProgressDisplay(stream, scenario)
         self._problems: list[str] = []
         self._moves_from = math.inf
         self._stop = False
@@ -75,10 +75,10 @@ class Run:
         self._processes = Processes(self._environment(number.hex()))
         self._monitor = Monitor(run_dir, names, scenario.app)
         self._orders = Orders(run_dir, self._processes, names, self._start_app)
-        self._world = World(run_dir, scenario.config, options.seed, self._monitor.truth)
+        self._world = BodyWorld(run_dir, scenario.config, options.seed, self._monitor.truth)
         self._power = Power(run_dir, names, self._processes)
 
-    def __enter__(self) -> "Run":
+    def __enter__(self) -> "ProcessRun":
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupted)
         for note in self._scenario.notes:
@@ -97,7 +97,7 @@ class Run:
         self._power.close()
         self._progress.close()
 
-    def watch(self) -> Outcome:
+    def watch(self) -> RunOutcome:
         """Follow the run until its end (iterations, seconds, Ctrl-C, or a service that cannot be kept up)."""
         started: float | None = None
         cuts = sorted(self._options.cuts, key=lambda cut: cut.at)
@@ -211,7 +211,7 @@ class Run:
             with contextlib.suppress(OSError):  # a mesh being restarted has no socket, and no link either
                 link_cuts.silence(self._run_dir, robot, peer, cut.seconds)
 
-    def _press(self, press: Press) -> None:
+    def _press(self, press: ScheduledPress) -> None:
         self._progress.say(f"press {press.button} of {press.robot}")
         try:
             do(self._run_dir / press.robot, actions.Press(press.button, PRESS_S))
@@ -236,7 +236,7 @@ class Run:
         names = self._scenario.config.names
         return {name: trajectory.read(self._records / f"{name}.{app}{SUFFIX}", whole=whole) for name in names}
 
-    def _outcome(self, started: float | None) -> Outcome:
+    def _outcome(self, started: float | None) -> RunOutcome:
         names = self._scenario.config.names
         now = clock.now()
         self._refresh(now)
@@ -252,7 +252,7 @@ class Run:
         reached = [at for at in firsts if at is not None]
         if len(reached) == len(names):
             started = max(reached)
-        return Outcome(
+        return RunOutcome(
             scenario=self._scenario,
             seed=self._options.seed,
             started_s=None if started is None else started - self._commanded,

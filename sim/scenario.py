@@ -21,7 +21,7 @@ from swarm import config as configuration
 from swarm.app.event_app import EventApp, PeriodicApp
 from swarm.app.run_options import RunOptions
 from swarm.app.settings import on_top
-from swarm.config import Affine, Anchor, App, Config, Dwm, Linear, Mesh, Robot, Simulation
+from swarm.config import Affine, Anchor, AppConfig, Config, Dwm, Linear, MeshConfig, RobotConfig, SimulationConfig
 from swarm.config.load import AUTO
 from swarm.config.types import DEFAULT_RELAY
 from swarm.core.graph import Graph
@@ -29,7 +29,7 @@ from swarm.errors import AppError, ConfigError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
 from swarm.process.paths import socket_path
-from swarm.recording.thesis_ranges import Recording, read_folder
+from swarm.recording.thesis_ranges import ThesisRecording, read_folder
 
 TARGET = "C933"
 ANCHORS = (Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94))
@@ -88,7 +88,7 @@ class Scenario:
     iterations: int | None
     run_options: RunOptions
     """How its lockstep goes, `iterations` and all."""
-    recordings: dict[str, Recording]
+    recordings: dict[str, ThesisRecording]
     """By robot; what --noise makes up, too."""
     synthetic: bool
     """Whether they were made up: then there are no estimates to compare with."""
@@ -111,7 +111,7 @@ class Scenario:
         return replace(self.run_options, last=self.iterations if self.recordings else None, rule=None)
 
     @property
-    def recorded(self) -> dict[str, Recording]:
+    def recorded(self) -> dict[str, ThesisRecording]:
         """The recordings of real robots, with their estimates."""
         return {} if self.synthetic else self.recordings
 
@@ -194,7 +194,7 @@ def build(options: Options, run_dir: Path) -> Scenario:
     )
 
 
-def _apps(app: loader.App | None, options: Options) -> tuple[loader.App, ...]:
+def _apps(app: loader.LoadedApp | None, options: Options) -> tuple[loader.LoadedApp, ...]:
     """The app that the run is about, and those beside it; whose parameters are given must be among them."""
     apps = () if app is None else (app, *map(loader.load, options.beside))
     names = [each.name for each in apps]
@@ -206,7 +206,7 @@ def _apps(app: loader.App | None, options: Options) -> tuple[loader.App, ...]:
     return apps
 
 
-def _study(config: Config, options: Options, iterations: int | None, run_dir: Path) -> dict[str, Recording]:
+def _study(config: Config, options: Options, iterations: int | None, run_dir: Path) -> dict[str, ThesisRecording]:
     """The measurements of a simulation study, by robot; also as files, where there is a run directory to replay them
     from."""
     assert options.noise is not None
@@ -221,23 +221,23 @@ def _study(config: Config, options: Options, iterations: int | None, run_dir: Pa
     return made
 
 
-def _reacts_only(config: Config, app: loader.App) -> bool:
+def _reacts_only(config: Config, app: loader.LoadedApp) -> bool:
     kind, _ = app.choose(config.app(app.name).of(config.names[0]))
     return issubclass(kind, EventApp) and not issubclass(kind, PeriodicApp)
 
 
-def _program(app: loader.App) -> str:
+def _program(app: loader.LoadedApp) -> str:
     return app.name if app.name in loader.BUILT_IN else app.source
 
 
-def _algorithm(config: Config, app: loader.App) -> str | None:
+def _algorithm(config: Config, app: loader.LoadedApp) -> str | None:
     """What the app runs, None where it has no choice; `check` has seen to it that all robots run the same."""
     if "" in app.algorithms:
         return None
     return str(config.app(app.name).of(config.names[0]).get("algorithm", next(iter(app.algorithms))))
 
 
-def _step_size(config: Config, app: loader.App, recordings: Mapping[str, Recording]) -> tuple[str, ...]:
+def _step_size(config: Config, app: loader.LoadedApp, recordings: Mapping[str, ThesisRecording]) -> tuple[str, ...]:
     """Hold gradient tracking's step size against the limit of this graph and geometry.
 
     One above it is refused, but in a replay, where the places are those of the recording, and with `check = false` it
@@ -264,7 +264,7 @@ def _step_size(config: Config, app: loader.App, recordings: Mapping[str, Recordi
     return (told, f"warning: {warning}") if warning else (told,)
 
 
-def _buttons(app: loader.App, options: Options) -> tuple[str, ...]:
+def _buttons(app: loader.LoadedApp, options: Options) -> tuple[str, ...]:
     """Tell of the hands that an app waits for."""
     if app.name not in BEGUN_BY_BUTTON or options.presses:
         return ()
@@ -282,12 +282,12 @@ def _default(options: Options, recorded: int) -> Config:
     return Config(
         path=Path("swarm.toml"),
         network="sim",
-        robots=tuple(Robot(name) for name in names),
+        robots=tuple(RobotConfig(name) for name in names),
         edges=() if auto else _edges(options.topology or "line", names),
         auto=auto,
         relay=DEFAULT_RELAY,
         anchors=ANCHORS,
-        mesh=Mesh(insecure=True),
+        mesh=MeshConfig(insecure=True),
         dwm=Dwm(target=TARGET, window=WINDOW, distance=DISTANCE, position=POSITION),
     )
 
@@ -316,7 +316,7 @@ def _dwm(base: Config, replay: Path | None, run_dir: Path) -> Dwm:
     return replace(dwm, source=f"serial:{run_dir}/{{robot}}/dwm.tty", target=dwm.target or TARGET)
 
 
-def _places(config: Config) -> Simulation:
+def _places(config: Config) -> SimulationConfig:
     """Places for the robots the config gives none: the table's, then rings of half a metre more each."""
     places = dict(config.simulation.places)
     for index, name in enumerate(config.names):
@@ -333,7 +333,7 @@ def _place(index: int) -> tuple[float, float]:
     return (1.0 + radius * math.cos(angle), 1.0 + radius * math.sin(angle))
 
 
-def _parameters(config: Config, wanted: loader.App, options: Options, *, first: bool) -> App:
+def _parameters(config: Config, wanted: loader.LoadedApp, options: Options, *, first: bool) -> AppConfig:
     """The app's parameters: the file's, then the thesis' starting values, then what the command line sets; `first`: it
     is the one that options mean which name none."""
     app = config.app(wanted.name)
@@ -348,4 +348,4 @@ def _parameters(config: Config, wanted: loader.App, options: Options, *, first: 
         for robot, value in zip(config.names, starts, strict=True):
             robots.setdefault(robot, {}).setdefault("value", value)
     settings = [it for app, it in options.settings if app == wanted.name or (first and not app)]
-    return on_top(App(common, robots), settings, config.names)
+    return on_top(AppConfig(common, robots), settings, config.names)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from sim.control import datagrams
-from sim.core.actions import BODY_SOCKET, Place, pack
+from sim.core.actions import BODY_SOCKET, BodyPlace, pack
 from sim.core.module_line import SOURCE as SOURCE_ATMEGA
 from sim.core.scene_record import SceneRecord
 from sim.module import ModuleBoard
@@ -79,7 +79,7 @@ def read_report(data: bytes) -> Report | None:
     return None
 
 
-class World:
+class BodyWorld:
     """Owns the true poses; works in a thread of its own until closed."""
 
     def __init__(
@@ -156,7 +156,11 @@ class World:
         """Tell a body that starts where it had been: it fell over there when its process ended."""
         last = self._last.get(robot)
         start = self._starts.get(robot, (0.0, 0.0, 0.0))
-        place = Place(*start, 0.0, True) if last is None else Place(last.x, last.y, last.heading, last.tilt, last.held)
+        place = (
+            BodyPlace(*start, 0.0, True)
+            if last is None
+            else BodyPlace(last.x, last.y, last.heading, last.tilt, last.held)
+        )
         with contextlib.suppress(OSError):  # it ended again
             self._socket.sendto(pack(place), str(socket_path(self._run_dir / robot, BODY_SOCKET)))
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from swarm.core.asynchronous import Asynchronous, Call, Publish
+from swarm.core.asynchronous import Asynchronous, HandlerCall, Publish
 from swarm.core.lockstep_frames import Channel
 
 SIZE = 2
@@ -19,7 +19,7 @@ class Process:
         self.world = world
         self.name = name
         self.alive = True
-        self.calls: list[tuple[float, Call]] = []
+        self.calls: list[tuple[float, HandlerCall]] = []
         self.steps: list[float] = []
         self.seen: list[tuple[str, bytes]] = []
         self.state = bytes(SIZE)
@@ -47,7 +47,7 @@ class Process:
         if deadline is not None:
             self.world.at(max(self.world.now, deadline), self.tick)
 
-    def returned(self, call: Call) -> None:
+    def returned(self, call: HandlerCall) -> None:
         if self.alive:
             if call.handler == "step":
                 self.state = (int.from_bytes(self.state, "little") + 1).to_bytes(SIZE, "little")
@@ -72,7 +72,7 @@ class World:
         self,
         count: int,
         fate: Callable[[str, str], float | None] = lambda *_: 0.0,
-        handler_time: Callable[[str, Call], float] = lambda *_: 0.0,
+        handler_time: Callable[[str, HandlerCall], float] = lambda *_: 0.0,
         versions: dict[str, int] | None = None,
     ) -> None:
         self.names: Sequence[str] = [f"r{number}" for number in range(count)]

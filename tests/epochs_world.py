@@ -14,7 +14,7 @@ from lockstep_world import way_around
 
 from services.apps.core.lockstep_run import LockstepRun, Renew
 from services.apps.core.terms import Terms
-from swarm.core.epoch_actions import Keep, Switch, Tell
+from swarm.core.epoch_actions import SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epoch_notes import LOST, first
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
@@ -111,10 +111,10 @@ class Process:
                 pages[k] = snapshot.encode()
                 pages.pop(k - len(world.names) - 1, None)
                 world.enters(robot, lockstep.channel.epoch, lockstep._history[-1])
-            case Keep(kept):
+            case SaveEpochs(kept):
                 world.kept[robot] = kept
                 world.damaged.discard(robot)
-            case Tell(data):
+            case SendToNeighbours(data):
                 world.broadcast(robot, lambda other: other.lockstep.receive_note(robot, data, world.now))
             case Send(data, to, around):
                 channel = Channel.parse(lockstep.channel.text)
@@ -134,7 +134,7 @@ class Process:
                 world.later(self, lambda: self._compute(action))
             case Renew(epoch):
                 world.later(self, lambda: self._renew(epoch))
-            case Switch(epoch):
+            case SwitchEpoch(epoch):
                 world.decided(epoch)
             case Finished(k):
                 self.finished = k

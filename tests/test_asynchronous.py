@@ -15,8 +15,8 @@ from swarm.core.asynchronous import (
     REPEAT,
     REPEAT_WAITING,
     Asynchronous,
-    Call,
-    Known,
+    HandlerCall,
+    NeighbourState,
     Publish,
 )
 from swarm.core.lockstep_frames import Channel
@@ -33,7 +33,7 @@ def started(now: float = 0.0, **options: Any) -> Asynchronous:
     """One whose start() has returned."""
     each = core(**options)
     each.begin(now)
-    assert each.actions() == [Call("start")]
+    assert each.actions() == [HandlerCall("start")]
     each.returned(b"\0\0", now)
     return each
 
@@ -42,8 +42,8 @@ def frame(state: bytes, sequence: int = 1, *, all_here: bool = True, roll: int =
     return bytes((all_here,)) + sequence.to_bytes(4, "little") + state + (b"" if all_here else bytes((roll,)))
 
 
-def calls(each: Asynchronous) -> list[Call]:
-    return [action for action in each.actions() if isinstance(action, Call)]
+def calls(each: Asynchronous) -> list[HandlerCall]:
+    return [action for action in each.actions() if isinstance(action, HandlerCall)]
 
 
 def frames(each: Asynchronous) -> list[bytes]:
@@ -78,7 +78,7 @@ def test_frames_that_are_none_or_not_for_us_are_counted(channel: Channel, data: 
     each.receive("r0", Channel(7, 0, 1, 1), frame(b"xy", 3), 0.0)
     each.receive("r0", channel, data, 1.0)
     assert each.counters == {counter: 1}
-    assert each.known(1.0) == [Known("r0", b"xy", 1.0)]
+    assert each.known(1.0) == [NeighbourState("r0", b"xy", 1.0)]
 
 
 def test_who_is_no_neighbour_is_not_heard() -> None:
@@ -98,7 +98,7 @@ def test_a_dead_process_is_not_heard_after_its_successor() -> None:
     each = started()
     each.receive("r0", Channel(7, 0, 2, 1), frame(b"ne"), 0.0)
     each.receive("r0", Channel(7, 0, 1, 1), frame(b"ol", 99), 0.0)
-    assert each.known(0.0) == [Known("r0", b"ne", 0.0)]
+    assert each.known(0.0) == [NeighbourState("r0", b"ne", 0.0)]
     assert each.counters == {"dead_process": 1}
 
 
@@ -109,7 +109,7 @@ def test_robots_with_another_version_are_named_until_they_have_ours() -> None:
     assert each.known(0.0) == []
     each.receive("r0", Channel(7, 0, 2, 1), frame(b"ab"), 0.0)
     assert each.strangers == ()
-    assert each.known(0.0) == [Known("r0", b"ab", 0.0)]
+    assert each.known(0.0) == [NeighbourState("r0", b"ab", 0.0)]
 
 
 def test_neighbours_may_change_and_the_new_ones_are_told_at_once() -> None:
@@ -169,15 +169,15 @@ def test_handlers_run_one_at_a_time_in_order_and_start_comes_first() -> None:
     each.happened("on_button", "a", now=0.0)
     assert calls(each) == []
     each.begin(0.0)
-    assert calls(each) == [Call("start")]
+    assert calls(each) == [HandlerCall("start")]
     each.returned(b"\0\0", 0.0)
-    assert calls(each) == [Call("on_neighbour", ("r0",))]
+    assert calls(each) == [HandlerCall("on_neighbour", ("r0",))]
     each.happened("on_button", "b", now=0.0)
     assert calls(each) == []
     each.returned(b"\0\0", 0.0)
-    assert calls(each) == [Call("on_button", ("a",))]
+    assert calls(each) == [HandlerCall("on_button", ("a",))]
     each.returned(b"\0\0", 0.0)
-    assert calls(each) == [Call("on_button", ("b",))]
+    assert calls(each) == [HandlerCall("on_button", ("b",))]
     assert each.k == 2
 
 
@@ -188,7 +188,7 @@ def test_of_a_neighbours_states_only_the_newest_counts() -> None:
         each.receive("r0", Channel(7, 0, 1, 1), frame(bytes((0, number)), number), 0.0)
     each.actions()
     each.returned(b"\0\0", 0.0)
-    assert calls(each) == [Call("on_neighbour", ("r0",))]
+    assert calls(each) == [HandlerCall("on_neighbour", ("r0",))]
     each.returned(b"\0\0", 0.0)
     each.receive("r0", Channel(7, 0, 1, 1), frame(bytes((0, 3)), 4), 0.0)
     assert calls(each) == []  # told again, but the same
@@ -199,7 +199,7 @@ def test_handlers_that_the_app_has_not_are_not_called() -> None:
     each.receive("r0", Channel(7, 0, 1, 1), frame(b"ab"), 0.0)
     each.happened("on_message", "x", now=0.0)
     each.happened("on_button", "a", now=0.0)
-    assert calls(each) == [Call("on_button", ("a",))]
+    assert calls(each) == [HandlerCall("on_button", ("a",))]
 
 
 def test_too_many_events_lose_the_oldest() -> None:
@@ -209,7 +209,7 @@ def test_too_many_events_lose_the_oldest() -> None:
     assert each.counters["lost_events"] == 2  # one is running
     each.actions()
     each.returned(b"\0\0", 0.0)
-    assert calls(each) == [Call("on_button", (3,))]
+    assert calls(each) == [HandlerCall("on_button", (3,))]
 
 
 def test_timers() -> None:
@@ -222,10 +222,10 @@ def test_timers() -> None:
     each.handle_timer(0.55)
     assert calls(each) == []
     each.handle_timer(0.6)
-    assert calls(each) == [Call("on_timer", ("blink",))]
+    assert calls(each) == [HandlerCall("on_timer", ("blink",))]
     each.handle_timer(0.8)
     each.returned(b"\0\0", 0.8)
-    assert calls(each) == [Call("on_timer", ("other",))]
+    assert calls(each) == [HandlerCall("on_timer", ("other",))]
 
 
 # Steps
@@ -241,17 +241,17 @@ def alone(**options: Any) -> Asynchronous:
 
 def test_steps_come_at_the_period_and_missed_ones_are_not_made_up_for() -> None:
     each = alone()
-    assert calls(each) == [Call("step")]
+    assert calls(each) == [HandlerCall("step")]
     each.returned(b"\0\1", 0.01)
     each.handle_timer(0.1)
-    assert calls(each) == [Call("step")]
+    assert calls(each) == [HandlerCall("step")]
     each.returned(b"\0\2", 0.35)  # it took two periods and a half
-    assert calls(each) == [Call("step")]
+    assert calls(each) == [HandlerCall("step")]
     assert each.counters["late_steps"] == 1
     each.returned(b"\0\3", 0.36)
     assert calls(each) == []
     each.handle_timer(0.4)
-    assert calls(each) == [Call("step")]
+    assert calls(each) == [HandlerCall("step")]
 
 
 def test_the_period_can_be_changed() -> None:
@@ -262,7 +262,7 @@ def test_the_period_can_be_changed() -> None:
     each.handle_timer(0.5)
     assert calls(each) == []
     each.handle_timer(0.55)
-    assert calls(each) == [Call("step")]
+    assert calls(each) == [HandlerCall("step")]
 
 
 def test_after_the_last_step_it_is_done_and_its_state_is_told_on() -> None:
@@ -298,7 +298,7 @@ def test_a_failed_app_is_silent() -> None:
 
 def test_a_handler_that_hangs_is_seen_and_its_robot_falls_silent() -> None:
     each = alone()
-    assert calls(each) == [Call("step")]
+    assert calls(each) == [HandlerCall("step")]
     each.handle_timer(HANG - 0.1)
     assert not each.hangs(HANG - 0.1)
     each.actions()
@@ -307,7 +307,7 @@ def test_a_handler_that_hangs_is_seen_and_its_robot_falls_silent() -> None:
     assert each.actions() == []
     each.returned(b"\0\1", HANG + 10.0)
     assert not each.hangs(HANG + 10.0)
-    assert Call("step") in each.actions()
+    assert HandlerCall("step") in each.actions()
 
 
 # Several robots
@@ -359,7 +359,7 @@ def test_any_loss_delay_order_and_restart(data: st.DataObject) -> None:
             return 0.01
         return None if random.random() < 0.4 else random.random() * 2.0
 
-    def handler_time(name: str, call: Call) -> float:
+    def handler_time(name: str, call: HandlerCall) -> float:
         return random.random() * 0.3 if world.now < 10.0 else 0.0
 
     world = World(count, fate, handler_time)

@@ -12,7 +12,7 @@ import swarm
 from laptop.cli import main
 from laptop.cli.commands import SECTIONS
 from swarm.config.example import EXAMPLE
-from swarm.onboard.command_line import Command, Group, commands_of, help_of, names
+from swarm.onboard.command_line import Command, CommandGroup, commands_of, help_of, names
 
 COMMANDS = commands_of(SECTIONS)
 
@@ -96,7 +96,7 @@ def test_help_lists_every_command_and_fits_a_screen(capsys):
     assert run() == 2
 
 
-@pytest.mark.parametrize("group", [name for name, each in COMMANDS.items() if isinstance(each, Group)])
+@pytest.mark.parametrize("group", [name for name, each in COMMANDS.items() if isinstance(each, CommandGroup)])
 def test_help_of_a_group_lists_its_commands(group, capsys):
     assert run(group, "--help") == 0
     text = capsys.readouterr().out
@@ -175,7 +175,7 @@ def test_nothing_heavy_is_imported():
 
 def every_command():
     for each in COMMANDS.values():
-        yield from each.commands.values() if isinstance(each, Group) else [each]
+        yield from each.commands.values() if isinstance(each, CommandGroup) else [each]
 
 
 @pytest.mark.parametrize("command", [each for each in every_command() if not each.help], ids=lambda each: each.module)

@@ -13,7 +13,7 @@ from laptop.cli import main
 from laptop.cli.commands import SECTIONS
 from swarm.onboard import command_line
 from swarm.onboard import commands as robot
-from swarm.onboard.command_line import Command, Group
+from swarm.onboard.command_line import Command, CommandGroup
 
 MAKES_ROBOTS = {"sim", "demo", "sweep", "new", "check"}
 """Where `--robots` is a number: no robot has a name yet."""
@@ -34,7 +34,7 @@ NOTHING_FOR_PROGRAMS = {
 
 def every_command(sections: command_line.Sections) -> Iterator[tuple[str, Command]]:
     for name, each in command_line.commands_of(sections).items():
-        if isinstance(each, Group):
+        if isinstance(each, CommandGroup):
             yield from ((f"{name} {sub}", command) for sub, command in each.commands.items())
         else:
             yield name, each
@@ -98,6 +98,6 @@ def test_a_laptop_has_every_command_of_a_robot() -> None:
 
 
 def test_hands_and_measurements_are_complete() -> None:
-    groups = {name: each for name, each in command_line.commands_of(SECTIONS).items() if isinstance(each, Group)}
+    groups = {name: each for name, each in command_line.commands_of(SECTIONS).items() if isinstance(each, CommandGroup)}
     assert list(groups["hand"].commands) == ["press", "push", "lay", "place", "unplug", "kill", "cut", "reboot"]
     assert list(groups["measure"].commands) == ["rtt", "throughput", "radio", "i2c"]

@@ -16,16 +16,16 @@ from swarm.config import (
     DEFAULT_RELAY,
     Affine,
     Anchor,
-    App,
+    AppConfig,
     Balancing,
     Body,
     Config,
     Dwm,
     Linear,
-    Mesh,
+    MeshConfig,
     RelayRule,
-    Robot,
-    Simulation,
+    RobotConfig,
+    SimulationConfig,
     dump,
     load,
     parse,
@@ -74,10 +74,10 @@ def test_a_file_with_little_in_it():
     assert config == Config(
         path=FILE,
         network="lab",
-        robots=tuple(Robot(f"r{i}", link=f"tcp:10.0.0.{i + 1}:7447") for i in range(3)),
+        robots=tuple(RobotConfig(f"r{i}", link=f"tcp:10.0.0.{i + 1}:7447") for i in range(3)),
         edges=(("r0", "r1"), ("r1", "r2")),
         relay=DEFAULT_RELAY,
-        mesh=Mesh(insecure=True),
+        mesh=MeshConfig(insecure=True),
     )
     assert config.neighbours("r1") == ("r0", "r2")
 
@@ -85,7 +85,7 @@ def test_a_file_with_little_in_it():
 def test_one_robot_alone_needs_nothing():
     config = parse(ONE, FILE)
     assert config.edges == ()
-    assert config.robots == (Robot("r0"),)
+    assert config.robots == (RobotConfig("r0"),)
 
 
 def test_the_example_is_right():
@@ -107,7 +107,7 @@ def test_the_example_is_right():
 
 def test_the_example_says_the_defaults():
     config = parse(EXAMPLE, FILE)
-    assert config.mesh == Mesh()
+    assert config.mesh == MeshConfig()
     assert str(config.mesh.key_file) in EXAMPLE
     assert config.body == Body()
     assert config.balancing == Balancing()
@@ -120,7 +120,13 @@ def test_the_example_says_the_defaults():
 
 
 # `path` is no entry; `parameters` are an app's own entries; edges are written as [topology].
-NOT_ENTRIES = {(Config, "path"), (App, "parameters"), (Config, "bodies"), (Config, "balancings"), (Config, "auto")}
+NOT_ENTRIES = {
+    (Config, "path"),
+    (AppConfig, "parameters"),
+    (Config, "bodies"),
+    (Config, "balancings"),
+    (Config, "auto"),
+}
 
 
 @pytest.mark.parametrize(
@@ -399,7 +405,7 @@ def test_seven_radio_links_are_the_limit_only_where_radio_is_used():
 
 def test_rfcomm_link_is_another_way_to_write_bluetooth():
     text = swap('link = "tcp:10.0.0.3:7447"', 'link = "rfcomm:b8:27:eb:00:00:01"')
-    assert parse(text, FILE).robot("r2") == Robot("r2", bluetooth="B8:27:EB:00:00:01")
+    assert parse(text, FILE).robot("r2") == RobotConfig("r2", bluetooth="B8:27:EB:00:00:01")
 
 
 def test_whole_numbers_stay_whole_in_apps_and_become_floats_elsewhere():
@@ -448,7 +454,7 @@ def swarms(draw):
     for i, name in enumerate(robot_names):
         kind = draw(st.sampled_from(["rfcomm", "tcp", "sim", "both"]))
         robots.append(
-            Robot(
+            RobotConfig(
                 name,
                 board=draw(st.sampled_from(["zero2w", "pi4"])),
                 bluetooth=f"B8:27:EB:00:00:{i:02X}" if kind in ("rfcomm", "both") else None,
@@ -488,7 +494,7 @@ def swarms(draw):
         edges=Graph.of_shape(shape, robot_names).edges,
         relay=DEFAULT_RELAY + tuple(relay),
         anchors=tuple(Anchor(address, draw(finite), draw(finite), draw(finite)) for address in addresses),
-        mesh=Mesh(*security, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead),
+        mesh=MeshConfig(*security, draw(st.none() | st.just("0.0.0.0:7447")), heartbeat, suspect, dead),
         body=body,
         bodies=draw(st.dictionaries(of_robots, bodies(body.payload))),
         balancing=draw(balancings),
@@ -509,9 +515,9 @@ def swarms(draw):
             position=Affine((draw(pair), draw(pair)), draw(pair)),
         ),
         apps=draw(
-            st.dictionaries(names, st.builds(App, parameters, st.dictionaries(of_robots, parameters)), max_size=3)
+            st.dictionaries(names, st.builds(AppConfig, parameters, st.dictionaries(of_robots, parameters)), max_size=3)
         ),
-        simulation=Simulation(
+        simulation=SimulationConfig(
             draw(pair), draw(pair), draw(st.dictionaries(of_robots, st.tuples(finite, finite, finite)))
         ),
     )

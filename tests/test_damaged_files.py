@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from laptop.fleet.journal import Mark
+from laptop.fleet.journal import JournalMark
 from services.apps import topology
 from services.apps.changes import Changes
-from services.apps.claim import Claim
+from services.apps.claim import AppLock
 from services.apps.snapshot import SnapshotFile
 from services.balancer.core.gyro import Zero
 from services.balancer.zero_file import ZeroFile
@@ -62,7 +62,7 @@ def read_topology(place: Path) -> object:
 
 
 def read_claim(place: Path) -> int:
-    claim = Claim(place.parent, "x")
+    claim = AppLock(place.parent, "x")
     claim.close()
     return claim.incarnation
 
@@ -135,9 +135,9 @@ KEPT = [
     ),
     Kept(
         "r0.mark",
-        lambda place: place.write_text(Mark(10, "s=abc").text),
-        lambda p: Mark.of(p.read_text(errors="replace")),
-        Mark(),
+        lambda place: place.write_text(JournalMark(10, "s=abc").text),
+        lambda p: JournalMark.of(p.read_text(errors="replace")),
+        JournalMark(),
     ),
 ]
 UNSEEN = {

@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.core.epoch_notes import LOST, NONE, Ballot, Note, Offer, Vote, first, following
+from swarm.core.epoch_notes import LOST, NONE, Ballot, EpochNote, Offer, Vote, first, following
 from swarm.core.graph import Graph
 from swarm.core.stopping import Rule, Stopping
 from swarm.errors import LocalError, PayloadError
 
 BEGIN = first(("r2", "r0", "r1"), (("r0", "r1"), ("r1", "r2")), 0)
 NEXT = following(BEGIN, "r1", 7, ("r0", "r1"), ("r0", "r1"), (("r0", "r1"),), ("r2",), (77,), forced=False)
-NOTE = Note("r0", 3, 9, BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), NEXT), None, 0)
+NOTE = EpochNote("r0", 3, 9, BEGIN, 8, True, ("r2",), Ballot(2, "r1"), Vote(Ballot(2, "r1"), NEXT), None, 0)
 
 
 def test_the_bytes_of_a_note() -> None:
-    small = Note("r0", 1, 2, first(("r0",), (), 0), 3, True, (), NONE, None, None, 5)
+    small = EpochNote("r0", 1, 2, first(("r0",), (), 0), 3, True, (), NONE, None, None, 5)
     assert small.encode().hex() == (
         "8ba5726f626f74a27230a5626972746801a776657273696f6e02a565706f63688ba66e756d62657200a7636f756e74657200a870726f"
         "706f736572a0a66265666f726500a16b00a76d656d6265727391a27230a76361727269656490a5656467657390a461776179" + ""
@@ -30,14 +30,14 @@ def test_the_bytes_of_a_note() -> None:
 @pytest.mark.parametrize(
     "note", [NOTE, dataclasses.replace(NOTE, epoch=NEXT, offer=Offer(Ballot(4, "r0"), None, forced=True))]
 )
-def test_a_note_comes_back(note: Note) -> None:
-    assert Note.decode(note.encode()) == note
+def test_a_note_comes_back(note: EpochNote) -> None:
+    assert EpochNote.decode(note.encode()) == note
 
 
 @pytest.mark.parametrize("lost", [-1, LOST, (1 << 64) - 1])
 def test_a_number_of_a_lost_vote_that_is_out_of_range_is_refused(lost: int) -> None:
     with pytest.raises(PayloadError, match="epoch note: lost: expected an integer from 0"):
-        Note.decode(dataclasses.replace(NOTE, lost=lost).encode())
+        EpochNote.decode(dataclasses.replace(NOTE, lost=lost).encode())
 
 
 @given(st.binary(max_size=80), st.integers(0, 400), st.integers(0, 80))
@@ -45,7 +45,7 @@ def test_no_bytes_do_harm(garbage: bytes, at: int, cut: int) -> None:
     data = NOTE.encode()
     for wrong in (garbage, data[:at] + garbage + data[at + cut :]):
         with contextlib.suppress(PayloadError):
-            assert isinstance(Note.decode(wrong), Note)
+            assert isinstance(EpochNote.decode(wrong), EpochNote)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_no_bytes_do_harm(garbage: bytes, at: int, cut: int) -> None:
 def test_an_epoch_that_contradicts_itself_is_refused(change: dict[str, object]) -> None:
     wrong = dataclasses.replace(NEXT, **change)  # type: ignore[arg-type]
     with pytest.raises(PayloadError, match="epoch 1 of r1: it contradicts itself"):
-        Note.decode(dataclasses.replace(NOTE, epoch=wrong).encode())
+        EpochNote.decode(dataclasses.replace(NOTE, epoch=wrong).encode())
 
 
 def test_which_epoch_wins() -> None:

@@ -8,16 +8,16 @@ from epochs_world import World as EpochsWorld
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm.core.epoch_actions import Keep, Tell
+from swarm.core.epoch_actions import SaveEpochs, SendToNeighbours
 from swarm.core.epoch_notes import (
     LOST,
     MAX_EPOCH,
     NONE,
     Ballot,
     Epoch,
-    Kept,
-    Note,
+    EpochNote,
     Offer,
+    SavedEpochs,
     Vote,
     first,
     following,
@@ -33,22 +33,22 @@ BEGIN = first(NAMES, LINE, 0)
 OF = (0xA1, 0x9F3C21AA)
 
 
-def note(robot: str = "r2", **fields: object) -> Note:
-    known = Note(robot, 1, 1, BEGIN, 3, True, (), NONE, None, None, 0)
+def note(robot: str = "r2", **fields: object) -> EpochNote:
+    known = EpochNote(robot, 1, 1, BEGIN, 3, True, (), NONE, None, None, 0)
     return dataclasses.replace(known, **fields)  # type: ignore[arg-type]
 
 
-def epochs_of(robot: str = "r0", kept: Kept | None = None) -> Epochs:
+def epochs_of(robot: str = "r0", kept: SavedEpochs | None = None) -> Epochs:
     return Epochs(robot, NAMES, OF, 5, BEGIN, kept, auto=True)
 
 
-def told(epochs: Epochs) -> list[Note]:
+def told(epochs: Epochs) -> list[EpochNote]:
     """What a robot tells the others, decoded as they decode it; what it keeps comes back from its file."""
     actions = epochs.actions()
     for action in actions:
-        if isinstance(action, Keep):
-            assert decode(Kept, encode(action.kept), "") == action.kept
-    return [Note.decode(action.data) for action in actions if isinstance(action, Tell)]
+        if isinstance(action, SaveEpochs):
+            assert decode(SavedEpochs, encode(action.kept), "") == action.kept
+    return [EpochNote.decode(action.data) for action in actions if isinstance(action, SendToNeighbours)]
 
 
 class World(EpochsWorld):
@@ -144,7 +144,7 @@ def test_an_epoch_too_long_for_a_note_with_three_of_them_is_refused() -> None:
     forged = following(BEGIN, "r2", 7, names, names, edges, (), (), forced=True)
     assert len(encode(forged)) > MAX_EPOCH
     with pytest.raises(PayloadError, match="contradicts itself"):
-        Note.decode(note("r2", epoch=forged).encode())
+        EpochNote.decode(note("r2", epoch=forged).encode())
 
 
 def test_an_epoch_that_begins_behind_the_last_iteration_ends_the_run() -> None:
@@ -191,7 +191,7 @@ def forged_epochs(draw: st.DrawFn) -> Epoch:
 
 either = st.just(BEGIN) | forged_epochs()
 notes = st.builds(
-    Note,
+    EpochNote,
     st.sampled_from(NAMES), counts, counts, either, st.sampled_from((-1, 0, 3, MAX_ITERATION)), st.booleans(),
     st.lists(st.text(max_size=5), max_size=3).map(tuple), ballots,
     st.none() | st.builds(Vote, ballots, either),
@@ -203,7 +203,7 @@ notes = st.builds(
 @costly(90)
 @given(st.lists(st.tuples(notes, st.sampled_from(NAMES), st.floats(0.0, 3.0)), max_size=6), st.sampled_from((None, 30)))
 def test_whatever_notes_say_no_robot_ends_and_all_that_it_tells_can_be_read(
-    lies: list[tuple[Note, str, float]], last: int | None
+    lies: list[tuple[EpochNote, str, float]], last: int | None
 ) -> None:
     world = World(LINE, last=last)
     world.start_all()
@@ -216,6 +216,6 @@ def test_whatever_notes_say_no_robot_ends_and_all_that_it_tells_can_be_read(
     world.run(3.0)
     for process in world.processes.values():
         note = process.lockstep.epochs._mine
-        assert Note.decode(note.encode()) == note
-        assert decode(Kept, encode(process.lockstep.epochs.kept), "") == process.lockstep.epochs.kept
+        assert EpochNote.decode(note.encode()) == note
+        assert decode(SavedEpochs, encode(process.lockstep.epochs.kept), "") == process.lockstep.epochs.kept
         assert not any(count for name, count in process.lockstep.counters.items() if name == "malformed note")

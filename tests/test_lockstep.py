@@ -16,7 +16,7 @@ from swarm.core.lockstep_frames import (
     MAX_ITERATION,
     STEP,
     WANT,
-    Heard,
+    HeardNeighbour,
     Snapshot,
     Step,
     Want,
@@ -163,7 +163,7 @@ SNAPSHOT = Snapshot(
     k=7,
     value=b"a7",
     previous=b"a6",
-    heard={"r1": Heard(5, 8, [b"b6", b"b7", b"b8"]), "r2": Heard()},
+    heard={"r1": HeardNeighbour(5, 8, [b"b6", b"b7", b"b8"]), "r2": HeardNeighbour()},
     private=b"secret",
 )
 SNAPSHOT_BYTES = bytes.fromhex(

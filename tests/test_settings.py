@@ -3,7 +3,7 @@
 import pytest
 
 from swarm.app.settings import Setting, on_top, parse
-from swarm.config.types import App
+from swarm.config.types import AppConfig
 from swarm.errors import AppError, ConfigError
 
 NAMES = ("r0", "r1", "r2")
@@ -31,8 +31,8 @@ def test_what_is_none_is_named(text: str) -> None:
 
 
 def test_settings_are_above_the_file_and_later_ones_above_earlier() -> None:
-    app = App({"gain": 1.0, "value": 2.0}, {"r1": {"value": 5.0, "gain": 9.0}})
+    app = AppConfig({"gain": 1.0, "value": 2.0}, {"r1": {"value": 5.0, "gain": 9.0}})
     found = on_top(app, [parse("value=3"), parse("r2.value=4"), parse("r2.value=6")], NAMES)
-    assert found == App({"gain": 1.0, "value": 3}, {"r1": {"gain": 9.0}, "r2": {"value": 6}})
+    assert found == AppConfig({"gain": 1.0, "value": 3}, {"r1": {"gain": 9.0}, "r2": {"value": 6}})
     with pytest.raises(ConfigError, match=r"--set r7\.value: the robots are r0, r1, r2"):
         on_top(app, [parse("r7.value=1")], NAMES)

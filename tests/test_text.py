@@ -16,7 +16,7 @@ import swarm
 from laptop.fleet import journal
 from laptop.fleet.ssh import last_words
 from swarm.messages.codec import MAX_PAYLOAD, encode
-from swarm.onboard.samples import Sample, as_json, as_text
+from swarm.onboard.samples import BusSample, as_json, as_text
 from swarm.process import log, terminal
 from swarm.process.terminal import Guarded, steer, write_lines
 from swarm.process.text import printable
@@ -113,13 +113,13 @@ def test_a_row_stays_on_its_line(rows: list[str]) -> None:
 
 @given(st.dictionaries(ANY_TEXT.filter(lambda text: text.isascii()), st.integers(0, 9), min_size=1, max_size=3))
 def test_z_sub_shows_unknown_fields_in_printable_form(fields: dict[str, int]) -> None:
-    sample = Sample(1.0, "", "swarm/r0/mesh/status", encode(fields))
+    sample = BusSample(1.0, "", "swarm/r0/mesh/status", encode(fields))
     assert is_harmless(as_text(sample))
     assert as_json(sample).isascii()
 
 
 def test_z_sub_shows_one_bounded_line_for_the_largest_field_name() -> None:
-    sample = Sample(1.0, "", "swarm/r0/mesh/status", encode({"\x1b]0;x\x07" + "y" * (MAX_PAYLOAD - 50): 1}))
+    sample = BusSample(1.0, "", "swarm/r0/mesh/status", encode({"\x1b]0;x\x07" + "y" * (MAX_PAYLOAD - 50): 1}))
     assert is_harmless(as_text(sample))
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from swarm.bus.zenoh_bus import Bus
 from swarm.messages import Leds
-from swarm.onboard.samples import Sample, as_json, as_text, value_text
+from swarm.onboard.samples import BusSample, as_json, as_text, value_text
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import claim
 
@@ -217,7 +217,7 @@ def test_the_installed_command_has_a_help() -> None:
 
 
 def show(key: str, payload: bytes) -> str:
-    return as_text(Sample(0.25, "", key, payload)).split(maxsplit=1)[1]
+    return as_text(BusSample(0.25, "", key, payload)).split(maxsplit=1)[1]
 
 
 def test_frames_of_apps() -> None:
@@ -228,7 +228,7 @@ def test_frames_of_apps() -> None:
     assert show(key, b"\x09\x07\x00\x00\x00") == f"{key} kind 9 k=7 5 bytes 0x0907000000"
     latest = key.replace("sync", "latest")
     assert show(latest, b"\x01\x07\x00\x00\x00\xff") == f"{latest} STATE sequence=7 6 bytes 0x0107000000ff"
-    data = json.loads(as_json(Sample(0.25, "r0", key, step)))
+    data = json.loads(as_json(BusSample(0.25, "r0", key, step)))
     assert (data["frame"], data["k"], data["bytes"], data["hex"]) == ("STEP", 7, 21, step.hex())
 
 
@@ -260,7 +260,7 @@ NESTED = st.recursive(
 
 @given(KEY, st.binary() | NESTED | st.integers(1, 3000).map(lambda depth: b"\x91" * depth + b"\x90"))
 def test_every_payload_can_be_shown(key: str, payload: bytes) -> None:
-    sample = Sample(1.0, "r0", key, payload)
+    sample = BusSample(1.0, "r0", key, payload)
     line = as_text(sample)
     assert line.isprintable()
     data = json.loads(as_json(sample), parse_constant=pytest.fail)

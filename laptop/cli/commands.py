@@ -1,7 +1,7 @@
 """The commands of `swarm` on a laptop: those of a robot (`swarm.onboard.commands`), and what a robot does not carry."""
 
 from swarm.onboard import commands as robot
-from swarm.onboard.command_line import Command, Group, Sections
+from swarm.onboard.command_line import Command, CommandGroup, Sections
 
 SECTIONS: Sections = {
     "write an app, simulate it, look at runs": {
@@ -18,7 +18,7 @@ SECTIONS: Sections = {
         "import": Command("laptop.cli.runs.import_csv"),
     },
     "a running swarm": {
-        "hand": Group(
+        "hand": CommandGroup(
             "act on simulated robots",
             {
                 "press": Command("laptop.cli.hand", ("press",), "press a button of a simulated robot"),
@@ -40,7 +40,7 @@ SECTIONS: Sections = {
                 "radio": Command("laptop.cli.radio"),
             }
         ),
-        "app": Group(
+        "app": CommandGroup(
             "apps while they run",
             {
                 "start": Command("laptop.cli.app", ("start",), "start an app beside those that run"),
@@ -62,7 +62,7 @@ SECTIONS: Sections = {
         "flash": Command("laptop.cli.robots.flash"),
         "doctor": Command("laptop.cli.robots.doctor"),
         "command": Command("laptop.cli.robots.command"),
-        "services": Group(
+        "services": CommandGroup(
             "services and apps",
             {
                 "start": Command("laptop.cli.robots.services", ("start",), "start services or apps of all robots"),

@@ -3,7 +3,7 @@
 import argparse
 
 from laptop.cli.commands import SECTIONS
-from swarm.onboard.command_line import Group, commands_of
+from swarm.onboard.command_line import CommandGroup, commands_of
 
 HELP = "print a script with which bash or zsh complete commands"
 
@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     groups = "".join(
         f'        {name}) words="{" ".join(each.commands)}" ;;\n'
         for name, each in commands.items()
-        if isinstance(each, Group)
+        if isinstance(each, CommandGroup)
     )
     print(
         f"""[ -n "$ZSH_VERSION" ] && autoload -U +X compinit bashcompinit && compinit && bashcompinit

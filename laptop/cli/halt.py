@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import Config, load
 from swarm.errors import LocalError, PayloadError
@@ -35,10 +35,10 @@ _SLACK_S = 15.0
 
 
 @dataclass
-class Answers:
+class _Answers:
     """What came back."""
 
-    outcomes: dict[str, everyone.Outcome] = field(default_factory=dict)
+    outcomes: dict[str, everyone.RobotOutcome] = field(default_factory=dict)
     """By robot: whether it was reached and has confirmed, and how."""
     seen: dict[str, str] = field(default_factory=dict)
     """Robots that another one has seen confirm, over the mesh: its name."""
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         found = buses.find(args)
     except LocalError:
         found = {}
-    answers = Answers()
+    answers = _Answers()
 
     def by_ssh() -> None:
         nonlocal answers
@@ -99,7 +99,7 @@ def robots_of(args: argparse.Namespace) -> tuple[tuple[Host, ...], Ssh] | None:
     return hosts(config), Ssh(args.ssh_config)
 
 
-def _how(name: str, rows: Sequence[Row], answers: Answers) -> str:
+def _how(name: str, rows: Sequence[Row], answers: _Answers) -> str:
     """By which path a robot is confirmed; empty where by none."""
     paths = ["bus or mesh"] if any(row.confirmed for row in rows if row.robot == name) else []
     paths += ["ssh"] if answers.outcomes[name].ok else []
@@ -107,7 +107,7 @@ def _how(name: str, rows: Sequence[Row], answers: Answers) -> str:
     return ", ".join(paths)
 
 
-def table(how: Mapping[str, str], answers: Answers, *, stop: bool) -> list[str]:
+def table(how: Mapping[str, str], answers: _Answers, *, stop: bool) -> list[str]:
     """What people read of the robots that ssh was to reach. `how`: the paths by which each is confirmed."""
     what = "stopped" if stop else "armed"
     lines = [("robot", what, "confirmed by", "ssh says")]
@@ -118,12 +118,12 @@ def table(how: Mapping[str, str], answers: Answers, *, stop: bool) -> list[str]:
     return [*columns(lines), "", summary + (f"; NOT CONFIRMED: {' '.join(missing)}" if missing else "")]
 
 
-def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> Answers:
+def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> _Answers:
     """Tell all robots at once; returns when each has answered or is given up."""
-    answers = Answers()
+    answers = _Answers()
     words = [PROGRAM, "estop", reason] if stop else [PROGRAM, "arm"]
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         there = ["sudo", "-n", "env", f"SWARM_ROBOT={host.robot}", f"SWARM_RUNTIME={DEFAULT_RUNTIME}", *words]
         done = await ssh.run(host, shlex.join([*there, "--json", "--timeout", str(THERE_S)]))
         rows = _rows(done.out)
@@ -141,7 +141,7 @@ def command(robots: tuple[Host, ...], ssh: Ssh, *, stop: bool, reason: str) -> A
     try:
         found = asyncio.run(everyone.each(robots, job, THERE_S + _SLACK_S))
     except LocalError as error:  # there is no ssh here: nobody was told
-        found = [everyone.Outcome(host.robot, False, str(error), 0.0) for host in robots]
+        found = [everyone.RobotOutcome(host.robot, False, str(error), 0.0) for host in robots]
     answers.outcomes = {outcome.robot: outcome for outcome in found}
     return answers
 

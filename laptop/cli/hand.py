@@ -8,7 +8,7 @@ from pathlib import Path
 from laptop.fleet.units import SERVICES
 from sim.control import link_cuts, power_switch, send_action
 from sim.core import actions
-from sim.core.actions import Lay, Place, Press, Push, Unplug
+from sim.core.actions import BodyPlace, Lay, Press, Push, Unplug
 from swarm.errors import LocalError
 from swarm.messages.keys import is_name
 from swarm.onboard.arguments import add_json, add_run_dir, number, show
@@ -77,7 +77,7 @@ def do(runtime: Path, args: argparse.Namespace) -> str:
             send_action.do(runtime, Lay(args.side))
             return f"laid on its {args.side}"
         case "place":
-            send_action.do(runtime, Place(args.x, args.y, args.heading, -1.0, held=False))
+            send_action.do(runtime, BodyPlace(args.x, args.y, args.heading, -1.0, held=False))
             return f"lies on its back at ({args.x:g}, {args.y:g}) m"
         case "unplug":
             send_action.do(runtime, Unplug(args.device, back=args.back))

@@ -8,7 +8,7 @@ from laptop.plotting.style import add_plot, figure
 from swarm.core.graph import Graph
 from swarm.onboard.ask import AWAY
 from swarm.onboard.mesh import show
-from swarm.onboard.mesh.collected import Mesh
+from swarm.onboard.mesh.collected import CollectedMesh
 
 HELP = "the robots of the swarm, their links, and the graph they make"
 
@@ -32,11 +32,11 @@ def run(args: argparse.Namespace) -> int:
     return 0 if mesh.whole else 1
 
 
-def draw(mesh: Mesh, path: Path) -> None:
+def draw(mesh: CollectedMesh, path: Path) -> None:
     """Write the picture; `LocalError` where matplotlib is not there, or the file cannot be written."""
-    from laptop.plotting.mesh import Link, network  # reads recordings, too: most uses of `swarm mesh` do without
+    from laptop.plotting.mesh import DrawnLink, network  # reads recordings, too: most uses of `swarm mesh` do without
 
-    links = {pair: Link(up, mesh.round_trips.get(pair)) for pair, up in sorted(mesh.states.items())}
+    links = {pair: DrawnLink(up, mesh.round_trips.get(pair)) for pair, up in sorted(mesh.states.items())}
     faces = {name: "#bbbbbb" for name, robot in mesh.robots.items() if robot.state in AWAY}
     faces |= {name: "#e69f00" for name, robot in mesh.robots.items() if robot.stopped and name not in faces}
     with figure(path, figsize=(7, 6), layout="constrained") as picture:

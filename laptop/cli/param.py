@@ -4,7 +4,7 @@ import argparse
 import shlex
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from swarm.onboard import param
 
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     param.settings_of(args)  # what is wrong is said here, not by each robot
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         mine = [word.removeprefix(f"{host.robot}.") for word in args.settings]
         words = [word for word in mine if "." not in word.partition("=")[0]]
         if args.settings and not words:

@@ -40,7 +40,7 @@ for each in *.env; do [ ! -e $each ] || echo $(sha256sum <$each) $each $(sed -n 
 _LINE = re.compile(r"([0-9a-f]{64}) - ([a-z][a-z0-9_-]*)\.env (\S+)")
 
 
-class Known(NamedTuple):
+class StartedApp(NamedTuple):
     """How an app was started on a robot."""
 
     digest: str
@@ -49,7 +49,7 @@ class Known(NamedTuple):
     """Whether it comes with the release; else it is a file that was brought."""
 
 
-class Start:
+class AppStart:
     """A new run of an app."""
 
     def __init__(
@@ -120,10 +120,10 @@ def differences(found: Mapping[str, Versions], config: Config) -> str:
     return f"the robots have {'; '.join(wrong)}" if wrong else ""
 
 
-async def ask_known(ssh: Ssh, host: Host) -> dict[str, Known]:
+async def ask_known(ssh: Ssh, host: Host) -> dict[str, StartedApp]:
     """The apps that were started on a robot, by name; raises `HostError`."""
-    known: dict[str, Known] = {}
+    known: dict[str, StartedApp] = {}
     for line in (await ssh.check(host, f"sudo -n sh -c '{_KNOWN}'")).splitlines():
         if found := _LINE.fullmatch(line):
-            known[found[2]] = Known(found[1], found[3] == found[2])
+            known[found[2]] = StartedApp(found[1], found[3] == found[2])
     return known

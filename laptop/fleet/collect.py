@@ -118,7 +118,7 @@ def plan(files: Sequence[File], have: Mapping[str, int]) -> list[Wanted]:
 
 
 @frozen
-class Data:
+class FileData:
     """Bytes of a file, to be appended."""
 
     wanted: Wanted
@@ -126,7 +126,7 @@ class Data:
 
 
 @frozen
-class End:
+class FileEnd:
     """A file has come to its end; the sum of all of its bytes on the robot, None where it has no such file now."""
 
     wanted: Wanted
@@ -147,7 +147,7 @@ class Stream:
         """Whether everything has come."""
         return not self._todo
 
-    def receive(self, data: bytes) -> Iterator[Data | End]:
+    def receive(self, data: bytes) -> Iterator[FileData | FileEnd]:
         """Take what came. Raises `RemoteError` where it is no answer to what was asked."""
         data = self._rest + data
         self._rest = b""
@@ -159,7 +159,7 @@ class Stream:
                 mark, data = data[:2], data[2:]
                 if mark == b"-\n":
                     self._todo.pop()
-                    yield End(wanted, None)
+                    yield FileEnd(wanted, None)
                 elif mark == b"+\n":
                     self._left = wanted.file.size - wanted.offset
                 else:
@@ -167,7 +167,7 @@ class Stream:
             elif self._left:
                 part, data = data[: self._left], data[self._left :]
                 self._left -= len(part)
-                yield Data(wanted, part)
+                yield FileData(wanted, part)
             else:
                 if len(data) < _SUM_SIZE:
                     break
@@ -176,7 +176,7 @@ class Stream:
                     raise RemoteError(f"{wanted.file.path}: no sum behind it, but {data[:_SUM_SIZE]!r}")
                 data, self._left = data[_SUM_SIZE:], None
                 self._todo.pop()
-                yield End(wanted, found[1].decode())
+                yield FileEnd(wanted, found[1].decode())
         if data and not self._todo:
             raise RemoteError(f"it sends more than was asked for: {data[:80]!r}")
         self._rest = data

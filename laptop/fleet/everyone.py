@@ -19,7 +19,7 @@ from swarm.process.terminal import columns, write_lines
 
 
 @frozen
-class Outcome:
+class RobotOutcome:
     """What came of it on one robot."""
 
     robot: str
@@ -32,9 +32,9 @@ class Outcome:
 
 T = TypeVar("T")
 
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 """Says how far a robot has come."""
-Job = Callable[[Host, Tell], Awaitable[str]]
+Job = Callable[[Host, ReportProgress], Awaitable[str]]
 """Does the work on one robot and returns a line about it; raises `HostError`."""
 
 
@@ -82,10 +82,10 @@ def named(args: argparse.Namespace) -> None:
 
 async def each(
     robots: Sequence[Host], job: Job, timeout_s: float, tell: Callable[[Host, str], None] = lambda *_: None
-) -> list[Outcome]:
+) -> list[RobotOutcome]:
     """Run the job on all robots at once; `timeout_s` for each. What one robot does not do harms no other."""
 
-    async def one(host: Host) -> Outcome:
+    async def one(host: Host) -> RobotOutcome:
         began, lines = time.monotonic(), []
 
         def say(text: str) -> None:
@@ -98,18 +98,18 @@ async def each(
                 text = await job(host, say)
         except FAILURES as error:
             problem = failure(error, timeout_s)
-        return Outcome(host.robot, not problem, problem or text, round(time.monotonic() - began, 3), tuple(lines))
+        return RobotOutcome(host.robot, not problem, problem or text, round(time.monotonic() - began, 3), tuple(lines))
 
     return list(await asyncio.gather(*(one(host) for host in robots)))
 
 
 def gather(
     robots: Sequence[Host], ask: Callable[[Host], Awaitable[T]], timeout_s: float
-) -> tuple[list[Outcome], dict[str, T]]:
+) -> tuple[list[RobotOutcome], dict[str, T]]:
     """Ask all robots at once; returns how it went on each, and the answers by robot."""
     answers: dict[str, T] = {}
 
-    async def job(host: Host, _: Tell) -> str:
+    async def job(host: Host, _: ReportProgress) -> str:
         answers[host.robot] = await ask(host)
         return ""
 
@@ -131,7 +131,7 @@ def run(args: argparse.Namespace, robots: Sequence[Host], job: Job) -> int:
     return 0 if all(outcome.ok for outcome in outcomes) else 1
 
 
-def table(outcomes: Sequence[Outcome]) -> list[str]:
+def table(outcomes: Sequence[RobotOutcome]) -> list[str]:
     """One row a robot."""
     return columns(
         [(each.robot, "ok" if each.ok else "FAILED", f"{each.seconds:6.1f} s", each.text) for each in outcomes]

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from laptop.fleet import collect
-from laptop.fleet.collect import Data, End, File, Stream
-from laptop.fleet.everyone import Tell
-from laptop.fleet.journal import FIELDS, Mark, entry
+from laptop.fleet.collect import File, FileData, FileEnd, Stream
+from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.journal import FIELDS, JournalMark, entry
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import RemoteError
 from swarm.files import atomic_write, sync_folder
@@ -42,10 +42,10 @@ class Got:
     """Names that are none of ours: left where they are."""
 
 
-class Fetch:
+class RecordingFetch:
     """One robot's recordings into `folder`/RUN."""
 
-    def __init__(self, ssh: Ssh, host: Host, folder: Path, tell: Tell) -> None:
+    def __init__(self, ssh: Ssh, host: Host, folder: Path, tell: ReportProgress) -> None:
         self._ssh, self._host, self._folder, self._tell = ssh, host, folder, tell
         self._got = Got()
         self._differs: set[File] = set()
@@ -138,11 +138,11 @@ class Fetch:
         folder = self._folder / JOURNAL
         folder.mkdir(parents=True, exist_ok=True)
         text, place = folder / f"{self._host.robot}.log", folder / f"{self._host.robot}.mark"
-        mark = Mark.of(place.read_text(errors="replace")) if place.exists() else Mark()
+        mark = JournalMark.of(place.read_text(errors="replace")) if place.exists() else JournalMark()
         count = 0
         with text.open("ab") as file:
             if file.tell() < mark.size:
-                mark = Mark()  # the text was taken away: begin anew
+                mark = JournalMark()  # the text was taken away: begin anew
             file.truncate(mark.size)  # what came after it has no cursor
             file.seek(mark.size)
             cursor = mark.cursor
@@ -161,7 +161,7 @@ class Fetch:
                 # What has come stays, whatever happened: the next time goes on behind it.
                 file.flush()
                 os.fsync(file.fileno())
-                atomic_write(place, Mark(file.tell(), cursor).text.encode())
+                atomic_write(place, JournalMark(file.tell(), cursor).text.encode())
         if done.code != 0:
             raise HostError(last_words(done.err) or f"journalctl: exit code {done.code}")
         return count
@@ -177,11 +177,11 @@ class _Sink:
         self._file: BinaryIO | None = None
         self._path = Path()
 
-    def take(self, parts: Iterable[Data | End]) -> None:
+    def take(self, parts: Iterable[FileData | FileEnd]) -> None:
         """Parts of the stream as they come."""
         for part in parts:
             file = part.wanted.file
-            if isinstance(part, Data):
+            if isinstance(part, FileData):
                 self._open(file).write(part.data)
                 self._got.received += len(part.data)
                 self._report.add(len(part.data))
@@ -215,7 +215,7 @@ class _Sink:
 class _Progress:
     """Says now and then how far it has come."""
 
-    def __init__(self, total: int, tell: Tell) -> None:
+    def __init__(self, total: int, tell: ReportProgress) -> None:
         self._total, self._tell = total, tell
         self._here = self._told = 0
 

@@ -11,7 +11,7 @@ import tarfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
 from laptop.fleet.versions import OWN_NAME
 from swarm.config.keyfile import read_keys
@@ -86,7 +86,7 @@ def fitting(releases: list[Release], machine: str, pythons: list[str]) -> Releas
     raise HostError(f"it is {needs}, the releases are for {have}: deploy/release --machine {machine} --python ...")
 
 
-async def bring(ssh: Ssh, host: Host, release: Release, tell: Tell) -> int:
+async def bring(ssh: Ssh, host: Host, release: Release, tell: ReportProgress) -> int:
     """Bring the release into the robot's folder; the number of bytes sent."""
     lacks = [
         name for name in (await ssh.check(host, _LACKS, feed=[release.sums])).splitlines() if name in release.files
@@ -138,7 +138,7 @@ async def check_name(ssh: Ssh, host: Host) -> None:
 
 
 async def install(
-    ssh: Ssh, host: Host, releases: Sequence[Release], files: Mapping[str, bytes], tell: Tell
+    ssh: Ssh, host: Host, releases: Sequence[Release], files: Mapping[str, bytes], tell: ReportProgress
 ) -> tuple[str, int]:
     """Bring and install the release that fits the robot; what `install` said last, and the bytes sent."""
     machine, *pythons = (await ssh.check(host, _WHAT)).split()

@@ -19,7 +19,7 @@ _MAX_DIGITS = 20
 
 
 @frozen
-class Mark:
+class JournalMark:
     """How far a journal was fetched."""
 
     size: int = 0
@@ -32,7 +32,7 @@ class Mark:
         return f"{self.size} {self.cursor}\n"
 
     @classmethod
-    def of(cls, text: str) -> "Mark":
+    def of(cls, text: str) -> "JournalMark":
         """From what was kept; a mark that cannot be read is the beginning."""
         size, _, cursor = text.strip().partition(" ")
         if not text.endswith("\n"):

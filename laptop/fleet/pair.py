@@ -6,7 +6,7 @@ from typing import Any
 
 from laptop.fleet import remote
 from laptop.fleet.core.pairing import Bond, Edge, Schedule, ordered, plan
-from laptop.fleet.everyone import FAILURES, Tell, failure
+from laptop.fleet.everyone import FAILURES, ReportProgress, failure
 from laptop.fleet.ssh import Host, HostError, Ssh
 
 INQUIRY_S = 25.0
@@ -33,7 +33,12 @@ class Pairing:
     """All links of a swarm."""
 
     def __init__(
-        self, ssh: Ssh, hosts: Mapping[str, Host], looks: Mapping[str, Mapping[str, Any]], timeout_s: float, tell: Tell
+        self,
+        ssh: Ssh,
+        hosts: Mapping[str, Host],
+        looks: Mapping[str, Mapping[str, Any]],
+        timeout_s: float,
+        tell: ReportProgress,
     ) -> None:
         """`looks`: what each robot that answered said of itself; `timeout_s` for each link."""
         self._ssh, self._hosts, self._looks, self._timeout_s, self._tell = ssh, hosts, looks, timeout_s, tell

@@ -13,8 +13,16 @@ from typing import Any
 from laptop.fleet import remote
 from laptop.fleet.bundle import Package, Repository
 from laptop.fleet.core import packages, steps
-from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, Change, Packages, Step, Verdict, Wish
-from laptop.fleet.everyone import Tell
+from laptop.fleet.core.wish import (
+    FIRMWARE_PACKAGE,
+    KERNEL_PACKAGE,
+    Change,
+    DesiredRobot,
+    Packages,
+    ProvisioningStep,
+    Verdict,
+)
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.install import pack
 from laptop.fleet.ssh import Host, HostError, Ssh, last_words
 from swarm.errors import LocalError
@@ -43,9 +51,9 @@ class Provisioning:
         self,
         ssh: Ssh,
         host: Host,
-        wish: Wish,
+        wish: DesiredRobot,
         bundle: Mapping[tuple[str, str], Repository],
-        tell: Tell,
+        tell: ReportProgress,
         rig: Rig,
     ) -> None:
         """`bundle` by Debian and architecture."""
@@ -153,7 +161,7 @@ class Provisioning:
     async def _stage(
         self,
         facts: dict[str, Any],
-        stage: Sequence[Step],
+        stage: Sequence[ProvisioningStep],
         repository: Repository | None = None,
         files: Sequence[Package] = (),
     ) -> tuple[dict[str, Any], bool]:
@@ -189,7 +197,7 @@ class Provisioning:
             self._tell(f"{said['step']}: failed: {said['problem']}")
             raise HostError(f"{said['step']}: {said['problem']}")
 
-    def _verify(self, step: Step, wanted: Verdict, found: Verdict) -> None:
+    def _verify(self, step: ProvisioningStep, wanted: Verdict, found: Verdict) -> None:
         """A change is done when its step finds nothing more to do, but for a reboot."""
         if found.state == "ok" or (found.state == "change" and found.reboot and wanted.reboot and not found.changes):
             self.changed += 1

@@ -58,7 +58,7 @@ class Pass(NamedTuple):
     back: bool
 
 
-class Leg(NamedTuple):
+class JourneyLeg(NamedTuple):
     """Its way over one link."""
 
     t: float
@@ -69,7 +69,7 @@ class Leg(NamedTuple):
     """When it was there; None where it was not seen there."""
 
 
-def legs(passes: Iterable[Pass], sender: str, to: str, arrived: float | None, known: float | None) -> list[Leg]:
+def legs(passes: Iterable[Pass], sender: str, to: str, arrived: float | None, known: float | None) -> list[JourneyLeg]:
     """The way of one message from `sender` to `to`, and of its answers, by what the robots on it have told.
 
     A robot hands on at once what comes to it, so that tells when it came: each arrival belongs to what was last handed
@@ -94,7 +94,7 @@ def legs(passes: Iterable[Pass], sender: str, to: str, arrived: float | None, kn
     # The sender heeds the first answer alone, and tells nothing of others.
     heeded = min((ordered[index].t for index in until if ordered[index].next == sender), default=math.inf)
     return [
-        Leg(*it, until.get(index))
+        JourneyLeg(*it, until.get(index))
         for index, it in enumerate(ordered)
         if index in until or not (it.back and it.next == sender and it.t >= heeded)
     ]
@@ -213,7 +213,7 @@ def _message(
     request: _Request,
     answer: _Answer | None,
     arrived: float | None,
-    way: Sequence[Leg],
+    way: Sequence[JourneyLeg],
     robots: list[str],
 ) -> None:
     """One message's panel: its way from row to row."""

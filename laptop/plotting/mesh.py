@@ -24,7 +24,7 @@ CLEAR = 0.13
 Pair = tuple[str, str]
 
 
-class Link(NamedTuple):
+class DrawnLink(NamedTuple):
     """A link as it is drawn."""
 
     up: bool
@@ -51,13 +51,13 @@ def mesh(figure: Any, run: Run) -> None:
     for pair, each in ends.items():
         up = all(seen[-1]["state"] in ("up", "suspect") for seen in each.values())
         lost = sum(seen[-1].get("dropped", 0) - seen[0].get("dropped", 0) for seen in each.values())
-        links[pair] = Link(up, _rtt(each.values()), f"{lost} dropped" if lost else "")
+        links[pair] = DrawnLink(up, _rtt(each.values()), f"{lost} dropped" if lost else "")
     figure.set_size_inches(5.6, 4.6)
     network(figure, places, links)
 
 
 def network(
-    figure: Any, places: Mapping[str, Place], links: Mapping[Pair, Link], faces: Mapping[str, str] | None = None
+    figure: Any, places: Mapping[str, Place], links: Mapping[Pair, DrawnLink], faces: Mapping[str, str] | None = None
 ) -> None:
     """Draw robots at their places, in the colours of `faces` (white), and the links between them."""
     axes = figure.add_subplot()

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from laptop.view.feed import Live, Publisher
+from laptop.view.feed import LiveFeed, Publisher
 from laptop.view.robot_actions import PageAction, RobotActions, named
 from swarm import clock
 from swarm.errors import LocalError
@@ -29,7 +29,7 @@ class _Halt:
 class Control:
     """Carries out what pages ask, in any threads."""
 
-    def __init__(self, feed: Live, actions: RobotActions | None) -> None:
+    def __init__(self, feed: LiveFeed, actions: RobotActions | None) -> None:
         """`actions`: what can be done besides what goes over a bus; None where the page only watches."""
         self._feed = feed
         self._actions = actions

@@ -32,7 +32,7 @@ class Publisher(Protocol):
         """Send a message dataclass or raw bytes; silently lost while the bus is away."""
 
 
-class Live(Protocol):
+class LiveFeed(Protocol):
     """Where the present of a swarm comes from."""
 
     @property
@@ -91,7 +91,7 @@ class RealTime:
         raise ValueError("this is real time")
 
 
-class Simulation(RealTime):
+class SimulationFeed(RealTime):
     """Watches the bus of every robot of a running simulation until closed."""
 
     kind = "simulation"

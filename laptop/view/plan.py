@@ -5,7 +5,7 @@ what was decided before.
 """
 
 from laptop.fleet import apps
-from laptop.fleet.apps import Known
+from laptop.fleet.apps import StartedApp
 from laptop.fleet.ssh import HostError
 from laptop.fleet.versions import Versions
 from swarm.config import Config
@@ -20,14 +20,14 @@ class Plan:
         self._config = config
         self._alone = alone
         self._versions: dict[str, Versions] = {}
-        self._known: dict[str, Known | None] = {}
+        self._known: dict[str, StartedApp | None] = {}
         self._refused: dict[str, str] = {}
         """What was wrong, and the robot that was told first."""
         self._anew: bool | None = None
-        self._run: Known | None = None
+        self._run: StartedApp | None = None
         """What they go on with."""
 
-    def found(self, robot: str, versions: Versions, known: Known | None) -> None:
+    def found(self, robot: str, versions: Versions, known: StartedApp | None) -> None:
         """What a robot runs, and how the app was started there last."""
         self._versions[robot], self._known[robot] = versions, known
 

@@ -18,7 +18,7 @@ JUMP_S = 3.0
 """A page that goes further than this at once does not play, it jumps."""
 
 
-class Recording:
+class ViewedRecording:
     """A run, all of it in memory: its messages as they were written, JSON text."""
 
     kind = "recording"

@@ -190,7 +190,7 @@ class RemoteActions:
 
     async def _run_app(self, app: str, robots: Sequence[Host], number: int, *, alone: bool) -> None:
         """Have an app go on where it was, or begin anew where the robots have no run of it in common."""
-        start = apps.Start(app, None, arguments=["--record"])
+        start = apps.AppStart(app, None, arguments=["--record"])
         plan = Plan(app, self._view.config, alone=alone)
         everybody = {host.robot for host in robots}
         waited = {robot for robot in everybody if self._is_seen(robot)} or everybody

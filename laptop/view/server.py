@@ -19,10 +19,10 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from laptop.view.control import Control
-from laptop.view.feed import Live
+from laptop.view.feed import LiveFeed
 from laptop.view.picture import TRAIL_S, Picture
 from laptop.view.questions import Answer, Questions
-from laptop.view.recording import Recording
+from laptop.view.recording import ViewedRecording
 from swarm.config.types import Config
 from swarm.errors import LocalError, PayloadError
 from swarm.messages.json_input import read_json
@@ -51,7 +51,7 @@ _POLICY = (
 )
 """Nothing from the network at run time."""
 
-Feed = Live | Recording
+Feed = LiveFeed | ViewedRecording
 
 _FEED: web.AppKey[Feed] = web.AppKey("feed")
 _TOKEN: web.AppKey[str] = web.AppKey("token")
@@ -102,7 +102,7 @@ async def _live(request: web.Request) -> web.StreamResponse:
     socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=_MAX_REQUEST, compress=False)
     await socket.prepare(request)
     feed, control = request.app[_FEED], request.app[_CONTROL]
-    if isinstance(feed, Recording):
+    if isinstance(feed, ViewedRecording):
         await _play(feed, socket)
         return socket
     loop, halts = asyncio.get_running_loop(), request.app[_HALTS]
@@ -140,7 +140,7 @@ def _tell_defect(ended: object) -> None:
         _log.error("a page is told no more", exc_info=ended)
 
 
-async def _steps(feed: Live, control: Control | None, socket: web.WebSocketResponse) -> None:
+async def _steps(feed: LiveFeed, control: Control | None, socket: web.WebSocketResponse) -> None:
     """Tell a page what there is, then what changes."""
     known: dict[str, Any] = {}
     moved = rest = number = 0
@@ -180,7 +180,7 @@ def _trail(picture: Picture, robot: str, now: float) -> list[tuple[float, float]
     return picture.trail(robot, "sim/truth", TRAIL_S, now) or picture.trail(robot, "dwm/pose", TRAIL_S, now)
 
 
-async def _play(recording: Recording, socket: web.WebSocketResponse) -> None:
+async def _play(recording: ViewedRecording, socket: web.WebSocketResponse) -> None:
     """Answer a page that goes through a recording at its own pace."""
     swarm = (_swarm(recording, None) or {"kind": recording.kind, "robots": list(recording.robots), "edges": []}) | {
         "recording": {"first": recording.first, "last": recording.last, "damage": recording.damage}
@@ -229,7 +229,7 @@ def _target(config: Config) -> dict[str, Any] | None:
     return {"name": "target's start" if config.simulation.moving else "target", "x": x, "y": y}
 
 
-def _answer(feed: Live, control: Control | None, asked: Any) -> Answer:
+def _answer(feed: LiveFeed, control: Control | None, asked: Any) -> Answer:
     """The answer to what a page asks: the history of a key, or an act."""
     try:
         if "do" in asked:

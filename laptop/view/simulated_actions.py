@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from laptop.cli import hand
-from laptop.view.feed import Simulation
+from laptop.view.feed import SimulationFeed
 from laptop.view.robot_actions import PageAction, cut, named
 from sim.control import app_requests, send_action
 from sim.core.actions import Lay, Press, Push
@@ -16,7 +16,7 @@ PRESS_S = 0.3
 class SimulatedActions:
     """Done at once, by the simulation."""
 
-    def __init__(self, feed: Simulation) -> None:
+    def __init__(self, feed: SimulationFeed) -> None:
         self._feed = feed
         self.acts: Mapping[str, PageAction] = {
             "press": self._press,

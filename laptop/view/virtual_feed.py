@@ -11,7 +11,7 @@ from laptop.view.feed import Publisher
 from laptop.view.picture import Picture
 from sim.quantities import FASTEST, SLOWEST
 from sim.virtual.bus import VirtualBus
-from sim.virtual.world import World
+from sim.virtual.world import VirtualWorld
 from swarm import clock
 from swarm.config.types import Config
 from swarm.messages.keys import parse
@@ -37,12 +37,12 @@ LAST_S = 0.2
 """s of virtual time until everybody has told how the run has ended."""
 
 
-class Live:
+class VirtualFeed:
     """Watches a world until closed."""
 
     kind = "virtual"
 
-    def __init__(self, world: World, config: Config, speed: float) -> None:
+    def __init__(self, world: VirtualWorld, config: Config, speed: float) -> None:
         """`speed`: s of virtual time a second; infinity: as fast as it computes."""
         self.picture = Picture()
         self.lock = threading.Lock()

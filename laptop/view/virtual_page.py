@@ -6,21 +6,21 @@ import sys
 from collections.abc import Callable
 
 from laptop.cli.runs.view import announce
-from laptop.view.virtual_feed import Live
+from laptop.view.virtual_feed import VirtualFeed
 from sim.options import Options
-from sim.report import Outcome
+from sim.report import RunOutcome
 from sim.scenario import Scenario
-from sim.virtual.run import Run
+from sim.virtual.run import VirtualRun
 from swarm.errors import LocalError
 
 
-def watched(run: Run, plan: Scenario, options: Options, tell: Callable[[Outcome], int]) -> int:
+def watched(run: VirtualRun, plan: Scenario, options: Options, tell: Callable[[RunOutcome], int]) -> int:
     """Run, and serve the page until interrupted. `tell(outcome)` reports the run at its end; its exit code is ours."""
     try:
         from laptop.view import server
     except ModuleNotFoundError as error:
         raise LocalError(f"--view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
-    feed = Live(run.world, plan.config, 1.0 if options.speed is None else options.speed)
+    feed = VirtualFeed(run.world, plan.config, 1.0 if options.speed is None else options.speed)
 
     async def main() -> int:
         ended = asyncio.Event()
@@ -28,7 +28,7 @@ def watched(run: Run, plan: Scenario, options: Options, tell: Callable[[Outcome]
             asyncio.get_running_loop().add_signal_handler(number, ended.set)
         codes: list[int] = []
 
-        def go() -> Outcome:
+        def go() -> RunOutcome:
             outcome = run.go()
             feed.ended()
             return outcome

@@ -10,14 +10,14 @@ import hashlib
 import os
 
 from services.apps import loader, topology
-from services.apps.claim import Claim
+from services.apps.claim import AppLock
 from services.apps.equipment import equip
 from services.apps.event_host import EventHost
 from services.apps.event_runner import EventRunner
 from services.apps.host import LockstepHost, Part
 from services.apps.lockstep_driver import Place
 from services.apps.measurements import source_of
-from services.apps.recording import Recording, place_of
+from services.apps.recording import AppRecording, place_of
 from services.apps.runner import Runner
 from services.apps.storage import FileStorage
 from swarm.app import run_options
@@ -60,11 +60,11 @@ def main() -> int:
             instance = app.make(links.config, service.robot, seed)
         overlays = equip(instance.robot, service.bus, service.log)
         storage = FileStorage(service.runtime)
-        claim = Claim(service.runtime, app.name)
+        claim = AppLock(service.runtime, app.name)
         if not links.kept:
             topology.save(service.runtime, app.name, number, links)
         folder = place_of(app.name, number, wanted=options.record)
-        recording = Recording(service, app, number, seed, folder, options.settings) if folder is not None else None
+        recording = AppRecording(service, app, number, seed, folder, options.settings) if folder is not None else None
         recorder = None
         if recording is not None:
             recorder = recording.recorder
@@ -138,7 +138,7 @@ def _number(name: str, text: str, base: int) -> int:
     return number
 
 
-def _default_run(app: loader.App, config: Config, settings: list[Setting]) -> int:
+def _default_run(app: loader.LoadedApp, config: Config, settings: list[Setting]) -> int:
     """By the sources of app and config, and by what is set: robots that differ in these are not in one run."""
     text = app.digest + config.path.read_bytes() + "".join(map(repr, settings)).encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")

@@ -6,7 +6,7 @@ the disk loses later takes nothing away. Where both are damaged the robot has lo
 """
 
 from services.apps.slots import SlotFile
-from swarm.core.epoch_notes import Epoch, Kept
+from swarm.core.epoch_notes import Epoch, SavedEpochs
 from swarm.errors import LocalError, PayloadError
 from swarm.files import atomic_write, make_folder
 from swarm.messages import AppEpoch
@@ -35,7 +35,7 @@ class BallotFile:
         self.lost = False
         """Whether the file was damaged when it was read: nobody knows any more what this robot has voted."""
 
-    def read(self) -> Kept | None:
+    def read(self) -> SavedEpochs | None:
         """Return what was kept last; None where that is nothing, or is `lost`."""
         whole = self._slots.read()
         self.lost = not whole
@@ -44,12 +44,12 @@ class BallotFile:
         if len(whole) < _COPIES or len(set(whole)) > 1:
             self._write(whole[-1])  # one copy was torn or has decayed since: what is gone on with is there twice
         try:
-            return decode(Kept, whole[-1], str(self._path)) if whole[-1] else None
+            return decode(SavedEpochs, whole[-1], str(self._path)) if whole[-1] else None
         except PayloadError:
             self.lost = True
             return None
 
-    def write(self, kept: Kept) -> None:
+    def write(self, kept: SavedEpochs) -> None:
         """Keep this instead, on the disk. Raises `LocalError` where that is impossible."""
         self._write(encode(kept))
 

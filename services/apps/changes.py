@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from swarm.app.sync_app import App
+from swarm.app.sync_app import BaseApp
 from swarm.errors import AppError, PayloadError
 from swarm.files import atomic_write
 from swarm.frozen import frozen
@@ -34,7 +34,7 @@ class Changes:
         self,
         runtime: Runtime,
         name: str,
-        app: App,
+        app: BaseApp,
         change: Callable[[Mapping[str, Value]], None],
         path: Path | None,
         run: int,
@@ -108,7 +108,7 @@ class Changes:
         return kept.parameters if kept.run == self._run else {}
 
 
-def in_force(app: App, now: float) -> AppParameters:
+def in_force(app: BaseApp, now: float) -> AppParameters:
     """An app's parameters as they are now, and what they may be."""
     told = app.told_parameters()
     return AppParameters(

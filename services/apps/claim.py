@@ -13,7 +13,7 @@ from swarm.errors import LocalError
 _DIGITS = 20  # of 2**64; a fixed width is overwritten by one small write, which a kill does not tear
 
 
-class Claim:
+class AppLock:
     """Holds `RUNTIME/app.<name>.lock` until closed."""
 
     def __init__(self, runtime: Path, app: str) -> None:

@@ -58,10 +58,10 @@ class DrivingApp(PeriodicApp):
         if pose.heading is None:
             self.robot.drive(SEEK_SPEED, SEEK_TURN)
             return
-        here = unicycle.Pose(pose.x, pose.y, pose.heading)
+        here = unicycle.UnicyclePose(pose.x, pose.y, pose.heading)
         barrier = Barrier(self.apart)
         speed, turn = unicycle.drive(
-            here, wish, list(self.others().values()), barrier, unicycle.Limits(speed=self.speed)
+            here, wish, list(self.others().values()), barrier, unicycle.UnicycleLimits(speed=self.speed)
         )
         self._velocity = (speed * math.cos(here.heading), speed * math.sin(here.heading))
         self.robot.drive(speed, turn)

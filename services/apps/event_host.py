@@ -16,17 +16,17 @@ from services.apps.device_claims import DeviceClaims
 from services.apps.event_runner import EventRunner, place_of, version
 from services.apps.host import LockstepHost, Part
 from services.apps.lockstep_driver import CLOSE_WITHIN, Place
-from services.apps.observer import Line, Observer
+from services.apps.observer import Observer, StepRecord
 from services.apps.runner import Runner
 from services.apps.storage import Storage
 from services.apps.topology import of_edges
 from swarm.app.devices import Devices
-from swarm.app.event_app import Channel as ChannelView
+from swarm.app.event_app import ChannelView as ChannelView
 from swarm.app.event_app import channels_of
 from swarm.app.overlays import Message, Overlays
 from swarm.app.robot import Robot
 from swarm.config import Config
-from swarm.core.asynchronous import HANG, Asynchronous, Call, Publish
+from swarm.core.asynchronous import HANG, Asynchronous, HandlerCall, Publish
 from swarm.core.lockstep_frames import Channel
 from swarm.errors import FrameError, SwarmError
 from swarm.messages import AppProgress, AppState, Topology
@@ -230,7 +230,7 @@ class EventHost:
         for action in self._core.actions():
             if type(action) is Publish:
                 self._bus.publish(self._latest, action.data, urgent=True)
-            elif type(action) is Call:
+            elif type(action) is HandlerCall:
                 # Not from within a handler: what it does may lead to the next call.
                 self._runtime.soon(self._call, action)
         self._plan()
@@ -241,14 +241,14 @@ class EventHost:
             self._timer = deadline
             self._runtime.at(deadline, self._handle_timer, deadline)
 
-    def _call(self, call: Call) -> None:
+    def _call(self, call: HandlerCall) -> None:
         if not self._core.failure and not self._closed:
             self._take_channels()
             known = self._core.known(self._runtime.now)
             job = partial(self.runner.call, call, self._core.k, known)
             self._worker.run(job, partial(self._returned, call), self._app_failed)
 
-    def _returned(self, call: Call, own: bytes) -> None:
+    def _returned(self, call: HandlerCall, own: bytes) -> None:
         core, runner, now = self._core, self.runner, self._runtime.now
         self._changed_at = now
         if call.handler in ("start", "on_parameter"):
@@ -274,7 +274,7 @@ class EventHost:
             self._observer.progressed(self)
         self._recorded = k
         try:
-            line = Line(k, self._changed_at, self.runner.state(), self.runner.result())
+            line = StepRecord(k, self._changed_at, self.runner.state(), self.runner.result())
         except SwarmError as error:
             self._app_failed(error)
             return

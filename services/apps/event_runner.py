@@ -1,4 +1,4 @@
-"""One event-driven or periodic app between packed bytes: a `Call` of the core becomes a call of the author's handler.
+"""One event-driven or periodic app between packed bytes: a `HandlerCall` of the core calls the author's handler.
 
 No IO and no clock. Whatever the author's code raises comes out as one `AppError` that names robot, step, file, line and
 fault.
@@ -10,7 +10,7 @@ from typing import Any
 
 from services.apps.runner import AppRunner
 from swarm.app.event_app import EventApp, PeriodicApp
-from swarm.core.asynchronous import Call, Known
+from swarm.core.asynchronous import HandlerCall, NeighbourState
 from swarm.core.graph import Graph
 from swarm.errors import AppError, FrameError
 from swarm.messages.codec import Value
@@ -57,7 +57,7 @@ class EventRunner(AppRunner):
         """Other links are in force, from the next handler on: neighbours and weights follow from them."""
         self._graph = graph
 
-    def call(self, call: Call, k: int, known: Sequence[Known]) -> bytes:
+    def call(self, call: HandlerCall, k: int, known: Sequence[NeighbourState]) -> bytes:
         """Let the app handle an event at step `k`; returns its state, packed. Takes as long as the author's code does.
 
         `known` are the neighbours' newest states.
@@ -87,7 +87,7 @@ class EventRunner(AppRunner):
             raise AppError(f"{self._where(where)}: it returned {answer!r}; a handler assigns to the state instead")
         return self._packed(where)
 
-    def _views(self, known: Sequence[Known]) -> dict[Any, Any]:
+    def _views(self, known: Sequence[NeighbourState]) -> dict[Any, Any]:
         view, unpack = type(self.app).spec.view, self.schema.unpack
         views = {}
         for name, data, age in known:
@@ -115,6 +115,6 @@ def version(app: EventApp, digest: bytes) -> int:
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")
 
 
-def place_of(call: Call, k: int) -> str:
+def place_of(call: HandlerCall, k: int) -> str:
     """A call in words: handler and step."""
     return f"step {k}" if call.handler == "step" else f"{call.handler}() at k = {k}"

@@ -14,7 +14,7 @@ from services.apps.measurements import Measurements
 from services.apps.observer import Observer
 from services.apps.runner import Runner
 from services.apps.storage import Storage
-from services.apps.topology import Watch
+from services.apps.topology import TopologyWatch
 from swarm.core.epoch_actions import EpochRequest
 from swarm.core.lockstep import Advanced, Channel
 from swarm.core.lockstep_actions import address_of
@@ -86,7 +86,7 @@ class LockstepHost:
         for channel, runner, measurements in parts:
             schema = schema_of(runner, channel, place.digest)
             terms = Terms(run, schema, options.last, options.rule, options.drop, options.after)
-            watch = Watch(neighbours, partial(runtime.log.warning, "%s"))
+            watch = TopologyWatch(neighbours, partial(runtime.log.warning, "%s"))
             driver = LockstepDriver(
                 *(runtime, app, channel, runner, terms, place, storage, watch, measurements, observer, self._changed)
             )

@@ -14,7 +14,7 @@ from types import ModuleType
 from services.apps.runner import describe
 from swarm.app.event_app import EventApp, PeriodicApp, channels_of
 from swarm.app.robot import Robot
-from swarm.app.sync_app import App as AnyApp
+from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
 from swarm.errors import AppError
@@ -39,7 +39,7 @@ BUILT_IN = (
 
 
 @frozen
-class App:
+class LoadedApp:
     """An app that was found: one class, or one for each algorithm."""
 
     name: str
@@ -80,7 +80,7 @@ class App:
             raise AppError(f"app {self.name}: {odd[0]} runs another algorithm than {config.names[0]}")
 
 
-def load(name_or_file: str) -> App:
+def load(name_or_file: str) -> LoadedApp:
     """Find an app: a built-in name, or the path of a Python file that defines one."""
     if name_or_file in BUILT_IN:
         module = importlib.import_module(f"services.apps.{name_or_file}")
@@ -114,7 +114,7 @@ def _import(path: Path) -> ModuleType:
     return module
 
 
-def _app(name: str, path: Path, module: ModuleType) -> App:
+def _app(name: str, path: Path, module: ModuleType) -> LoadedApp:
     digest = hashlib.blake2b(digest_size=16)
     for file in sorted(path.parent.glob("*.py")) if path.name == "__init__.py" else [path]:
         digest.update(file.read_bytes())
@@ -138,4 +138,4 @@ def _app(name: str, path: Path, module: ModuleType) -> App:
         )
     else:
         raise AppError(f"{path} defines no app: expected one class derived from {KINDS} (docs/apps.md)")
-    return App(name, str(path), algorithms, digest.digest())
+    return LoadedApp(name, str(path), algorithms, digest.digest())

@@ -10,13 +10,13 @@ from services.apps.ballots import told
 from services.apps.core.lockstep_run import ALONE, LockstepRun, Renew
 from services.apps.core.terms import Terms
 from services.apps.measurements import Measurements
-from services.apps.observer import Line, Observer
+from services.apps.observer import Observer, StepRecord
 from services.apps.runner import Runner
 from services.apps.storage import Storage
-from services.apps.topology import Watch
+from services.apps.topology import TopologyWatch
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
-from swarm.core.epoch_actions import EpochRequest, Keep, Switch, Tell
+from swarm.core.epoch_actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epoch_notes import LOST, Epoch, first
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
@@ -72,7 +72,7 @@ class LockstepDriver:
         terms: Terms,
         place: Place,
         storage: Storage,
-        watch: Watch,
+        watch: TopologyWatch,
         measurements: Measurements | None,
         observer: Observer | None,
         on_change: Callable[[], None],
@@ -289,11 +289,11 @@ class LockstepDriver:
             elif type(action) is Compute:
                 # Not from within: a robot without neighbours would never come back.
                 self._runtime.soon(self._compute, action)
-            elif type(action) is Keep:
+            elif type(action) is SaveEpochs:
                 self._keep(self._votes.write, action.kept)
-            elif type(action) is Tell:
+            elif type(action) is SendToNeighbours:
                 self._bus.publish(self._notes, action.data, urgent=True)
-            elif type(action) is Switch:
+            elif type(action) is SwitchEpoch:
                 self._switched(action.epoch)
             elif type(action) is Renew:
                 self._runtime.soon(self._measure, action.epoch.k, partial(self._renew, action.epoch))
@@ -322,11 +322,15 @@ class LockstepDriver:
     def _advanced(self, news: Advanced) -> None:
         begun = self.latest is not None
         self.latest = news
+        if not begun:
+            self._on_change()  # only now: after a reboot there is no state before the next epoch
         if self._observer is not None:
             if not begun:
                 self._observer.progressed(self)
             try:
-                line = Line(news.k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured)
+                line = StepRecord(
+                    news.k, self.run.computed_at, self.runner.state(), self.runner.result(), self._measured
+                )
             except SwarmError as error:
                 self._app_failed(error)
                 return

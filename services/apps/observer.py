@@ -8,7 +8,7 @@ from swarm.messages import AppEpoch, AppParameters, AppProgress, Measurement
 from swarm.messages.codec import Value
 
 
-class Line(NamedTuple):
+class StepRecord(NamedTuple):
     """One iteration, step or event of an app on one robot, and what it has come to."""
 
     k: int
@@ -47,7 +47,7 @@ class Source(Protocol):
 class Observer(Protocol):
     """Who is told."""
 
-    def advanced(self, source: Source, line: Line) -> None:
+    def advanced(self, source: Source, line: StepRecord) -> None:
         """The app has done an iteration, a step or an event."""
 
     def progressed(self, source: Source) -> None:

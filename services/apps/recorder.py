@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from services.apps.observer import Line, Source
+from services.apps.observer import Source, StepRecord
 from swarm.messages import AppEpoch, AppParameters, AppProgress, Measurement
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
@@ -27,7 +27,7 @@ class Recorder:
         self._prefix = key(robot, f"app/{app}")
         self._app = app
 
-    def advanced(self, source: Source, line: Line) -> None:
+    def advanced(self, source: Source, line: StepRecord) -> None:
         """See `Observer`."""
         if line.measurement is not None:
             self.measurement(line.k - 1, line.t, line.measurement)

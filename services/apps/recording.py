@@ -15,18 +15,24 @@ from swarm.recording import folder
 from swarm.recording.budget import Budget
 from swarm.recording.file import RecordingFile
 from swarm.recording.reader import CLOCK, EPOCH, RUN, SUFFIX, run_of
-from swarm.recording.recorded_topics import Watch
+from swarm.recording.recorded_topics import TopicRecorder
 
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 """Names the machine's clock, which began when the machine did. Robots' services do not see it (ProcSubset of
 systemd)."""
 
 
-class Recording:
+class AppRecording:
     """The recording of one app's process; a context. Losing it does not stop the app: it is logged once and counted."""
 
     def __init__(
-        self, service: Service, app: loader.App, run: int, seed: int, place: Path, settings: Sequence[Setting] = ()
+        self,
+        service: Service,
+        app: loader.LoadedApp,
+        run: int,
+        seed: int,
+        place: Path,
+        settings: Sequence[Setting] = (),
     ) -> None:
         """`place`: the run's folder. A file of this run that an earlier process has left is gone on with. `settings`
         were above the configuration."""
@@ -56,7 +62,7 @@ class Recording:
         self._file.metadata(RUN, entries | own)
         self._file.flush()  # whatever comes now: the next process finds which run this is of
         self.recorder = Recorder(self._file, service.robot, app.name)
-        self.watch = Watch(service.bus, service.robot, app.name, self._file, clock.now)
+        self.watch = TopicRecorder(service.bus, service.robot, app.name, self._file, clock.now)
         """What the robot's other services say meanwhile."""
         self._file.feed = self.watch.drain
         self._file.watched = self._tell

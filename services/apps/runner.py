@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeVar
 
 from swarm.app.run_options import TOLERANCE
-from swarm.app.sync_app import App, SyncApp
+from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.core.graph import Graph
 from swarm.core.state import pack_private, unpack_private
 from swarm.errors import AppError, LocalError
@@ -25,7 +25,7 @@ class AppRunner:
 
     __slots__ = ("_columns", "app", "k", "schema", "source")
 
-    def __init__(self, app: App, source: str) -> None:
+    def __init__(self, app: BaseApp, source: str) -> None:
         """`source`: path of the app's file; a fault is reported with the line in it."""
         self.app = app
         self.schema = type(app).spec.schema

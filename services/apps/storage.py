@@ -5,7 +5,7 @@ from typing import Protocol
 
 from services.apps.ballots import BallotFile
 from services.apps.snapshot import SnapshotFile
-from swarm.core.epoch_notes import Kept
+from swarm.core.epoch_notes import SavedEpochs
 from swarm.core.lockstep_frames import Snapshot
 
 
@@ -28,10 +28,10 @@ class Votes(Protocol):
     lost: bool
     """Whether what was kept is damaged, once it was read."""
 
-    def read(self) -> Kept | None:
+    def read(self) -> SavedEpochs | None:
         """What was kept last."""
 
-    def write(self, kept: Kept) -> None:
+    def write(self, kept: SavedEpochs) -> None:
         """Keep this instead. Raises `SwarmError` where that is impossible."""
 
     def close(self) -> None:

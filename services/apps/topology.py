@@ -41,7 +41,7 @@ SETTLED = 5.0
 _log = logging.getLogger("topology")
 
 
-class Links(NamedTuple):
+class RunLinks(NamedTuple):
     """Who is linked with whom in a run."""
 
     config: Config
@@ -61,7 +61,7 @@ class _Kept:
     edges: tuple[tuple[str, ...], ...]
 
 
-def of_run(service: Service, app: str, run: int) -> Links | None:
+def of_run(service: Service, app: str, run: int) -> RunLinks | None:
     """The links of a run; waits for the mesh where they are not known yet. None = told to stop."""
     config = service.config
     if (kept := _load(_path(service.runtime, app), run)) is not None:
@@ -106,7 +106,7 @@ def lacking(config: Config, topology: Topology, now: float) -> str:
     return ""
 
 
-def save(runtime: Path, app: str, run: int, links: Links) -> None:
+def save(runtime: Path, app: str, run: int, links: RunLinks) -> None:
     """Keep the links for the later processes of the run; `LocalError` where that cannot be."""
     path = _path(runtime, app)
     try:
@@ -115,7 +115,7 @@ def save(runtime: Path, app: str, run: int, links: Links) -> None:
         raise LocalError(f"{path}: {error.strerror}") from None
 
 
-class Watch:
+class TopologyWatch:
     """What the mesh's topology and other hosts' epochs mean for a run that goes on."""
 
     def __init__(self, neighbours: Iterable[str], on_lost: Callable[[str], None]) -> None:
@@ -185,11 +185,11 @@ def _load(path: Path, run: int) -> tuple[tuple[str, ...], ...] | None:
     return kept.edges if kept.run == run else None
 
 
-def of_edges(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool = False) -> Links:
+def of_edges(config: Config, edges: tuple[tuple[str, ...], ...], *, kept: bool = False) -> RunLinks:
     """A run's links where these are in force."""
     pairs = Graph(config.names, _pairs(edges)).edges
     epoch = CONFIGURED if pairs == config.edges else zlib.crc32(repr(pairs).encode()) or 1
-    return Links(replace(config, edges=pairs), epoch, kept)
+    return RunLinks(replace(config, edges=pairs), epoch, kept)
 
 
 def _pairs(edges: tuple[tuple[str, ...], ...]) -> list[tuple[str, str]]:

@@ -13,10 +13,10 @@ from services.balancer.core.battery import EMPTY, LOW, OK, BatteryGuard
 from services.balancer.core.body import BodyModel
 from services.balancer.core.choice import make_controller
 from services.balancer.core.controller import BALANCING, CALIBRATING, FAULT, IDLE, STARTING
-from services.balancer.core.estimator import Estimate, Estimator
-from services.balancer.core.faults import Fault
+from services.balancer.core.estimator import BodyEstimate, Estimator
+from services.balancer.core.faults import MotorFault
 from services.balancer.core.gyro import GyroZero, Zero
-from services.balancer.core.leds import Claim, Shown, shown
+from services.balancer.core.leds import LedClaim, Shown, shown
 from services.balancer.core.posture import at_rest, posture
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
@@ -61,21 +61,21 @@ class Balancer:
         self._estimator: Estimator | None = None
         self._wish = start_mode
         self._connected = False
-        self._unreachable: Fault | None = None
+        self._unreachable: MotorFault | None = None
         self._retry_at = 0.0
         self._errors_in_row = 0
-        self._claim = Claim()
+        self._claim = LedClaim()
         self._leds: Shown | None = None
         self._leds_again_at = 0.0
         self.notices: deque[tuple[str, str]] = deque(maxlen=8)
         """What happened and is no fault, as (about what, text), for who asks next."""
-        self.estimate: Estimate | None = None
+        self.estimate: BodyEstimate | None = None
         self.duty = (0.0, 0.0)
         self.battery: float | None = None
         """V."""
         self.firmware: tuple[int, int] | None = None
         """Layout and revision of the ATmega's; None before it was found."""
-        self.motion = balboa.Motion(0, 0, 0, False)
+        self.motion = balboa.MotionBlock(0, 0, 0, False)
         """Counters and buttons of the last tick."""
         self._bus_errors = 0
 
@@ -109,7 +109,7 @@ class Balancer:
         return CALIBRATING if self._connected else STARTING
 
     @property
-    def fault(self) -> Fault | None:
+    def fault(self) -> MotorFault | None:
         """Why the motors are off; None when there is no fault."""
         return self._controller.fault or self._unreachable
 
@@ -197,7 +197,7 @@ class Balancer:
     def stop(self, reason: str) -> bool:
         """Motors off until the next command; True where that is new."""
         self._wish = "rest"
-        return self._controller.fail(Fault(faults.STOPPED, f"stopped: {reason}"))
+        return self._controller.fail(MotorFault(faults.STOPPED, f"stopped: {reason}"))
 
     def step(self, now: float) -> None:
         """One tick: read, estimate, decide, command the motors. Bus failures end up in `fault`, not here."""
@@ -231,7 +231,7 @@ class Balancer:
             self.notices.append(("battery", f"low: {volts}, the robot lies down at {self._guard.limit:.1f} V"))
         elif self._guard.level == EMPTY:
             self._wish = "rest"
-            self._controller.lie_down(now, Fault(faults.BATTERY, f"battery empty: {volts}"))
+            self._controller.lie_down(now, MotorFault(faults.BATTERY, f"battery empty: {volts}"))
 
     def show_leds(self, now: float) -> bool:
         """Write the LEDs as they shall be at `now`, where they changed, and now and then; for the slack.
@@ -274,7 +274,7 @@ class Balancer:
             raise LocalError("mode calibrate: the robot must be at rest, this one is moving")
         self._zero = GyroZero(settle_s=0.0)
 
-    def _seek_zero(self, search: GyroZero, reading: imu.Reading, now: float) -> None:
+    def _seek_zero(self, search: GyroZero, reading: imu.ImuReading, now: float) -> None:
         restarts = search.restarts
         zero = search.add(reading, now)
         if zero is not None:
@@ -340,7 +340,7 @@ class Balancer:
         self.motors_off()
 
 
-def _described(error: OSError | RemoteError) -> Fault:
+def _described(error: OSError | RemoteError) -> MotorFault:
     if isinstance(error, OSError):
-        return Fault(faults.BUS, f"I2C, {error.filename}: {error.strerror} (error {error.errno})")
-    return Fault(faults.DEVICE, str(error))
+        return MotorFault(faults.BUS, f"I2C, {error.filename}: {error.strerror} (error {error.errno})")
+    return MotorFault(faults.DEVICE, str(error))

@@ -17,7 +17,7 @@ import sys
 import threading
 
 from services.balancer.bus_side import BusSide
-from services.balancer.core.inbox import Inbox, Waiting
+from services.balancer.core.inbox import Inbox, WaitingCommand
 from services.balancer.core.screen import Composer
 from services.balancer.link import MAX_DATAGRAM, Command, Message, pack, pack_command, unpack
 from swarm import clock
@@ -37,7 +37,7 @@ _COMMANDS_A_TURN = 8
 """As many as the loop takes in a tick (`services.balancer.child`)."""
 
 
-class Relay:
+class _Relay:
     """Both directions between the loop's socket and the bus."""
 
     def __init__(self, service: Service, loop: socket.socket, stops: socket.socket) -> None:
@@ -123,7 +123,7 @@ class Relay:
         """A command, on Zenoh's thread: aside with it."""
         with self._lock:
             first = not self._inbox
-            self._inbox.put(Waiting(name, payload, clock.now()))
+            self._inbox.put(WaitingCommand(name, payload, clock.now()))
         if first:
             os.eventfd_write(self._wake, 1)
 
@@ -152,7 +152,7 @@ def main() -> None:
     except (ValueError, OSError):
         raise LocalError("the bridge is started by `python -m services.balancer`, not by hand") from None
     with contextlib.closing(loop), contextlib.closing(stops), Service("balancer") as service:
-        Relay(service, loop, stops).run()
+        _Relay(service, loop, stops).run()
 
 
 if __name__ == "__main__":

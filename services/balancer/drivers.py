@@ -39,7 +39,7 @@ class Imu:
             raise
         imu.check_setup(self._fetch(imu.CTRL1_XL, len(imu.SETUP)))
 
-    def read(self) -> imu.Reading:
+    def read(self) -> imu.ImuReading:
         """One sample of both sensors, in one burst."""
         try:
             self.block = self._read()
@@ -80,7 +80,7 @@ class Balboa:
         """Point at `offset`: from now on reads are of the values at this moment."""
         self._write_surely(bytes((offset,)))
 
-    def fetch_motion(self) -> balboa.Motion:
+    def fetch_motion(self) -> balboa.MotionBlock:
         """Encoders, buttons and the watchdog's state, after `select(ENCODERS)`."""
         try:
             data = self._fetch(balboa.MOTION_SIZE)

@@ -14,7 +14,7 @@ from services.balancer.core import imu
 from services.balancer.core.balboa import PAUSE_S
 from services.balancer.core.buttons import ButtonCounter
 from services.balancer.core.display import ADDRESS, Screen, ScreenText
-from services.balancer.core.health import Health
+from services.balancer.core.health import BoardHealth
 from services.balancer.core.mailbox import Mailbox
 from services.balancer.core.rates import RateMeter
 from services.balancer.core.transfers import SlackTask, Transfer, duration
@@ -43,7 +43,7 @@ class SlackTasks:
         now = clock()
         self._uwb = UwbReader(now)
         self._mailbox = Mailbox()
-        self._health = Health(now)
+        self._health = BoardHealth(now)
         self._player = Player()
         self._screen = Screen(now)
         self._order: tuple[SlackTask, ...] = (self._player, self._uwb, self._mailbox, self._health, self._screen)

@@ -1,7 +1,7 @@
 """The dwm process of one robot: `python -m services.dwm`."""
 
 from services.dwm import balancer_block, replay, serial_port
-from services.dwm.source import Balancer, Replay, parse_source
+from services.dwm.source import BalancerSource, Replay, parse_source
 from swarm.process.service import Service, run
 from swarm.recording.thesis_ranges import read_recording
 
@@ -13,7 +13,7 @@ def main() -> None:
         if isinstance(source, Replay):
             index = service.config.names.index(service.robot)
             replay.serve(service, read_recording(source.directory, index))
-        elif isinstance(source, Balancer):
+        elif isinstance(source, BalancerSource):
             balancer_block.serve(service)
         else:
             serial_port.serve(service, source.path)

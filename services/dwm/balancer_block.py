@@ -4,9 +4,9 @@ import queue
 
 from services.dwm.core.block import Block
 from services.dwm.core.calls import call_of
-from services.dwm.core.poller import Health
+from services.dwm.core.poller import ModuleHealth
 from services.dwm.localizer import Localizer
-from services.dwm.requests import Requests
+from services.dwm.requests import ModuleRequests
 from swarm import clock
 from swarm.errors import FrameError, PayloadError
 from swarm.messages import ModuleAnswer, Uwb, read
@@ -33,7 +33,7 @@ def serve(service: Service) -> None:
             arrived.put(message)
 
     bus.subscribe((key(robot, "balancer", "uwb"), key(robot, "balancer", "module")), take)
-    requests = Requests(service, lambda: arrived.put(None), repeats=True)
+    requests = ModuleRequests(service, lambda: arrived.put(None), repeats=True)
     block, localizer = Block(clock.now()), Localizer(service, clock.now())
     service.ready()
     while not service.stopping.is_set():
@@ -47,16 +47,16 @@ def serve(service: Service) -> None:
             requests.answer(message.ticket, message.answer, message.problem)
             continue
         for event in block.handle_timer(now) if message is None else block.receive(message, now):
-            if isinstance(event, Health) and event.working:
+            if isinstance(event, ModuleHealth) and event.working:
                 service.ready()
-            elif isinstance(event, Health):
+            elif isinstance(event, ModuleHealth):
                 service.degraded(event.reason)
             else:
                 localizer.report(event.location, now - event.age)
         service.watchdog()
 
 
-def _pass_on(service: Service, requests: Requests) -> None:
+def _pass_on(service: Service, requests: ModuleRequests) -> None:
     """Requests go to the balancer under the same ticket; only calls that are let through."""
     for request in requests.new():
         try:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from services.dwm.core import calls
 from services.dwm.core.calls import UWB_ACTIVE, ModuleStatus, Settings, UpdateRate, Version
 from services.dwm.core.tlv import Position
-from services.dwm.line import Line, restart
+from services.dwm.line import ModuleConnection, restart
 from swarm.config.types import Config
 from swarm.frozen import frozen
 
@@ -33,7 +33,7 @@ class ModuleInfo:
 
 
 @frozen
-class Wish:
+class DesiredModule:
     """How a module shall be."""
 
     anchor: bool
@@ -44,7 +44,7 @@ class Wish:
     """Of an anchor; None = as it is."""
 
 
-def inspect(line: Line) -> ModuleInfo:
+def inspect(line: ModuleConnection) -> ModuleInfo:
     """Ask for everything; raises `NoAnswerError`."""
     version = line.ask(calls.VER_GET)
     return ModuleInfo(
@@ -57,7 +57,7 @@ def inspect(line: Line) -> ModuleInfo:
     )
 
 
-def wish_of(config: Config | None, address: str) -> Wish | None:
+def wish_of(config: Config | None, address: str) -> DesiredModule | None:
     """How the module of this address shall be by swarm.toml; None where the file does not know it.
 
     A robot that serves as an anchor at a place of its own is in [[anchors]], too.
@@ -68,13 +68,13 @@ def wish_of(config: Config | None, address: str) -> Wish | None:
     robot = config.robots_by_module.get(address)
     if robot is not None:
         anchor = config.robot(robot).uwb_role == "anchor"
-        return Wish(anchor, place=places.get(address) if anchor else None)
+        return DesiredModule(anchor, place=places.get(address) if anchor else None)
     if address in places:
-        return Wish(True, place=places[address])
-    return Wish(True) if address == config.dwm.target else None
+        return DesiredModule(True, place=places[address])
+    return DesiredModule(True) if address == config.dwm.target else None
 
 
-def wanted(settings: Settings, wish: Wish) -> Settings:
+def wanted(settings: Settings, wish: DesiredModule) -> Settings:
     """The settings that fulfil a wish; what it says nothing of stays (LEDs, Bluetooth, encryption)."""
     common = replace(settings, anchor=wish.anchor, uwb=UWB_ACTIVE, measurement=0)
     if wish.anchor:
@@ -83,7 +83,7 @@ def wanted(settings: Settings, wish: Wish) -> Settings:
     return replace(common, initiator=False, bridge=False, low_power=False, engine=True, stationary=False)
 
 
-def apply(line: Line, wish: Wish) -> list[str]:
+def apply(line: ModuleConnection, wish: DesiredModule) -> list[str]:
     """Set a module up; gives what was changed, in words. Nothing is written that is right already: flash wears out.
 
     Raises `NoAnswerError`, `LocalError` for what no module can be.
@@ -105,7 +105,7 @@ def apply(line: Line, wish: Wish) -> list[str]:
     return changes
 
 
-def unfulfilled(info: ModuleInfo, wish: Wish) -> list[str]:
+def unfulfilled(info: ModuleInfo, wish: DesiredModule) -> list[str]:
     """What of a wish is not so, in words."""
     missing = []
     settings = wanted(info.settings, wish)

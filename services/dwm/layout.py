@@ -9,7 +9,7 @@ from pathlib import Path
 from services.dwm import configure, survey
 from services.dwm.autoposition import Layout, Pair, align, locate
 from services.dwm.core.tlv import LOC_GET
-from services.dwm.line import Line
+from services.dwm.line import ModuleConnection
 from swarm.config import Config
 from swarm.errors import LocalError
 
@@ -20,7 +20,7 @@ POOR = 0.10
 def lay_out(
     args: argparse.Namespace,
     config: Config | None,
-    lines: Sequence[Line],
+    lines: Sequence[ModuleConnection],
     calibrate: survey.Calibrate,
     wait: Callable[[float], None],
 ) -> int:
@@ -62,7 +62,7 @@ def read(path: Path) -> dict[Pair, float]:
 def _measure(
     args: argparse.Namespace,
     anchors: Sequence[str],
-    lines: Sequence[Line],
+    lines: Sequence[ModuleConnection],
     calibrate: survey.Calibrate,
     wait: Callable[[float], None],
 ) -> dict[Pair, float]:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from services.dwm.core import calls, shell
-from services.dwm.core.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, Exchange, Trouble
-from services.dwm.core.tlv import Call
+from services.dwm.core.exchange import SLOW_TIMEOUT, TIMEOUT, Answer, ModuleExchange, Trouble
+from services.dwm.core.tlv import ModuleCall
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import LocalError, PayloadError, RemoteError
@@ -45,12 +45,12 @@ class NoAnswerError(RemoteError):
         self.trouble = trouble
 
 
-class Line(Protocol):
+class ModuleConnection(Protocol):
     """Something a module hangs on."""
 
     name: str
 
-    def ask(self, call: Call[T]) -> T:
+    def ask(self, call: ModuleCall[T]) -> T:
         """The answer; raises `NoAnswerError`."""
 
     def close(self) -> None:
@@ -75,26 +75,26 @@ class PortLine:
             # pyserial's own text repeats the path and the number
             raise LocalError(f"{path}: {os.strerror(error.errno) if error.errno else error}{hint}") from None
 
-    def ask(self, call: Call[T]) -> T:
-        """See `Line`."""
+    def ask(self, call: ModuleCall[T]) -> T:
+        """See `ModuleConnection`."""
         outcome = self._exchange(call)
         for _ in range(_ATTEMPTS - 1):
             if isinstance(outcome, Answer) or outcome.kind.startswith("refused"):
                 break
             if outcome.kind != "layout":
                 for _ in range(shell.LEAVE_TIMES):
-                    self._exchange(Call("leave the shell", shell.LEAVE, (), lambda _: None), TIMEOUT)
+                    self._exchange(ModuleCall("leave the shell", shell.LEAVE, (), lambda _: None), TIMEOUT)
             outcome = self._exchange(call)
         if isinstance(outcome, Trouble):
             raise NoAnswerError(outcome)
         return outcome.result
 
     def close(self) -> None:
-        """See `Line`."""
+        """See `ModuleConnection`."""
         self._port.close()
 
-    def _exchange(self, call: Call[T], timeout: float = SLOW_TIMEOUT) -> Answer[T] | Trouble:
-        exchange = Exchange(call)
+    def _exchange(self, call: ModuleCall[T], timeout: float = SLOW_TIMEOUT) -> Answer[T] | Trouble:
+        exchange = ModuleExchange(call)
         end = clock.now() + timeout
         try:
             self._port.reset_input_buffer()
@@ -121,8 +121,8 @@ class BusLine:
         self.bus = Bus.of(directory)
         self.bus.subscribe(key(robot, "dwm", "module"), self._take)
 
-    def ask(self, call: Call[T]) -> T:
-        """See `Line`."""
+    def ask(self, call: ModuleCall[T]) -> T:
+        """See `ModuleConnection`."""
         self._count += 1
         request = ModuleRequest(f"{self._prefix}-{self._count}", call.request)
         end = clock.now() + _PATIENCE
@@ -137,7 +137,7 @@ class BusLine:
         raise NoAnswerError(Trouble("silent", reason))
 
     def close(self) -> None:
-        """See `Line`."""
+        """See `ModuleConnection`."""
         self.bus.close()
 
     def _wait(self, ticket: str, end: float) -> ModuleAnswer | None:
@@ -157,8 +157,8 @@ class BusLine:
             return  # only a broken service could have sent it
 
 
-def _read(call: Call[T], answer: ModuleAnswer) -> T:
-    exchange = Exchange(call)
+def _read(call: ModuleCall[T], answer: ModuleAnswer) -> T:
+    exchange = ModuleExchange(call)
     outcome = exchange.receive(answer.answer) or exchange.expire()
     if isinstance(outcome, Answer):
         return outcome.result
@@ -167,7 +167,7 @@ def _read(call: Call[T], answer: ModuleAnswer) -> T:
     raise NoAnswerError(outcome)
 
 
-def restart(line: Line, patience: float = 6.0) -> None:
+def restart(line: ModuleConnection, patience: float = 6.0) -> None:
     """Reset the module and wait until it is there again; raises `NoAnswerError` where it is not."""
     line.ask(calls.RESET)
     end = clock.now() + patience

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from services.dwm.core import calibration_file
 from services.dwm.core.calibration import Calibration, RangeModel
-from services.dwm.core.diagnosis import Watch
+from services.dwm.core.diagnosis import DiagnosisWatch
 from services.dwm.core.motion import Increments
 from services.dwm.core.pipeline import Pipeline
 from services.dwm.core.tlv import Location
@@ -57,7 +57,7 @@ def known_modules(config: Config) -> dict[str, str]:
     return known
 
 
-class Host(Protocol):
+class _Host(Protocol):
     """What is used of the service: `swarm.process.service.Service` in a process."""
 
     config: Config
@@ -73,7 +73,7 @@ class Host(Protocol):
 class Localizer:
     """Turns a module's answers into `dwm/ranges` and `dwm/pose`."""
 
-    def __init__(self, service: Host, now: float) -> None:
+    def __init__(self, service: _Host, now: float) -> None:
         """Raises `ConfigError` where the robot's calibration does not fit."""
         config, robot = service.config, service.robot
         self._service = service
@@ -87,7 +87,7 @@ class Localizer:
         )
         # An anchor ranges to nobody, so its answers say nothing.
         is_tag = config.robot(robot).uwb_role == "tag"
-        self._watch = Watch(config.anchors, known_modules(config), now) if is_tag else None
+        self._watch = DiagnosisWatch(config.anchors, known_modules(config), now) if is_tag else None
         self._odometry: deque[Odometry] = deque(maxlen=_MAX_WAITING)
         self._increments = Increments()
         if kind in ("auto", "ekf"):

@@ -12,17 +12,17 @@ from swarm.messages import Measurement, Pose, Range, Ranges
 from swarm.messages.codec import encode
 from swarm.messages.keys import key
 from swarm.process.service import Service
-from swarm.recording.thesis_ranges import Recording
+from swarm.recording.thesis_ranges import ThesisRecording
 
 NOBODY = "0000"
 """Address under which the target is published where the config names none."""
 
 
 @frozen
-class Row:
+class _Row:
     """Row `k` of a recording as messages."""
 
-    recording: Recording
+    recording: ThesisRecording
     k: int
 
     def measurement(self) -> Measurement:
@@ -37,7 +37,7 @@ class Row:
         return Ranges(now, self.k, (item,)), Pose(now, self.k, x, y, None, 100, "recording")
 
 
-def serve(service: Service, recording: Recording) -> None:
+def serve(service: Service, recording: ThesisRecording) -> None:
     """Answer and publish rows until the service is to stop."""
     first_asked: queue.SimpleQueue[int] = queue.SimpleQueue()
     newest = -1
@@ -67,15 +67,15 @@ def serve(service: Service, recording: Recording) -> None:
             k = first_asked.get(timeout=0.25)  # a signal does not wake a queue: this bounds the time to stop
         except queue.Empty:
             continue
-        ranges, pose = Row(recording, k).published(target, clock.now())
+        ranges, pose = _Row(recording, k).published(target, clock.now())
         service.bus.publish(key(robot, "dwm", "ranges"), ranges)
         service.bus.publish(key(robot, "dwm", "pose"), pose)
 
 
-def row_of(recording: Recording, key: str, parameters: dict[str, str]) -> bytes | None:
+def row_of(recording: ThesisRecording, key: str, parameters: dict[str, str]) -> bytes | None:
     """Answer the query for a row; None where there is none."""
     k = _asked(parameters)
-    return None if k is None or k >= recording.steps else encode(Row(recording, k).measurement())
+    return None if k is None or k >= recording.steps else encode(_Row(recording, k).measurement())
 
 
 def _asked(parameters: dict[str, str]) -> int | None:

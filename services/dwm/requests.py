@@ -22,7 +22,7 @@ MAX_REQUEST = 255
 """Bytes: type, length and at most 253 of value."""
 
 
-class Requests:
+class ModuleRequests:
     """What is asked for and not yet answered."""
 
     def __init__(self, service: Service, wake: Callable[[], None], *, repeats: bool = False) -> None:

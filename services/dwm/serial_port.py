@@ -9,9 +9,9 @@ import termios
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.dwm.core.poller import Answered, Health, Poller
+from services.dwm.core.poller import Answered, ModuleHealth, Poller
 from services.dwm.localizer import Localizer
-from services.dwm.requests import Requests
+from services.dwm.requests import ModuleRequests
 from swarm import clock
 from swarm.errors import LocalError
 from swarm.process.service import Service
@@ -37,7 +37,7 @@ def serve(service: Service, path: Path) -> None:
         ) from None
     localizer = Localizer(service, clock.now())
     wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-    requests = Requests(service, lambda: os.eventfd_write(wake, 1))
+    requests = ModuleRequests(service, lambda: os.eventfd_write(wake, 1))
     pause = _FIRST_PAUSE
     service.ready()  # to serve; how the module does is told from here on
     while not service.stopping.is_set():
@@ -59,7 +59,7 @@ def serve(service: Service, path: Path) -> None:
         pause = min(pause * 2, _MAX_PAUSE)
 
 
-def _poll(service: Service, port: "serial.Serial", localizer: Localizer, requests: Requests, wake: int) -> None:
+def _poll(service: Service, port: "serial.Serial", localizer: Localizer, requests: ModuleRequests, wake: int) -> None:
     """Runs the poller until the service is to stop; raises `OSError` when the port goes away."""
     poller = Poller(service.config.dwm.rate, clock.now())
     port.reset_input_buffer()
@@ -80,7 +80,7 @@ def _poll(service: Service, port: "serial.Serial", localizer: Localizer, request
             port.write(data)
         service.watchdog()
         for event in poller.events():
-            if isinstance(event, Health):
+            if isinstance(event, ModuleHealth):
                 _tell(service, port.name, event)
             elif isinstance(event, Answered):
                 requests.answer(event.ticket, event.answer, event.problem)
@@ -88,7 +88,7 @@ def _poll(service: Service, port: "serial.Serial", localizer: Localizer, request
                 localizer.report(event.location, now)
 
 
-def _tell(service: Service, name: str | None, health: Health) -> None:
+def _tell(service: Service, name: str | None, health: ModuleHealth) -> None:
     if health.working:
         service.ready()
     else:

@@ -22,15 +22,15 @@ class Replay:
 
 
 @frozen
-class Balancer:
+class BalancerSource:
     """`balancer`: the DWM1001 is wired to the ATmega32U4, which polls it; its reports come from the balancer."""
 
 
-def parse_source(config: Config, robot: str) -> Serial | Replay | Balancer:
+def parse_source(config: Config, robot: str) -> Serial | Replay | BalancerSource:
     """The source of `robot`; `{robot}` stands for its name; a relative path starts at the config's folder."""
     text = config.dwm.source
     if text == "balancer":
-        return Balancer()
+        return BalancerSource()
     kind, _, rest = text.partition(":")
     path = config.path.parent / rest.replace("{robot}", robot)
     if rest and kind == "serial":

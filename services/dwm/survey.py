@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from statistics import median
 
+from services.dwm.configure import DesiredModule as _Wish
 from services.dwm.configure import ModuleInfo, inspect, wanted
-from services.dwm.configure import Wish as _Wish
 from services.dwm.core import calls
 from services.dwm.core.tlv import LOC_GET, AnchorRange, Location
-from services.dwm.line import Line, restart
+from services.dwm.line import ModuleConnection, restart
 from swarm import clock
 from swarm.errors import LocalError
 
@@ -30,7 +30,7 @@ LEAST = 5
 PERIOD = 0.1
 
 
-def sample(line: Line, seconds: float, wait: Callable[[float], None]) -> list[Location]:
+def sample(line: ModuleConnection, seconds: float, wait: Callable[[float], None]) -> list[Location]:
     """The module's different answers over a while; raises `NoAnswerError`."""
     found: list[Location] = []
     end = clock.now() + seconds
@@ -54,7 +54,7 @@ def medians(locations: Iterable[Location], calibrate: Calibrate) -> dict[str, fl
 
 
 def take_turns(
-    lines: Sequence[Line], seconds: float, calibrate: Calibrate, wait: Callable[[float], None], say: Say
+    lines: Sequence[ModuleConnection], seconds: float, calibrate: Calibrate, wait: Callable[[float], None], say: Say
 ) -> dict[Pair, float]:
     """All anchors hang on lines of ours: each becomes a tag, ranges to the others, and becomes an anchor again.
 
@@ -84,12 +84,12 @@ def take_turns(
     return distances
 
 
-def _set(line: Line, settings: calls.Settings) -> None:
+def _set(line: ModuleConnection, settings: calls.Settings) -> None:
     line.ask(calls.cfg_set(settings))
     restart(line)
 
 
-def _restore(line: Line, info: ModuleInfo) -> None:
+def _restore(line: ModuleConnection, info: ModuleInfo) -> None:
     line.ask(calls.upd_rate_set(info.rate))
     _set(line, info.settings)
 
@@ -99,7 +99,7 @@ def _row(address: str, found: Mapping[str, float], anchors: set[str]) -> dict[Pa
 
 
 def beside(
-    line: Line,
+    line: ModuleConnection,
     anchors: Sequence[str],
     seconds: float,
     calibrate: Calibrate,

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from services.dwm import configure, survey
-from services.dwm.configure import ModuleInfo, Wish
+from services.dwm.configure import DesiredModule, ModuleInfo
 from services.dwm.core import calls, diagnosis
 from services.dwm.core.calibration import RangeModel
-from services.dwm.core.diagnosis import Finding
+from services.dwm.core.diagnosis import ModuleFinding
 from services.dwm.core.tlv import Location, Position
-from services.dwm.line import BusLine, Line, NoAnswerError, PortLine
+from services.dwm.line import BusLine, ModuleConnection, NoAnswerError, PortLine
 from services.dwm.localizer import known_modules, load_calibration
 from swarm.config import Config, load
 from swarm.config.load import DEFAULT_PATH
@@ -84,10 +84,10 @@ def _config(args: argparse.Namespace) -> Config | None:
         return None
 
 
-def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[Line]:
+def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[ModuleConnection]:
     if args.port and (args.robots or args.run_dir):
         raise LocalError("--port is a module of this machine, --robots and --run-dir are others': use one of them")
-    found: Iterator[Line] = (
+    found: Iterator[ModuleConnection] = (
         (PortLine(path) for path in args.port)
         if args.port
         else (BusLine(robot, directory) for robot, directory in buses.find(args).items())
@@ -100,7 +100,7 @@ def _lines(args: argparse.Namespace, stack: contextlib.ExitStack) -> Iterator[Li
 # -- info --------------------------------------------------------------------------------------------------------
 
 
-def _info(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+def _info(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     del config
     told: dict[str, Any] = {}
     for line in lines:
@@ -145,7 +145,7 @@ def _flat(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
 # -- configure ---------------------------------------------------------------------------------------------------
 
 
-def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     if (args.initiator or args.at) and args.tag:
         raise LocalError("--initiator and --at are for anchors")
     told: dict[str, dict[str, Any]] = {}
@@ -166,27 +166,27 @@ def _configure(args: argparse.Namespace, config: Config | None, lines: Sequence[
     return 1 if any("problem" in fields or fields["missing"] for fields in told.values()) else 0
 
 
-def _wish(args: argparse.Namespace, config: Config | None, line: Line, info: ModuleInfo) -> Wish:
+def _wish(args: argparse.Namespace, config: Config | None, line: ModuleConnection, info: ModuleInfo) -> DesiredModule:
     place = None
     if args.at:
         x, y, z = args.at
         place = Position(x, y, z, 100)
     known = configure.wish_of(config, info.address)
     if args.anchor or args.initiator or args.at:
-        return Wish(True, True if args.initiator else None, place=place or (known.place if known else None))
+        return DesiredModule(True, True if args.initiator else None, place=place or (known.place if known else None))
     if args.tag:
-        return Wish(False)
+        return DesiredModule(False)
     if known is not None:
         return known
     if isinstance(line, BusLine) and config is not None:
-        return Wish(config.robot(line.name).uwb_role == "anchor")
+        return DesiredModule(config.robot(line.name).uwb_role == "anchor")
     raise LocalError(f"{line.name}: swarm.toml does not know module {info.address}: say --tag or --anchor")
 
 
 # -- check -------------------------------------------------------------------------------------------------------
 
 
-def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     told = {line.name: findings_of(line, config, args.seconds or SECONDS) for line in lines}
     text: list[str] = []
     for name, found in told.items():
@@ -198,10 +198,10 @@ def _check(args: argparse.Namespace, config: Config | None, lines: Sequence[Line
     return 1 if any(finding.fatal for found in told.values() for finding in found) else 0
 
 
-def findings_of(line: Line, config: Config | None, seconds: float) -> list[Finding]:
+def findings_of(line: ModuleConnection, config: Config | None, seconds: float) -> list[ModuleFinding]:
     """Everything that is wrong with a module and what it sees."""
     robot = line.name if isinstance(line, BusLine) else None
-    found: list[Finding] = []
+    found: list[ModuleFinding] = []
     try:
         info = configure.inspect(line)
         if robot is None and config is not None:
@@ -233,21 +233,23 @@ def _shall_be_anchor(config: Config | None, robot: str | None, info: ModuleInfo)
     return info.settings.anchor
 
 
-def _of_calibration(config: Config | None, robot: str | None) -> list[Finding]:
+def _of_calibration(config: Config | None, robot: str | None) -> list[ModuleFinding]:
     """Whether the robot's calibration is one of these anchors."""
     if config is None or robot is None:
         return []
     try:
         load_calibration(config, robot)
     except ConfigError as error:
-        return [Finding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robots {robot}`")]
+        return [
+            ModuleFinding("calibration", str(error), f"calibrate anew: `swarm calibrate distance --robots {robot}`")
+        ]
     return []
 
 
 # -- anchors -----------------------------------------------------------------------------------------------------
 
 
-def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[Line]) -> int:
+def _anchors(args: argparse.Namespace, config: Config | None, lines: Sequence[ModuleConnection]) -> int:
     if args.auto:
         from services.dwm.layout import lay_out  # needs numpy, which no robot has
 
@@ -315,7 +317,7 @@ def _wait(seconds: float) -> None:
     time.sleep(max(0.0, seconds))
 
 
-Verb = Callable[[argparse.Namespace, Config | None, Sequence[Line]], int]
+Verb = Callable[[argparse.Namespace, Config | None, Sequence[ModuleConnection]], int]
 
 VERBS: dict[str, tuple[str, Verb]] = {
     "info": ("what a module tells of itself: address, firmware, role, rates, place", _info),

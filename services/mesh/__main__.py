@@ -9,7 +9,7 @@ from services.mesh import topology_file
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.link.calls import Local
 from services.mesh.core.routing.topology import Ground
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.links.pipe import describe
 from services.mesh.locked_runtime import LockedRuntime
@@ -60,7 +60,7 @@ def main() -> None:
     with Service("mesh", direct=True) as this:
         local = local_by_file(this.config, this.robot)
         ground = Ground(this.config.names, this.config.edges, auto=this.config.auto)
-        start = Start(ground, local.dials, topology_file.load(state_dir(), ground))
+        start = InitialLinks(ground, local.dials, topology_file.load(state_dir(), ground))
         network = Network(this.config, local, this.runtime)
         runtime = LockedRuntime(this.bus, this.counters, this.log)
         sockets = Sockets(runtime, network.listeners, network.dial)

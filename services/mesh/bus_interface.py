@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.mesh import Mesh
 from services.mesh.surroundings import Surroundings
 from swarm.errors import PayloadError
@@ -39,7 +39,7 @@ class BusInterface:
         def serve(topic: str, answer: Callable[[dict[str, str]], object]) -> None:
             bus.serve(key(robot, "mesh", topic), lambda _, asked: encode(answer(asked)))
 
-        def asked(topic: str, question: Callable[[Overlays, float], object]) -> None:
+        def asked(topic: str, question: Callable[[RobotOverlays, float], object]) -> None:
             serve(topic, lambda _: look(question))
 
         asked("members", lambda each, now: each.members(now))

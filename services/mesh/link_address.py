@@ -8,7 +8,7 @@ rfcomm:ADDRESS   Bluetooth Classic; ADDRESS is that of the robot's adapter, XX:X
 import re
 from pathlib import Path
 
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.errors import ConfigError
 from swarm.frozen import frozen
 from swarm.process.paths import socket_path
@@ -64,7 +64,7 @@ def parse_address(address: str, whole: str) -> Tcp:
     return Tcp(host, int(port))
 
 
-def of_robot(robot: Robot) -> LinkAddress:
+def of_robot(robot: RobotConfig) -> LinkAddress:
     """How the others reach a robot; raises `ConfigError` naming the robot."""
     if robot.link is None and robot.bluetooth is None:
         raise ConfigError(f"robot {robot.name}: it has neither a link nor a Bluetooth address to be reached at")

@@ -8,19 +8,19 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
-from services.mesh.core.actions import Close, Dial, LinksChanged, Log, Write
+from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import Session
-from services.mesh.core.node import Node
-from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.relay import Relay
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.node import MeshNode
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.relay import KeyRelay
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import BULK
 from services.mesh.surroundings import Surroundings, Transport
 from swarm.config import Config
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.messages import Clock, EchoRequest, HoldLink, Links
 from swarm.messages.keys import key
 
@@ -42,7 +42,7 @@ class Chance(NamedTuple):
     """Gives 16 bytes that nobody can foresee."""
 
 
-def dials_of(own: Robot, peers: Iterable[Robot]) -> dict[str, bool]:
+def dials_of(own: RobotConfig, peers: Iterable[RobotConfig]) -> dict[str, bool]:
     """Return those of `peers` that a robot may be linked with, and whether it dials them."""
     return {peer.name: dials(own, peer) for peer in peers if peer is not own and can_link(own, peer)}
 
@@ -101,7 +101,7 @@ class Mesh:
         self,
         config: Config,
         local: Local,
-        start: Start,
+        start: InitialLinks,
         chance: Chance,
         incarnation: int,
         surroundings: Surroundings,
@@ -129,10 +129,10 @@ class Mesh:
         """Whether a report is planned."""
         self._reporting, self._keeping = threading.Lock(), threading.Lock()
         """Around what is done outside, so that the newest state is the last one."""
-        relay = Relay(robot, (), config.relay, local.robots)
+        relay = KeyRelay(robot, (), config.relay, local.robots)
         self.subscriptions = relay.subscriptions
         """The key expressions of the own bus that relay rules name; `publish` gets the index in here."""
-        overlays = Overlays(
+        overlays = RobotOverlays(
             robot,
             local.robots,
             incarnation=incarnation,
@@ -145,7 +145,7 @@ class Mesh:
             admits_unicast=relay.admits_unicast,
             wanted=wanted,
         )
-        self._node = Node(local, relay, overlays, random=chance.random, nonce=chance.nonce, counters=counters)
+        self._node = MeshNode(local, relay, overlays, random=chance.random, nonce=chance.nonce, counters=counters)
         self._look = surroundings.entry(self._ask_node)
         self._links_key = key(robot, "mesh", "links")
         self._clock_key = key(robot, "mesh", "clock")
@@ -157,18 +157,18 @@ class Mesh:
     # -- what the bus wants ------------------------------------------------------------------------------------
 
     def publish(self, source: int | None, key: str, payload: bytes) -> None:
-        """Relay a sample of the own bus; `source` as of `Node.publish`."""
+        """KeyRelay a sample of the own bus; `source` as of `MeshNode.publish`."""
         if self.running:
             self._node.publish(source, key, payload, self._surroundings.now)
             self.carry_out()
 
-    def ask(self, step: Callable[[Overlays, float], object]) -> None:
+    def ask(self, step: Callable[[RobotOverlays, float], object]) -> None:
         """Let the overlays do something."""
         if self.running:
             self._node.ask(step, self._surroundings.now)
             self.carry_out()
 
-    def look(self, question: Callable[[Overlays, float], T]) -> T:
+    def look(self, question: Callable[[RobotOverlays, float], T]) -> T:
         """Return what the overlays answer."""
         return question(self._node.overlays, self._surroundings.now)
 
@@ -247,7 +247,7 @@ class Mesh:
                     outside(self._deliver, action)
                 elif kind is LinksChanged:
                     self._links_changed()
-                elif type(action) is Log:
+                elif type(action) is LogLine:
                     outside(self._log, action)
                 elif type(action) is Dial:
                     transport.dial(action.peer)
@@ -267,7 +267,7 @@ class Mesh:
             self._heard(message.key, message.payload)
         self._bus.publish(message.key, message.payload, urgent=message.priority < BULK)
 
-    def _log(self, note: Log) -> None:
+    def _log(self, note: LogLine) -> None:
         self._surroundings.log.log(logging.WARNING if note.problem else logging.INFO, "%s", note.text)
 
     def _keep_topology(self) -> None:
@@ -286,7 +286,7 @@ class Mesh:
 
     # -- inside --------------------------------------------------------------------------------------------------
 
-    def _ask_node(self, question: Callable[[Node, float], Any]) -> Any:
+    def _ask_node(self, question: Callable[[MeshNode, float], Any]) -> Any:
         return question(self._node, self._surroundings.now)
 
     def _links_changed(self) -> None:

@@ -59,21 +59,21 @@ class Network:
         self._open_bluetooth = open_bluetooth
         self._radio = rfcomm.Radio(me.bluetooth or ANY_ADAPTER, config.mesh.rfcomm_channel, config.mesh.rfcomm_encrypt)
         self._record: pybluez.Record | None = None
-        self._air = sim.Air(local.robot, directory) if link_address.Sim in kinds else None
+        self._air = sim.LinkConditions(local.robot, directory) if link_address.Sim in kinds else None
         self.listeners: list[Listener] = []
         try:
             if link_address.Rfcomm in required:
                 _check_bluetooth(open_bluetooth)
             if isinstance(own, link_address.Sim) and self._air is not None:
-                self.listeners.append(sim.Listener(own.path, self._air))
+                self.listeners.append(sim.SimListener(own.path, self._air))
             if isinstance(own, link_address.Rfcomm):
                 known = {robot.bluetooth: robot.name for robot in config.robots if robot.bluetooth is not None}
-                listener = rfcomm.Listener(self._radio, known, open_socket=open_bluetooth)
+                listener = rfcomm.RfcommListener(self._radio, known, open_socket=open_bluetooth)
                 self.listeners.append(listener)
                 self._record = _advertise(listener)
             if listen is not None:
                 self.listeners.append(
-                    tcp.Listener(link_address.parse_address(listen, f"[mesh] listen = {listen}"), hosts)
+                    tcp.TcpListener(link_address.parse_address(listen, f"[mesh] listen = {listen}"), hosts)
                 )
         except Exception:
             self.close()
@@ -112,7 +112,7 @@ def _check_bluetooth(open_bluetooth: rfcomm.Open) -> None:
         raise LocalError(f"rfcomm: links need Bluetooth: {rfcomm.explained(error).strerror}") from None
 
 
-def _advertise(listener: rfcomm.Listener) -> pybluez.Record | None:
+def _advertise(listener: rfcomm.RfcommListener) -> pybluez.Record | None:
     """A service record, where PyBluez and bluetoothd are there for it; no link needs one."""
     try:
         return pybluez.Record(listener.fileno())

@@ -6,7 +6,7 @@ Its checksum tells a damaged file, which counts for nothing.
 import logging
 from pathlib import Path
 
-from services.mesh.core.routing.topology import Ground, Topology
+from services.mesh.core.routing.topology import Ground, TopologyVersion
 from swarm.errors import FrameError
 from swarm.files import atomic_write, make_folder
 
@@ -15,7 +15,7 @@ NAME = "topology"
 _log = logging.getLogger("mesh")
 
 
-def load(directory: Path, ground: Ground) -> Topology | None:
+def load(directory: Path, ground: Ground) -> TopologyVersion | None:
     """What was kept; None where there is nothing, or nothing of this configuration."""
     path = directory / NAME
     try:

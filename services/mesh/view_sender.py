@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.overlays.viewing import KEYS, Viewing
 from services.mesh.core.wire.frames import BULK
 from swarm import clock
@@ -31,11 +31,11 @@ class ViewSender:
         self._viewing = Viewing(robot, robots)
         self._lock = threading.Lock()
         """Around the viewing: it is told of from threads of bus and mesh."""
-        self._ask: Callable[[Callable[[Overlays, float], object]], None]
+        self._ask: Callable[[Callable[[RobotOverlays, float], object]], None]
         self._watch_key, self._view_key = key(robot, "mesh", "watch"), key(robot, "mesh", "view")
         self._listening: Bus | None = None
 
-    def begin(self, bus: Bus, ask: Callable[[Callable[[Overlays, float], object]], None]) -> None:
+    def begin(self, bus: Bus, ask: Callable[[Callable[[RobotOverlays, float], object]], None]) -> None:
         """Hear who watches through this robot; `ask` is the mesh's, for any thread."""
         self._ask = ask
         bus.subscribe(key(self._robot, "mesh", "set", "watch"), self._asked_here)

@@ -22,7 +22,7 @@ ANSWER_S = 3.0
 """How long a simulation may take; it looks twenty times a second."""
 
 
-class Order(NamedTuple):
+class AppRequest(NamedTuple):
     """What is to happen."""
 
     act: str
@@ -49,7 +49,7 @@ def give(run_dir: Path, act: str, app: str, robots: Sequence[str]) -> str:
     return str(answer["done"])
 
 
-def check(act: str, app: str, robots: Sequence[str]) -> Order:
+def check(act: str, app: str, robots: Sequence[str]) -> AppRequest:
     """The order if it can be one, else `LocalError`."""
     if act not in ACTS:
         raise LocalError(f"expected {' or '.join(ACTS)}, got {act[:20]!r}")
@@ -57,16 +57,16 @@ def check(act: str, app: str, robots: Sequence[str]) -> Order:
         raise LocalError(f"{app[:20]!r} is no name of an app")
     if not robots or not all(map(is_name, robots)):
         raise LocalError("expected names of robots")
-    return Order(act, app, tuple(robots))
+    return AppRequest(act, app, tuple(robots))
 
 
-def pack(order: Order) -> bytes:
+def pack(order: AppRequest) -> bytes:
     """The datagram."""
     datagram: bytes = msgpack.packb(order._asdict())
     return datagram
 
 
-def unpack(datagram: bytes) -> Order:
+def unpack(datagram: bytes) -> AppRequest:
     """The order in a datagram; `PayloadError` where there is none."""
     try:
         found: Any = unpack_value(datagram)

@@ -1,7 +1,7 @@
 """What a person's acts do to the simulated robot."""
 
 from services.balancer.core import balboa, display, imu
-from sim.core.actions import BUTTONS, Lay, Place, Press, Push, SimulationAction, Unplug
+from sim.core.actions import BUTTONS, BodyPlace, Lay, Press, Push, SimulationAction, Unplug
 from sim.core.devices import Device, SimulatedRobot
 
 ADDRESSES = {"imu": imu.ADDRESS, "atmega": balboa.ADDRESS, "display": display.ADDRESS}
@@ -28,7 +28,7 @@ class ActionEffects:
                 body.lay(1 if side == "front" else -1)
             case Unplug(device, back):
                 self._plug(ADDRESSES[device], back=back)
-            case Place(x, y, heading, tilt, held):
+            case BodyPlace(x, y, heading, tilt, held):
                 if not held:
                     body.put_down(x, y, heading, tilt)
 

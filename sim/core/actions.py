@@ -52,7 +52,7 @@ class Unplug:
 
 
 @frozen
-class Place:
+class BodyPlace:
     """Where the body had been when its process ended."""
 
     x: float
@@ -65,8 +65,14 @@ class Place:
     """Still in the hand that held it at the start."""
 
 
-SimulationAction = Press | Push | Lay | Unplug | Place
-_NAMES: dict[str, type[SimulationAction]] = {"press": Press, "push": Push, "lay": Lay, "unplug": Unplug, "place": Place}
+SimulationAction = Press | Push | Lay | Unplug | BodyPlace
+_NAMES: dict[str, type[SimulationAction]] = {
+    "press": Press,
+    "push": Push,
+    "lay": Lay,
+    "unplug": Unplug,
+    "place": BodyPlace,
+}
 _OF: dict[type[SimulationAction], bytes] = {kind: name.encode() for name, kind in _NAMES.items()}
 
 

@@ -11,7 +11,7 @@ import struct
 from collections import deque
 
 from services.balancer.core import balboa
-from services.balancer.core.mailbox import State as Mail
+from services.balancer.core.mailbox import MailboxState as Mail
 from sim.core.balboa import BalboaBody
 from sim.core.module_line import PAGES, ModuleLine
 

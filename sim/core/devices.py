@@ -37,7 +37,7 @@ class Device(Protocol):
         """The bytes of a read transaction."""
 
 
-class Noise(Protocol):
+class NoiseSource(Protocol):
     """A seeded generator, as random.Random."""
 
     def gauss(self, mu: float, sigma: float) -> float:
@@ -62,7 +62,7 @@ class ImuErrors(NamedTuple):
     back_offset: float
 
 
-def draw_errors(noise: Noise) -> ImuErrors:
+def draw_errors(noise: NoiseSource) -> ImuErrors:
     """One sensor's errors. Its offsets are drawn from the datasheet's typical range (10 dps; 20 of the 40 mg of a part
     soldered without trim, since a robot's `trim` is set with the sensor in it)."""
     offset = 0.020 * imu.STANDARD_GRAVITY
@@ -85,7 +85,7 @@ class ImuDevice:
 
     _HEIGHT = 0.03
 
-    def __init__(self, body: BalboaBody, noise: Noise, errors: ImuErrors, trim: float) -> None:
+    def __init__(self, body: BalboaBody, noise: NoiseSource, errors: ImuErrors, trim: float) -> None:
         self._body, self._noise, self._errors, self._trim = body, noise, errors, trim
         self._registers = bytearray(0x80)
         self._index = 0
@@ -168,7 +168,7 @@ class SimulatedRobot:
     """One robot's I2C bus: dispatches transfers to the devices and counts the time they would take on the wire."""
 
     def __init__(
-        self, body: BalboaBody, noise: Noise, *, errors: ImuErrors, trim: float = 0.0, battery: float = 7.4
+        self, body: BalboaBody, noise: NoiseSource, *, errors: ImuErrors, trim: float = 0.0, battery: float = 7.4
     ) -> None:
         """`trim` as in the config's [body]; `battery` in V."""
         self.body = body

@@ -25,7 +25,7 @@ from services.dwm.core.tlv import (
     encode_position,
     encode_refusal,
 )
-from sim.core.uwb import Generator
+from sim.core.uwb import RandomGenerator
 from swarm.errors import FrameError
 
 REQUEST_GAP = 25 / 32768
@@ -76,7 +76,7 @@ class Dwm1001:
         self,
         identity: int,
         flash: Flash,
-        generator: Generator,
+        generator: RandomGenerator,
         measure: Callable[[], Location],
         now: float,
         *,

@@ -7,9 +7,9 @@ import struct
 from collections.abc import Callable
 
 from services.balancer.core import balboa
-from services.balancer.core.mailbox import State as Mail
-from services.balancer.core.uwb import State
-from services.dwm.core.tlv import LOC_GET, Decoder, Location, encode_location
+from services.balancer.core.mailbox import MailboxState as Mail
+from services.balancer.core.uwb import UwbState
+from services.dwm.core.tlv import LOC_GET, Location, TlvDecoder, encode_location
 from swarm.errors import FrameError
 
 SOURCE = "balancer"
@@ -35,7 +35,7 @@ class ModuleLine:
     """See the module. Times are those of the caller's clock."""
 
     def __init__(self, now: float) -> None:
-        self.state = State.SILENT
+        self.state = UwbState.SILENT
         self.error = 0
         self.bad = 0
         self.mail = Mail.EMPTY
@@ -48,7 +48,7 @@ class ModuleLine:
         self._came = now
         self._request_length = 0
         self._out = b""
-        self._decoder = Decoder(LOC_GET)
+        self._decoder = TlvDecoder(LOC_GET)
         self._line = ""
         """What is asked: "poll", "mail", or nothing."""
         self._since = self._last_poll = self._last_byte = now
@@ -85,13 +85,13 @@ class ModuleLine:
                 self._decoder.reset()
             if now - self._since >= PATIENCE:
                 self.bad = (self.bad + self._heard) % 256
-                self.state, self._line = State.BROKEN if self._heard else State.SILENT, ""
+                self.state, self._line = UwbState.BROKEN if self._heard else UwbState.SILENT, ""
         elif self._line == "mail":
             self._wait_for_answer(now)
         if self._line:
             return
         if self.mail == Mail.BUSY:
-            self.state = State.PAUSED
+            self.state = UwbState.PAUSED
             self._ask("mail", bytes(self.mailbox[: self._request_length]), now)
         elif now - self._last_poll >= PERIOD:
             self._last_poll = now if now - self._last_poll >= 2 * PERIOD else self._last_poll + PERIOD
@@ -117,10 +117,10 @@ class ModuleLine:
                 return
             self._line = ""
             if isinstance(answer, Location):
-                self.state = State.OK
+                self.state = UwbState.OK
                 self._publish(answer, now)
             else:
-                self.state, self.error = State.REFUSED, answer.code
+                self.state, self.error = UwbState.REFUSED, answer.code
 
     def _publish(self, location: Location, now: float) -> None:
         self._sequence = self._sequence % 0xFFFF + 1

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
-from swarm.recording.thesis_ranges import Recording, Row
+from swarm.recording.thesis_ranges import ThesisRecording, ThesisRow
 
 ERRORS = {"none": (0.0, 0.0), "bias": (0.05, 0.0), "thesis": (0.05, 0.02)}
 """By name: share of the bias, share of the noise. Figure 4.9 (a) and (b), (c), (d)."""
@@ -25,15 +25,15 @@ ITERATION = 0.32
 Point = tuple[float, float]
 
 
-class Generator(Protocol):
+class _Generator(Protocol):
     """The part of `random.Random` that is used here."""
 
-    def uniform(self, a: float, b: float) -> float: ...  # noqa: D102
+    def uniform(self, a: float, b: float) -> float: ...
 
 
 def scene(
-    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: Generator
-) -> dict[str, Recording]:
+    model: str, places: Mapping[str, Point], target: Point, rows: int, numbers: _Generator
+) -> dict[str, ThesisRecording]:
     """What robots at `places` measure in `rows` iterations, m, by name. All biases are drawn first: by the same numbers
     two models have the same."""
     bias, noise = ERRORS[model]
@@ -44,16 +44,16 @@ def scene(
     times = tuple(ITERATION * k for k in range(rows))
     made = {}
     for name, values in biased.items():
-        measured: list[Row] = []
+        measured: list[ThesisRow] = []
         for k in range(rows):
             if k % EVERY == 0:
-                row = Row(*(value * (1.0 + numbers.uniform(-noise, noise)) for value in values))
+                row = ThesisRow(*(value * (1.0 + numbers.uniform(-noise, noise)) for value in values))
             measured.append(row)
-        made[name] = Recording(Path(f"{name}, noise {model}"), tuple(measured), times, ((0.0, 0.0),))
+        made[name] = ThesisRecording(Path(f"{name}, noise {model}"), tuple(measured), times, ((0.0, 0.0),))
     return made
 
 
-def as_csv(recording: Recording) -> str:
+def as_csv(recording: ThesisRecording) -> str:
     """The recording in the layout of `swarm.recording.thesis_ranges`; the columns of estimates are zero."""
     lines = ["0.0" + ",0.0" * 6]
     for t, row in zip(recording.times, recording.rows, strict=True):

@@ -26,7 +26,7 @@ _FAR = 1000.0
 """m: a solution farther away is none."""
 
 
-class Generator(Protocol):
+class RandomGenerator(Protocol):
     """The part of `random.Random` that is used here."""
 
     def random(self) -> float: ...  # noqa: D102
@@ -78,7 +78,7 @@ class Module:
 class Tag:
     """The module of one robot."""
 
-    def __init__(self, generator: Generator, model: ErrorModel | None = None) -> None:
+    def __init__(self, generator: RandomGenerator, model: ErrorModel | None = None) -> None:
         self._generator = generator
         self._model = model or ErrorModel()
         self._phase = generator.uniform(-math.pi, math.pi)

@@ -8,7 +8,7 @@ from services.apps.event_host import EventHost
 from services.mesh.core.radio_model import AirModel
 from sim.core import actions
 from sim.options import PRESS_S, SETTLED
-from sim.virtual.world import Launch, MakeRunner, World
+from sim.virtual.world import Launch, MakeRunner, VirtualWorld
 from swarm.app.event_app import EventApp
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
@@ -22,7 +22,7 @@ LATENCY = 0.03
 class RehearsedRobot:
     """One robot."""
 
-    def __init__(self, world: World, name: str, app: str) -> None:
+    def __init__(self, world: VirtualWorld, name: str, app: str) -> None:
         self.name = name
         self._world = world
         self._app = app
@@ -57,12 +57,12 @@ class RehearsedRobot:
 class EventRehearsal:
     """Runs an app on all robots of a configuration."""
 
-    def __init__(self, app: loader.App, config: Config, runner: MakeRunner | None = None) -> None:
+    def __init__(self, app: loader.LoadedApp, config: Config, runner: MakeRunner | None = None) -> None:
         """`runner(app, source)` makes what calls the app's handlers, in place of an `EventRunner`."""
         instance = app.make(config, config.names[0], seed=1)
         if not isinstance(instance, EventApp):
             raise AppError(f"{app.source}: {type(instance).__name__} is no EventApp or PeriodicApp")
-        self.world = World(config, AirModel(LATENCY, 0.0, None, 1), 1, mesh=SETTLED)
+        self.world = VirtualWorld(config, AirModel(LATENCY, 0.0, None, 1), 1, mesh=SETTLED)
         self.units = {name: RehearsedRobot(self.world, name, app.name) for name in config.names}
         launch = Launch(app, 1, RunOptions(), None, None, runner)
         for name in config.names:

@@ -27,10 +27,10 @@ from sim.rehearsal.sync import SyncRehearsal
 from swarm.app import settings
 from swarm.app.event_app import PeriodicApp, channels_of
 from swarm.app.settings import Setting
-from swarm.app.sync_app import App as AnyApp
+from swarm.app.sync_app import BaseApp as AnyApp
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
-from swarm.core.asynchronous import Call, Known
+from swarm.core.asynchronous import HandlerCall, NeighbourState
 from swarm.errors import AppError, LocalError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -73,7 +73,7 @@ class Hang(BaseException):
 class Task:
     """What is to be examined."""
 
-    app: loader.App
+    app: loader.LoadedApp
     robots: int = 6
     iterations: int = 300
     settings: Sequence[Setting] = ()
@@ -95,7 +95,7 @@ class Task:
 
 
 @dataclass
-class Finding:
+class _Finding:
     """What came of one graph."""
 
     graph: str
@@ -159,12 +159,12 @@ def describe(task: Task) -> dict[str, object]:
     }
 
 
-def examine(task: Task) -> Iterator[Finding]:
+def examine(task: Task) -> Iterator[_Finding]:
     """Rehearse the app on each of the standard graphs."""
     one = _sync if issubclass(task.kind, SyncApp) else _events
     for graph in GRAPHS:
         if graph != "thesis-d" or task.robots == 6:
-            finding = Finding(graph)
+            finding = _Finding(graph)
             try:
                 one(task, finding)
             except Hang as hang:
@@ -177,7 +177,7 @@ def examine(task: Task) -> Iterator[Finding]:
 # Synchronous apps
 
 
-def _sync(task: Task, finding: Finding) -> None:
+def _sync(task: Task, finding: _Finding) -> None:
     swarm = SyncRehearsal(task.app, task.scene(finding.graph))
     times: list[float] = []
     orders: set[str] = set()
@@ -207,10 +207,10 @@ def _sync(task: Task, finding: Finding) -> None:
 
 
 def _one_step(
-    app: loader.App,
+    app: loader.LoadedApp,
     swarm: SyncRehearsal,
     name: str,
-    finding: Finding,
+    finding: _Finding,
     times: list[float],
     orders: set[str],
     sums: set[tuple[str, int]],
@@ -271,13 +271,13 @@ def _near(runner: Runner, done: tuple[bytes, bytes], other: Callable[[], tuple[b
 # Event-driven and periodic apps
 
 
-def _events(task: Task, finding: Finding) -> None:
+def _events(task: Task, finding: _Finding) -> None:
     app = task.app
     times: list[float] = []
     histories: dict[str, list[Any]] = {}
 
     class Examined(EventRunner):
-        def call(self, call: Call, k: int, known: Sequence[Known]) -> bytes:
+        def call(self, call: HandlerCall, k: int, known: Sequence[NeighbourState]) -> bytes:
             begin = time.process_time()
             try:
                 own = _limited(app.source, lambda: EventRunner.call(self, call, k, known))

@@ -16,7 +16,7 @@ class Request:
     ticket: str
 
 
-class Messages:
+class RehearsalOverlays:
     """In place of `swarm.app.overlays.Overlays` on one robot."""
 
     def __init__(self, robot: str, swarm: Sequence[str], deliver: Deliver) -> None:

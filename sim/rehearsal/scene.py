@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from services.apps.loader import App
+from services.apps.loader import LoadedApp
 from swarm import config as configuration
-from swarm.app.sync_app import App as AnyApp
-from swarm.config import Anchor, Config, Mesh, Robot
+from swarm.app.sync_app import BaseApp as AnyApp
+from swarm.config import Anchor, Config, MeshConfig, RobotConfig
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import Measurement
@@ -23,7 +23,7 @@ STARTS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 
 
 def scene(
-    app: App,
+    app: LoadedApp,
     robots: int,
     topology: str,
     parameters: Mapping[str, Value] | None = None,
@@ -44,12 +44,12 @@ def scene(
     return Config(
         path=Path("swarm.toml"),
         network="rehearsal",
-        robots=tuple(Robot(name, link=f"sim:{name}") for name in names),
+        robots=tuple(RobotConfig(name, link=f"sim:{name}") for name in names),
         edges=Graph.of_shape(topology, names).edges,
         relay=configuration.types.DEFAULT_RELAY,
         anchors=ANCHORS,
-        mesh=Mesh(insecure=True),
-        apps={app.name: configuration.App(common, own)},
+        mesh=MeshConfig(insecure=True),
+        apps={app.name: configuration.AppConfig(common, own)},
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from services.apps import loader
 from services.apps.runner import Runner
 from sim.rehearsal.clock import CommonClock, NoRanges
-from sim.rehearsal.messages import Messages
+from sim.rehearsal.messages import RehearsalOverlays
 from sim.rehearsal.scene import measurement
 from swarm.app.sync_app import SyncApp
 from swarm.config import Config
@@ -20,7 +20,7 @@ Measure = Callable[[str, int], Measurement]
 class SyncRehearsal:
     """`results[name][k]` is what a robot reports at iteration k, `states[name][k]` its packed shared state."""
 
-    def __init__(self, app: loader.App, config: Config, *, seed: int = 1, measure: Measure = measurement) -> None:
+    def __init__(self, app: loader.LoadedApp, config: Config, *, seed: int = 1, measure: Measure = measurement) -> None:
         """`measure(robot, k)` gives the measurement of step k to an app that wants one."""
         self.k = 0
         self.names = config.names
@@ -28,12 +28,14 @@ class SyncRehearsal:
         self._measure = measure
         self._looks = 0
         self.runners: dict[str, Runner] = {}
-        self.messages: dict[str, Messages] = {}
+        self.messages: dict[str, RehearsalOverlays] = {}
         for name in self.names:
             instance = app.make(config, name, seed)
             if not isinstance(instance, SyncApp):
                 raise AppError(f"{app.source}: {type(instance).__name__} is no SyncApp")
-            self.messages[name] = Messages(name, self.names, lambda to, message: self.messages[to].receive(message))
+            self.messages[name] = RehearsalOverlays(
+                name, self.names, lambda to, message: self.messages[to].receive(message)
+            )
             instance.robot.overlays = self.messages[name]  # type: ignore[assignment]
             instance.robot.time = self._now
             instance.robot.mesh_clock = CommonClock(self.names[0], self._now)  # type: ignore[assignment]

@@ -19,11 +19,11 @@ UNREACHABLE = "unreachable"
 _NEVER = float("inf")
 
 
-Due = dict[float, list["End"]]
+Due = dict[float, list["ConnectionEnd"]]
 """What is on the way to a robot: for each moment at which something arrives the ends it comes to, one a chunk."""
 
 
-class End:
+class ConnectionEnd:
     """One end of a connection, and the ways from and to it: who sends has no need to look at the other end, nor who
     receives. In a large swarm each look is one into memory that no cache holds."""
 
@@ -37,7 +37,7 @@ class End:
         """The air from there to this one."""
         self.due = due
         """What is on the way to the robot at the other end."""
-        self.other: End = self
+        self.other: ConnectionEnd = self
         self.session: Session | None = None
         self.alive = True
         """False once this end has closed, or has noticed that the other one has."""
@@ -58,7 +58,7 @@ class Station:
         """The robot's clock."""
         self._air = air
         self._mesh: Mesh
-        self._ends: dict[Session, End] = {}
+        self._ends: dict[Session, ConnectionEnd] = {}
         self._timer = _NEVER
 
     def start(self, mesh: Mesh) -> None:
@@ -104,13 +104,13 @@ class Station:
         """False after the mesh's end."""
         return self._mesh.running
 
-    def dialled(self, peer: str, end: End) -> None:
+    def dialled(self, peer: str, end: ConnectionEnd) -> None:
         """The connection asked for is there."""
         end.session = self._mesh.dialled(peer)
         self._ends[end.session] = end
         self._mesh.carry_out()
 
-    def accepted(self, end: End) -> None:
+    def accepted(self, end: ConnectionEnd) -> None:
         """Somebody has called."""
         end.session = self._mesh.accepted()
         if end.session is None:
@@ -162,7 +162,7 @@ class Air:
         """Make a connection, and tell both ends of it; or tell the caller that there is none."""
         self._time.at(self._time.now + self._model.dial, self._dialled, caller, peer)
 
-    def flush(self, end: End) -> None:
+    def flush(self, end: ConnectionEnd) -> None:
         """Put what the session of an end has to send on the air, as far as it takes it."""
         session, now = end.session, self._time.now
         if session is None or not end.alive:
@@ -175,7 +175,7 @@ class Air:
             end.socket.append(data)
         self._send(end)
 
-    def close(self, end: End) -> None:
+    def close(self, end: ConnectionEnd) -> None:
         """Close an end: the other one hears of it as of everything else."""
         if not end.alive:
             return
@@ -192,8 +192,8 @@ class Air:
             caller.dial_failed(peer, UNREACHABLE)
             return
         there, back = self._line(caller.robot, peer), self._line(peer, caller.robot)
-        near = End(caller, there, back, self._due[peer])
-        far = End(called, back, there, self._due[caller.robot])
+        near = ConnectionEnd(caller, there, back, self._due[peer])
+        far = ConnectionEnd(called, back, there, self._due[caller.robot])
         near.other, far.other = far, near
         caller.dialled(peer, near)
         called.accepted(far)
@@ -201,7 +201,7 @@ class Air:
     def _line(self, sender: str, receiver: str) -> DelayLine:
         return line_of(self._model, sender, receiver)
 
-    def _send(self, end: End) -> None:
+    def _send(self, end: ConnectionEnd) -> None:
         """From the socket onto the air at its own pace."""
         while end.socket and end.line.free_at <= self._time.now:
             self._push(end, end.socket.popleft())
@@ -209,15 +209,15 @@ class Air:
             end.waits = True
             self._time.at(end.line.free_at, self._freed, end)
 
-    def _freed(self, end: End) -> None:
+    def _freed(self, end: ConnectionEnd) -> None:
         end.waits = False
         self._send(end)
         self.flush(end)
 
-    def _push(self, end: End, data: bytes) -> None:
+    def _push(self, end: ConnectionEnd, data: bytes) -> None:
         self._plan(end, end.line.push(data, self._time.now))
 
-    def _plan(self, sender: End, at: float) -> None:
+    def _plan(self, sender: ConnectionEnd, at: float) -> None:
         """What arrives at a robot in one moment it gets at once: its objects are looked up in memory once for all."""
         due, receiver = sender.due, sender.other
         receivers = due.get(at)

@@ -4,49 +4,49 @@ from functools import partial
 from pathlib import Path
 
 from services.apps import loader
-from services.apps.observer import Line, Source
+from services.apps.observer import Source, StepRecord
 from services.apps.recorder import Recorder
 from sim.virtual.bus import VirtualBus
 from sim.virtual.trajectory_builder import TrajectoryBuilder
-from sim.virtual.world import World
+from sim.virtual.world import VirtualWorld
 from swarm.messages import AppEpoch, AppParameters
 from swarm.recording import folder
 from swarm.recording.reader import SUFFIX
-from swarm.recording.recorded_topics import Watch
+from swarm.recording.recorded_topics import TopicRecorder
 from swarm.recording.trajectory import Trajectory
-from swarm.recording.virtual_file import PlainRecording
+from swarm.recording.virtual_file import DirectRecording
 
 
 class AppRecords:
     """Of one app, on all robots."""
 
-    def __init__(self, world: World, app: str, *, keep: bool, skewed: bool) -> None:
+    def __init__(self, world: VirtualWorld, app: str, *, keep: bool, skewed: bool) -> None:
         """`keep`: the states of all iterations, not only the last; `skewed`: each robot has a clock of its own."""
         self.app = app
         self._world = world
         self._skewed = skewed
         self._builders = {name: TrajectoryBuilder(keep=keep) for name in world.robots}
-        self._files: list[PlainRecording] = []
+        self._files: list[DirectRecording] = []
         self._recorders: dict[str, Recorder] = {}
 
-    def record(self, place: Path, app: loader.App, number: int) -> None:
+    def record(self, place: Path, app: loader.LoadedApp, number: int) -> None:
         """Begin a recording: one file for all robots, or one for each where each has a clock of its own."""
         world, run = self._world, folder.describe(app.name, number, self._world.seed, app.digest)
         if self._skewed:
-            files = {name: PlainRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in world.robots}
+            files = {name: DirectRecording(place / f"{name}.{app.name}{SUFFIX}", run, name) for name in world.robots}
             self._files = list(files.values())
         else:
-            self._files = [PlainRecording(place / f"{app.name}{SUFFIX}", run)]
+            self._files = [DirectRecording(place / f"{app.name}{SUFFIX}", run)]
             files = dict.fromkeys(world.robots, self._files[0])
         self._recorders = {name: Recorder(files[name], name, app.name) for name in world.robots}
         world.records |= {(name, app.name): recorder.value for name, recorder in self._recorders.items()}
         for name, robot in world.robots.items():
             bus = VirtualBus(robot.router)
-            watch = Watch(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), copies=False)
+            watch = TopicRecorder(bus, name, app.name, files[name], partial(getattr, robot.time, "now"), copies=False)
             watch.on_sample = watch.drain
             watch.hear_requests(bus, name)
 
-    def advanced(self, source: Source, line: Line) -> None:
+    def advanced(self, source: Source, line: StepRecord) -> None:
         """A robot has done an iteration."""
         if self._recorders:
             self._recorders[source.robot].advanced(source, line)

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 
 from services.balancer.bus_side import BusSide
 from services.balancer.core.buttons import REPEAT_S, ButtonCounter
-from services.balancer.core.faults import STOPPED, Fault
-from services.balancer.core.leds import Claim, Shown, shown
+from services.balancer.core.faults import STOPPED, MotorFault
+from services.balancer.core.leds import LedClaim, Shown, shown
 from services.balancer.link import TELEMETRY_S, Command
 from services.balancer.orders import halt, obey
-from sim.core.actions import BUTTONS, Lay, Place, Press, Push, SimulationAction
+from sim.core.actions import BUTTONS, BodyPlace, Lay, Press, Push, SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
@@ -73,7 +73,7 @@ class VirtualBalancer:
         self._time = time
         self.bus = bus
         self._scene_record = scene_record
-        self._claim = Claim()
+        self._claim = LedClaim()
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
         """Until when somebody holds each button."""
@@ -105,7 +105,7 @@ class VirtualBalancer:
             case Lay(side):
                 self.body.lay(side, now)
                 self._show_leds()
-            case Push() | Place():
+            case Push() | BodyPlace():
                 raise LocalError("under virtual time a body has no physics: it can be laid down, not pushed")
 
     # -- the process -------------------------------------------------------------------------------------------
@@ -171,7 +171,7 @@ class VirtualBalancer:
         return True
 
     def notice(self, about: str, text: str) -> None:
-        """Tell people something about a command."""
+        """SendToNeighbours people something about a command."""
         self._side.publish(Notice(self._time.now, about, text))
 
     # -- what it tells -----------------------------------------------------------------------------------------------
@@ -196,7 +196,7 @@ class VirtualBalancer:
             self._time.at(then, self._changed)
         if self._wanted(BalancerFault):
             reason = self.body.fault
-            fault = Fault(STOPPED, reason) if reason else None
+            fault = MotorFault(STOPPED, reason) if reason else None
             told = ("", "", "") if fault is None else (fault.name, fault.reason, fault.recovery)
             self._side.publish(BalancerFault(self._time.now, *told))
 

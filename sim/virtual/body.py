@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from services.balancer.core.body import body_model
-from services.balancer.core.drive import Drive, Limits, check_command
+from services.balancer.core.drive import Drive, DriveLimits, check_command
 from swarm.config.types import Balancing, Body
 from swarm.errors import LocalError
 from swarm.messages import Odometry
@@ -59,7 +59,9 @@ class VirtualBody:
         """rad, forward positive."""
         self.mode = BALANCING
         self.fault = ""
-        limits = Limits(settings.max_speed, settings.max_turn_rate, settings.acceleration, settings.turn_acceleration)
+        limits = DriveLimits(
+            settings.max_speed, settings.max_turn_rate, settings.acceleration, settings.turn_acceleration
+        )
         if model == POINT:
             limits = limits._replace(acceleration=_AT_ONCE, turn_acceleration=_AT_ONCE)
         body = body_model("zero2w", shape)

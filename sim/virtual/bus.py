@@ -50,7 +50,7 @@ class VirtualRouter:
             call()
 
 
-class Subscription:
+class VirtualSubscription:
     """What a session has asked to hear; until closed."""
 
     def __init__(self, router: VirtualRouter, entries: list[_Subscription]) -> None:
@@ -124,12 +124,12 @@ class VirtualBus:
         for callback in targets:
             soon(callback, key, payload)
 
-    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> Subscription:
+    def subscribe(self, keys: str | Iterable[str], callback: OnSample) -> VirtualSubscription:
         """Call `callback(key, payload)` for every sample of other sessions, until what is returned is closed."""
         entries = [_Subscription(key, self, callback) for key in ((keys,) if isinstance(keys, str) else keys)]
         self._router.subscriptions += entries
         self._router.changed()
-        return Subscription(self._router, entries)
+        return VirtualSubscription(self._router, entries)
 
     def serve(self, key: str, answer: OnQuery) -> None:
         """Answer queries on `key` by `answer(key, parameters)`; None leaves a query unanswered."""

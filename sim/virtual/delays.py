@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 from services.mesh.core.radio_model import AirModel, DelayLine
-from services.mesh.core.relay import Relay
+from services.mesh.core.relay import KeyRelay
 from services.mesh.core.wire.frames import NEIGHBOURS
 from sim.virtual.air import line_of
 from sim.virtual.bus import OnSample, VirtualBus
@@ -52,7 +52,7 @@ class DelayMesh:
         """Messages, counted once for each neighbour."""
         self._time = time
         self._bus = bus
-        self._relay = Relay(robot, peers, config.relay, (robot, *peers))
+        self._relay = KeyRelay(robot, peers, config.relay, (robot, *peers))
         self._lines: dict[str, DelayLine] = {peer: line_of(model, robot, peer) for peer in peers}
         self._meshes: Mapping[str, DelayMesh] = {}
         self._cuts: Mapping[frozenset[str], float] = {}

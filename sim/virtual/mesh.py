@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.routing.topology import Ground
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire.frames import NONCE_SIZE
 from services.mesh.mesh import Chance, Mesh, dials_of, local_of
 from sim.virtual.air import Air, Station
@@ -112,7 +112,7 @@ class VirtualMesh(Mesh):
         super().__init__(
             common.config,
             local_of(common.config, robot, common.names, dials, numbers.getrandbits(64), insecure=True, keys={}),
-            Start(common.ground, dials),
+            InitialLinks(common.ground, dials),
             Chance(numbers.random, partial(numbers.randbytes, NONCE_SIZE)),
             incarnation,
             surroundings,

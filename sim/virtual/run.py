@@ -11,18 +11,18 @@ from pathlib import Path
 
 from services.apps import loader
 from services.apps.event_host import EventHost
-from services.apps.observer import Line, Observer, Source
+from services.apps.observer import Observer, Source, StepRecord
 from services.mesh.core.radio_model import AirModel
 from sim import scene
 from sim.core import actions
 from sim.core.scene_record import SceneRecord
 from sim.options import DELAY, FROM_START, PRESS_S, SETTLED, Options
 from sim.options import parse as arguments_of
-from sim.report import Json, Outcome, summary
+from sim.report import Json, RunOutcome, summary
 from sim.scenario import Scenario, build
 from sim.virtual.app_records import AppRecords
 from sim.virtual.hang import broken_off
-from sim.virtual.world import Launch, World
+from sim.virtual.world import Launch, VirtualWorld
 from swarm.app.run_options import RunOptions
 from swarm.config.dump import dump
 from swarm.errors import ConfigError, LocalError
@@ -58,7 +58,7 @@ def _without_looking_for_garbage() -> Iterator[None]:
             gc.enable()
 
 
-class Run:
+class VirtualRun:
     """Runs a scenario until its end."""
 
     @_without_looking_for_garbage()
@@ -73,7 +73,7 @@ class Run:
             raise ConfigError("--mesh delay: an automatic topology is found by meshes, name another --topology")
         model = AirModel(options.latency, options.jitter, options.bandwidth, options.seed, loss=options.loss)
         self._scene_record = SceneRecord(names) if scenario.app in scene.WATCHED else None
-        self.world = World(
+        self.world = VirtualWorld(
             scenario.config,
             model,
             options.seed,
@@ -99,12 +99,12 @@ class Run:
         """s of real time that it took."""
 
     @_without_looking_for_garbage()
-    def go(self) -> Outcome:
+    def go(self) -> RunOutcome:
         """The whole run."""
         with broken_off():
             return self._go()
 
-    def _go(self) -> Outcome:
+    def _go(self) -> RunOutcome:
         scenario, world = self._scenario, self.world
         began = real_time.perf_counter()
         if scenario.program is not None:
@@ -136,7 +136,7 @@ class Run:
         return AppRecords(self.world, app, keep=self._rows, skewed=bool(self._options.clock_skew))
 
     def _launch(
-        self, app: loader.App, which: str, run_options: RunOptions, records: AppRecords, observer: Observer
+        self, app: loader.LoadedApp, which: str, run_options: RunOptions, records: AppRecords, observer: Observer
     ) -> Launch:
         """How an app is to be started; its recording has begun. `which` gives each app a run number of its own, which
         tickets of requests begin with."""
@@ -181,7 +181,7 @@ class Run:
         ]
         self._problems.append(f"no iteration for {STALLED:g} s: {'; '.join(stuck) or 'the apps say nothing'}")
 
-    def advanced(self, source: Source, line: Line) -> None:
+    def advanced(self, source: Source, line: StepRecord) -> None:
         """See `Observer`: a robot has done an iteration."""
         self._last_progress = self.world.time.now
         self._records.advanced(source, line)
@@ -245,11 +245,11 @@ class Run:
         if self._options.seconds is None and self._running.isdisjoint(self._members):
             self.world.time.stop()
 
-    def _outcome(self, ended_at: float) -> Outcome:
+    def _outcome(self, ended_at: float) -> RunOutcome:
         names = self._scenario.config.names
         started = self._started
         frames = sum(robot.sent for robot in self.world.robots.values())
-        return Outcome(
+        return RunOutcome(
             scenario=self._scenario,
             seed=self._options.seed,
             started_s=started,
@@ -291,12 +291,12 @@ def _has_no_steps(source: Source) -> bool:
     return isinstance(source, EventHost) and source.runner.period is None
 
 
-def simulate(*arguments: str, rows: bool = False) -> tuple[Json, Outcome]:
+def simulate(*arguments: str, rows: bool = False) -> tuple[Json, RunOutcome]:
     """Run `swarm sim ARGUMENTS --virtual` in this process: the report of `--json`, and what it was made from."""
     options = arguments_of([*arguments, "--virtual"])
     if options.record is not None:
         make_records(options.record)
-    outcome = Run(options, build(options, PLACE), rows=rows).go()
+    outcome = VirtualRun(options, build(options, PLACE), rows=rows).go()
     return summary(outcome), outcome
 
 

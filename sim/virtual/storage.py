@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from swarm.core.epoch_notes import Kept
+from swarm.core.epoch_notes import SavedEpochs
 from swarm.core.lockstep_frames import Snapshot
 
 
@@ -51,13 +51,13 @@ class MemoryVotes:
     lost = False
 
     def __init__(self) -> None:
-        self._kept: Kept | None = None
+        self._kept: SavedEpochs | None = None
 
-    def read(self) -> Kept | None:
+    def read(self) -> SavedEpochs | None:
         """See `Votes`."""
         return self._kept
 
-    def write(self, kept: Kept) -> None:
+    def write(self, kept: SavedEpochs) -> None:
         """See `Votes`."""
         self._kept = kept
 

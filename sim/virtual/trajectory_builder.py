@@ -3,7 +3,7 @@
 from array import array
 from collections.abc import Mapping
 
-from services.apps.observer import Line, Source
+from services.apps.observer import Source, StepRecord
 from swarm.messages.codec import Value
 from swarm.recording.trajectory import EMPTY, MOST_TIMES, Trajectory, is_kept
 
@@ -23,12 +23,12 @@ class TrajectoryBuilder:
         """Iterations, in order, and when each was done; where not all lines are kept."""
         self._every = 2
         """The first two windows of so many are kept."""
-        self._lines: dict[int, Line] = {}
+        self._lines: dict[int, StepRecord] = {}
         """All, where they are kept."""
-        self._last: Line | None = None
+        self._last: StepRecord | None = None
         self._source: Source | None = None
 
-    def write(self, source: Source, line: Line) -> None:
+    def write(self, source: Source, line: StepRecord) -> None:
         """One iteration."""
         self._source = source
         self._last = line

@@ -18,7 +18,7 @@ from sim.virtual.balancer import VirtualBalancer
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.periodic_publisher import PeriodicPublisher
-from swarm.config import Config, Robot
+from swarm.config import Config, RobotConfig
 from swarm.messages.keys import key
 
 _SILENT = logging.getLogger("virtual.dwm")
@@ -82,7 +82,7 @@ class VirtualDwm:
     def __init__(
         self,
         config: Config,
-        known: Robot,
+        known: RobotConfig,
         field: ModuleField,
         balancer: VirtualBalancer,
         time: Time,

@@ -18,7 +18,7 @@ from services.apps.observer import Observer
 from services.apps.runner import Runner
 from services.dwm.replay import row_of
 from services.mesh.core.radio_model import AirModel
-from services.mesh.core.routing.link_state import Known
+from services.mesh.core.routing.link_state import AdvertisedLinks
 from services.mesh.core.routing.topology import Advertisement
 from sim.core.actions import SimulationAction
 from sim.core.scene_record import SceneRecord
@@ -40,7 +40,7 @@ from swarm.config import Config
 from swarm.messages import Target
 from swarm.messages.codec import Value
 from swarm.messages.keys import key
-from swarm.recording.thesis_ranges import Recording
+from swarm.recording.thesis_ranges import ThesisRecording
 
 ASK_EVERY = 0.2
 """s between two looks whether an automatic topology links all robots yet, as the real host has it."""
@@ -87,17 +87,17 @@ MakeRunner = Callable[[EventApp, str], EventRunner]
 class Launch(NamedTuple):
     """How an app's hosts are started."""
 
-    app: loader.App
+    app: loader.LoadedApp
     run: int
     run_options: RunOptions
-    recording: Recording | None
+    recording: ThesisRecording | None
     """That the app replays."""
     observer: Observer | None
     runner: MakeRunner | None = None
     """What makes the runner of an event-driven app, in place of `EventRunner`."""
 
 
-class World:
+class VirtualWorld:
     """Robots and their links."""
 
     def __init__(
@@ -226,7 +226,9 @@ class World:
         there.apps[app.name], there.buses[app.name] = host, bus
         host.start()
 
-    def _measurements(self, runtime: VirtualRuntime, recording: Recording | None, last: int | None) -> Measurements:
+    def _measurements(
+        self, runtime: VirtualRuntime, recording: ThesisRecording | None, last: int | None
+    ) -> Measurements:
         if recording is None:
             return source_of(runtime, self.config, last)
         bus = VirtualBus(self.robots[runtime.robot].router)
@@ -244,7 +246,7 @@ class World:
     def _settle(self, latency: float) -> None:
         times = round(max(latency * 1e4, 1.0))
         links = {name: dict.fromkeys(near, times) for name, near in self._common.near.items()}
-        known = {name: Known(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
+        known = {name: AdvertisedLinks(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
         for robot in self.robots.values():
             assert isinstance(robot.mesh, VirtualMesh)
             robot.mesh.look(lambda overlays, now: overlays.settle(links, known, now))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from swarm.app.parameters import Parameter, parameter
 from swarm.app.robot import Robot
 from swarm.app.spec import checked
-from swarm.app.sync_app import App, SyncApp
+from swarm.app.sync_app import BaseApp, SyncApp
 from swarm.core.state import Item
 from swarm.errors import AppError
 from swarm.messages import Flooded, Sent
@@ -32,7 +32,7 @@ SHORTEST_PERIOD = 0.01
 """s: a Pi has other things to do."""
 
 
-class EventApp(App):
+class EventApp(BaseApp):
     """Base of apps that react to events. All handlers may be left out.
 
     Private fields may be of any type: a process that is started again begins with `start`.
@@ -66,7 +66,7 @@ class EventApp(App):
             )
 
     def __init__(self, robot: Robot, values: Mapping[str, object] | None = None) -> None:
-        """See `App`. Values named `CHANNEL_NAME` are parameters and first values of a channel."""
+        """See `BaseApp`. Values named `CHANNEL_NAME` are parameters and first values of a channel."""
         rest, mine = dict(values or {}), {}
         for name, declared in channels_of(type(self)).items():
             prefix = f"{name}_"
@@ -77,7 +77,7 @@ class EventApp(App):
         self._put("finished", None)
         for name, declared in channels_of(type(self)).items():
             try:
-                self._put(name, Channel(name, declared, robot, mine[name]))
+                self._put(name, ChannelView(name, declared, robot, mine[name]))
             except AppError as error:
                 raise AppError(f"channel {name}: {error}") from None
 
@@ -115,7 +115,7 @@ class EventApp(App):
 
     @classmethod
     def check_change(cls, values: Mapping[str, object]) -> dict[str, Value]:
-        """See `App`; `CHANNEL_NAME` is a parameter of a channel."""
+        """See `BaseApp`; `CHANNEL_NAME` is a parameter of a channel."""
         found: dict[str, Value] = {}
         for name, value in values.items():
             part, inner = cls._of_channel(name)
@@ -129,7 +129,7 @@ class EventApp(App):
         return found
 
     def told_parameters(self) -> dict[str, tuple[Parameter, Value]]:
-        """See `App`; those of channels behind its own."""
+        """See `BaseApp`; those of channels behind its own."""
         found = super().told_parameters()
         for part in channels_of(type(self)):
             told = getattr(self, part).app.told_parameters()
@@ -137,7 +137,7 @@ class EventApp(App):
         return found
 
     def change(self, values: Mapping[str, Value]) -> None:
-        """See `App`. A channel's parameters change with its next step, perhaps a little later."""
+        """See `BaseApp`. A channel's parameters change with its next step, perhaps a little later."""
         mine: dict[str, Value] = {}
         for name, value in values.items():
             part, inner = self._of_channel(name)
@@ -159,7 +159,7 @@ class EventApp(App):
 
     @classmethod
     def check_state(cls) -> None:
-        """See `App`; an app that shares nothing is fine."""
+        """See `BaseApp`; an app that shares nothing is fine."""
         if cls.spec.schema.fields:
             super().check_state()
 
@@ -204,7 +204,7 @@ def channel(kind: type[SyncApp], **values: object) -> Any:
     return ChannelDeclaration(kind, values)
 
 
-def channels_of(kind: type[App]) -> dict[str, ChannelDeclaration]:
+def channels_of(kind: type[BaseApp]) -> dict[str, ChannelDeclaration]:
     """The channels that an app class and its bases declare, by name."""
     found: dict[str, ChannelDeclaration] = {}
     for base in reversed(kind.__mro__):
@@ -212,7 +212,7 @@ def channels_of(kind: type[App]) -> dict[str, ChannelDeclaration]:
     return found
 
 
-class Channel:
+class ChannelView:
     """One channel as its app sees it: the shared fields of the newest iteration, and `k`.
 
     The host runs `app`, another instance with a robot of its own, and hands over each new state by `take`.

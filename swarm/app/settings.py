@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from swarm.app.parameters import value_of
 from swarm.config import Config
-from swarm.config.types import App
+from swarm.config.types import AppConfig
 from swarm.errors import AppError, ConfigError
 from swarm.frozen import frozen
 from swarm.messages.codec import Value
@@ -41,7 +41,7 @@ def parse(text: str) -> Setting:
     return Setting(robot if dot else None, parameter, value_of(value))
 
 
-def on_top(app: App, settings: Iterable[Setting], robots: Iterable[str]) -> App:
+def on_top(app: AppConfig, settings: Iterable[Setting], robots: Iterable[str]) -> AppConfig:
     """The app's parameters with these settings, the later ones above; one for all robots is above the file's for one.
 
     Raises `ConfigError` for a robot that there is not.
@@ -58,7 +58,7 @@ def on_top(app: App, settings: Iterable[Setting], robots: Iterable[str]) -> App:
             single.setdefault(setting.robot, {})[setting.name] = setting.value
         else:
             raise ConfigError(f"--set {setting.robot}.{setting.name}: the robots are {', '.join(names)}")
-    return App(common, single)
+    return AppConfig(common, single)
 
 
 def with_settings(config: Config, app: str, settings: Iterable[Setting]) -> Config:

@@ -29,7 +29,7 @@ WEIGHTS = ("metropolis", "row")
 """Consensus weights: Metropolis (symmetric, the mean) or row-normalised adjacency (thesis rule 4.1)."""
 
 
-class App:
+class BaseApp:
     """What all kinds of apps have in common: SyncApp, EventApp and PeriodicApp are derived from it.
 
     Annotated class attributes are the state: shared with the neighbours, or private where the name starts
@@ -156,7 +156,7 @@ class App:
         object.__setattr__(self, name, value)
 
 
-class SyncApp(App):
+class SyncApp(BaseApp):
     """Base of apps that step together with their neighbours. See the module's text and docs/apps.md.
 
     Private fields are saved for a restart, so they are of types that msgpack holds.

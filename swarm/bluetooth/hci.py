@@ -60,7 +60,7 @@ _STATUS = struct.Struct("<BBBBBH")
 _CONNECTION = struct.Struct("<6sBxH6sBBHI")
 
 
-class Reading(NamedTuple):
+class RssiReading(NamedTuple):
     """An answer to Read RSSI."""
 
     status: int
@@ -93,19 +93,19 @@ def written_supervision(packet: bytes) -> int | None:
     return None
 
 
-def reading(packet: bytes) -> Reading | None:
+def reading(packet: bytes) -> RssiReading | None:
     """The answer in a packet; None where it is another event. Raises `FrameError` for what is no event at all."""
     if len(packet) < 3 or packet[0] != EVENT or packet[2] != len(packet) - 3:
         raise FrameError(f"HCI packet {packet[:8].hex(' ')}...: no event")
     if packet[1] == COMPLETE and len(packet) >= 6 and packet[4] | packet[5] << 8 == READ_RSSI:
         if len(packet) == 7:  # an error without return parameters
-            return Reading(packet[6], 0, 0)
+            return RssiReading(packet[6], 0, 0)
         if len(packet) != _COMPLETE.size:
             raise FrameError(f"HCI: Read RSSI answered by {len(packet)} bytes: {_COMPLETE.size} were to come")
         *_, status, handle, rssi = _COMPLETE.unpack(packet)
-        return Reading(status, handle, rssi)
+        return RssiReading(status, handle, rssi)
     if packet[1] == STATUS and len(packet) == _STATUS.size and _STATUS.unpack(packet)[5] == READ_RSSI:
-        return Reading(packet[3], 0, 0)
+        return RssiReading(packet[3], 0, 0)
     return None
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from swarm.config.load import AUTO
-from swarm.config.types import DEFAULT_RELAY, App, Config
+from swarm.config.types import DEFAULT_RELAY, AppConfig, Config
 from swarm.errors import LocalError
 
 
@@ -29,7 +29,7 @@ def dump(config: Config) -> str:
     return text
 
 
-def _app(app: App) -> dict[str, Any]:
+def _app(app: AppConfig) -> dict[str, Any]:
     return {**_plain(app.parameters), "robots": _plain(app.robots)}
 
 

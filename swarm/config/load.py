@@ -13,7 +13,7 @@ from pathlib import Path
 from swarm.config import sections
 from swarm.config.reader import Table, listed, shown
 from swarm.config.toml_input import read_toml
-from swarm.config.types import DEFAULT_RELAY, MAX_RFCOMM_LINKS, Config, RelayRule, Robot
+from swarm.config.types import DEFAULT_RELAY, MAX_RFCOMM_LINKS, Config, RelayRule, RobotConfig
 from swarm.core.graph import SHAPES, Graph
 from swarm.errors import ConfigError, LocalError, PayloadError
 from swarm.messages.keys import MAX_KEY_LENGTH, ROOT, is_name
@@ -108,8 +108,8 @@ def who_am_i(config: Config) -> str:
     return name
 
 
-def _robots(top: Table) -> tuple[Robot, ...]:
-    robots: list[Robot] = []
+def _robots(top: Table) -> tuple[RobotConfig, ...]:
+    robots: list[RobotConfig] = []
     taken: dict[str, str] = {}
     tables = top.tables("robots", ("name", "board", "bluetooth", "link", "host", "uwb", "uwb_role"))
     if not tables:
@@ -126,7 +126,7 @@ def _robots(top: Table) -> tuple[Robot, ...]:
     return tuple(robots)
 
 
-def _robot(table: Table) -> Robot:
+def _robot(table: Table) -> RobotConfig:
     name = table.text("name", expected=_NAME)
     if not is_name(name):
         raise table.wrong("name", _NAME)
@@ -147,10 +147,10 @@ def _robot(table: Table) -> Robot:
     uwb = sections.uwb_address(table, "uwb") if "uwb" in table else None
     role = table.choice("uwb_role", "tag", ("tag", "anchor"))
     host = table.text("host", None, expected="a host as ssh knows it: r0.local or pi@192.168.1.15", pattern=_HOST)
-    return Robot(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role)
+    return RobotConfig(name, board, bluetooth.upper() if bluetooth else None, link, host, uwb, role)
 
 
-def _topology(top: Table, robots: Sequence[Robot], addressed: bool) -> Graph:
+def _topology(top: Table, robots: Sequence[RobotConfig], addressed: bool) -> Graph:
     ways = ("shape", "edges", "matrix")
     if isinstance(top.data.get("topology"), str):
         raise top.wrong("topology", f'"{AUTO}" or a table, written [topology]')
@@ -179,7 +179,7 @@ def _topology(top: Table, robots: Sequence[Robot], addressed: bool) -> Graph:
     return graph
 
 
-def _check_radio(table: Table, way: str, robots: Sequence[Robot], graph: Graph, addressed: bool) -> None:
+def _check_radio(table: Table, way: str, robots: Sequence[RobotConfig], graph: Graph, addressed: bool) -> None:
     """Robots without a `link` of their own are reached by RFCOMM: they need an address; seven links at most.
 
     A link counts as RFCOMM when either end has no `link`, since which end dials is not the file's affair.
@@ -201,7 +201,7 @@ def _check_radio(table: Table, way: str, robots: Sequence[Robot], graph: Graph, 
             )
 
 
-def _check_addresses(top: Table, robots: Sequence[Robot]) -> None:
+def _check_addresses(top: Table, robots: Sequence[RobotConfig]) -> None:
     """Any two robots may become neighbours: each needs an address."""
     for i, robot in enumerate(robots):
         if robot.link is None and robot.bluetooth is None and len(robots) > 1:

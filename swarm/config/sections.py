@@ -7,7 +7,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from swarm.config.reader import Table, finite, vector
-from swarm.config.types import Affine, Anchor, App, Balancing, Body, Dwm, Linear, Mesh, Recordings, Simulation
+from swarm.config.types import (
+    Affine,
+    Anchor,
+    AppConfig,
+    Balancing,
+    Body,
+    Dwm,
+    Linear,
+    MeshConfig,
+    Recordings,
+    SimulationConfig,
+)
 from swarm.messages.codec import Value
 from swarm.messages.keys import is_name
 
@@ -37,18 +48,18 @@ def is_port(text: str) -> bool:
     return 1 <= int(text.rpartition(":")[2]) <= 65535
 
 
-def mesh(top: Table) -> Mesh:
+def mesh(top: Table) -> MeshConfig:
     """The table [mesh]."""
     table = top.table(
         "mesh",
         ("insecure", "key", "listen", "heartbeat", "suspect", "dead", "rfcomm_channel", "rfcomm_encrypt", "metric"),
     )
-    normal = Mesh()
+    normal = MeshConfig()
     seconds = "a number above 0, in seconds"
     listen = table.text("listen", None, expected="HOST:PORT", pattern=HOST_PORT)
     if listen is not None and not is_port(listen):
         raise table.wrong("listen", "HOST:PORT with a port from 1 to 65535")
-    found = Mesh(
+    found = MeshConfig(
         insecure=table.flag("insecure", normal.insecure),
         key=table.text("key", None, expected="the whole path of a file made by `swarm key new`", pattern=_PATH),
         listen=listen,
@@ -182,16 +193,16 @@ def _balancing(table: Table, normal: Balancing) -> Balancing:
     return found
 
 
-def apps(top: Table, robots: Sequence[str]) -> dict[str, App]:
+def apps(top: Table, robots: Sequence[str]) -> dict[str, AppConfig]:
     """The tables [apps.NAME] and, on top of them, [apps.NAME.robots.ROBOT]."""
-    found: dict[str, App] = {}
+    found: dict[str, AppConfig] = {}
     every = top.table("apps", None)
     for name in every.data:
         if not is_name(name):
             raise every.error(name, "expected the name of an app: a lower-case letter, then letters, digits, _ or -")
         table = every.table(name, None)
         single = table.table("robots", robots)
-        found[name] = App(
+        found[name] = AppConfig(
             {key: _parameter(table, key) for key in table.data if key != "robots"},
             {robot: _parameters(single.table(robot, None)) for robot in single.data},
         )
@@ -205,13 +216,13 @@ def recordings(top: Table) -> Recordings:
     return Recordings(table.number("budget", normal.budget, above=0, expected="a number above 0, in bytes"))
 
 
-def simulation(top: Table, robots: Sequence[str]) -> Simulation:
+def simulation(top: Table, robots: Sequence[str]) -> SimulationConfig:
     """The table [simulation]."""
     table = top.table("simulation", ("target", "target_velocity", "places"))
-    normal = Simulation()
+    normal = SimulationConfig()
     places = table.table("places", robots)
     expected = "three numbers [x, y, heading], in m, m and rad"
-    return Simulation(
+    return SimulationConfig(
         target=table.numbers("target", normal.target, expected="two numbers [x, y], in m", length=2),
         target_velocity=table.numbers(
             "target_velocity", normal.target_velocity, expected="two numbers [vx, vy], in m/s", length=2

@@ -19,7 +19,7 @@ MAX_RFCOMM_LINKS = 7
 
 
 @frozen
-class Robot:
+class RobotConfig:
     """One robot of the swarm."""
 
     name: str
@@ -76,7 +76,7 @@ class Anchor:
 
 
 @frozen
-class Mesh:
+class MeshConfig:
     """Mesh settings; docs/frames.md says why the times are as they are."""
 
     insecure: bool = False
@@ -195,7 +195,7 @@ class Dwm:
 
 
 @frozen
-class App:
+class AppConfig:
     """Parameters of one app: common ones, and those of single robots on top."""
 
     parameters: Mapping[str, Value] = field(default_factory=dict)
@@ -215,7 +215,7 @@ class Recordings:
 
 
 @frozen
-class Simulation:
+class SimulationConfig:
     """Where simulated robots and the target start; only `swarm sim` reads it."""
 
     target: tuple[float, float] = (0.5, 1.0)
@@ -243,12 +243,12 @@ class Config:
     path: Path
     network: str
     """Robots of another network are refused."""
-    robots: tuple[Robot, ...]
+    robots: tuple[RobotConfig, ...]
     edges: tuple[tuple[str, str], ...]
     """The topology to begin with: each link once, as (name, name) in the order of `robots`."""
     relay: tuple[RelayRule, ...]
     anchors: tuple[Anchor, ...] = ()
-    mesh: Mesh = field(default_factory=Mesh)
+    mesh: MeshConfig = field(default_factory=MeshConfig)
     body: Body = field(default_factory=Body)
     bodies: Mapping[str, Body] = field(default_factory=dict)
     """Of the robots that differ from `body`."""
@@ -256,9 +256,9 @@ class Config:
     balancings: Mapping[str, Balancing] = field(default_factory=dict)
     """Of the robots that differ from `balancing`."""
     dwm: Dwm = field(default_factory=Dwm)
-    apps: Mapping[str, App] = field(default_factory=dict)
+    apps: Mapping[str, AppConfig] = field(default_factory=dict)
     recordings: Recordings = field(default_factory=Recordings)
-    simulation: Simulation = field(default_factory=Simulation)
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
     auto: bool = False
     """Whether the robots find their links themselves; `edges` is empty then."""
 
@@ -272,7 +272,7 @@ class Config:
         """The topology to begin with."""
         return Graph(self.names, self.edges)
 
-    def robot(self, name: str) -> Robot:
+    def robot(self, name: str) -> RobotConfig:
         """The robot called `name`; KeyError where there is none."""
         for robot in self.robots:
             if robot.name == name:
@@ -296,6 +296,6 @@ class Config:
         """Names of the robots linked to `name` in the topology to begin with, sorted."""
         return tuple(sorted((b if a == name else a) for a, b in self.edges if name in (a, b)))
 
-    def app(self, name: str) -> App:
+    def app(self, name: str) -> AppConfig:
         """Parameters of an app; empty ones where the file says nothing of it."""
-        return self.apps.get(name, App())
+        return self.apps.get(name, AppConfig())

@@ -13,7 +13,7 @@ run or of a dead process are dropped, and robots with another version of the app
 Start barrier (thesis figure 3.9, there only among neighbours): each adds what it hears to what it knows. Whoever has
 all bits, or hears a neighbour who has, may step; so a process that is started again in mid-run steps at once.
 
-The app's handlers run one at a time: `actions` gives a `Call`, and the next one after `returned`.
+The app's handlers run one at a time: `actions` gives a `HandlerCall`, and the next one after `returned`.
 """
 
 import math
@@ -42,7 +42,7 @@ _ALL = 1
 _ALWAYS = ("start", "step", "on_parameter")
 
 
-class Call(NamedTuple):
+class HandlerCall(NamedTuple):
     """Call this handler of the app now, and say when it has returned."""
 
     handler: str
@@ -57,10 +57,10 @@ class Publish(NamedTuple):
     data: bytes
 
 
-Action = Call | Publish
+Action = HandlerCall | Publish
 
 
-class Known(NamedTuple):
+class NeighbourState(NamedTuple):
     """A neighbour's newest state."""
 
     name: str
@@ -117,8 +117,8 @@ class Asynchronous:
         self._sequence = 0
         self._told_at = -math.inf
         self._tell_at = math.inf
-        self._queue: deque[Call] = deque()
-        self._running: Call | None = None
+        self._queue: deque[HandlerCall] = deque()
+        self._running: HandlerCall | None = None
         self._since = math.inf
         self._began = False
         self._done = False
@@ -152,7 +152,7 @@ class Asynchronous:
         return tuple([name for name, peer in self._peers.items() if peer.stranger])
 
     @property
-    def running(self) -> Call | None:
+    def running(self) -> HandlerCall | None:
         """The handler that has not returned yet."""
         return self._running
 
@@ -160,16 +160,16 @@ class Asynchronous:
         """Whether a handler takes too long to be well."""
         return self._running is not None and now - self._since >= HANG
 
-    def known(self, now: float) -> list[Known]:
+    def known(self, now: float) -> list[NeighbourState]:
         """The newest states of the neighbours that have told one, sorted by name."""
         found = ((name, peer) for name, peer in sorted(self._peers.items()))
-        return [Known(name, peer.data, now - peer.came) for name, peer in found if peer.data is not None]
+        return [NeighbourState(name, peer.data, now - peer.came) for name, peer in found if peer.data is not None]
 
     # -- what happens
 
     def begin(self, now: float) -> None:
         """The process is there: `start` is called."""
-        self._add(Call("start"), now)
+        self._add(HandlerCall("start"), now)
 
     def receive(self, sender: str, channel: Channel, data: bytes, now: float) -> None:
         """A frame of a neighbour. What is none, or not for us, is counted and dropped."""
@@ -198,11 +198,11 @@ class Asynchronous:
         self._hear(all_here=bool(flags & _ALL), roll=roll, now=now)
         if self.size and state != peer.data:
             peer.data = state
-            self._add(Call("on_neighbour", (sender,)), now)
+            self._add(HandlerCall("on_neighbour", (sender,)), now)
 
     def happened(self, handler: str, *arguments: object, now: float) -> None:
         """A button, a message, an answer or a parameter: its handler is called in its turn."""
-        self._add(Call(handler, arguments), now)
+        self._add(HandlerCall(handler, arguments), now)
 
     def after(self, seconds: float, name: str, now: float) -> None:
         """Call `on_timer(name)` in so many seconds; said again, it is moved."""
@@ -258,13 +258,13 @@ class Asynchronous:
             return
         for name in [name for name, at in self._timers.items() if at <= now]:
             del self._timers[name]
-            self._add(Call("on_timer", (name,)), now)
+            self._add(HandlerCall("on_timer", (name,)), now)
         if now >= self._step_at and self.period is not None:
             # Missed steps are not made up for: the grid of deadlines stays, as many of them pass as have passed.
             passed = math.floor((now - self._step_at) / self.period) + 1
             self.counters["late_steps"] += passed - 1
             self._step_at += passed * self.period
-            self._add(Call("step"), now)
+            self._add(HandlerCall("step"), now)
         if now >= self._tell_at and not self.hangs(now):
             self._tell(now)
         self._next(now)
@@ -327,7 +327,7 @@ class Asynchronous:
         self._told_at = now
         self._tell_at = now + (REPEAT if self._all_here or not self.barrier else REPEAT_WAITING)
 
-    def _add(self, call: Call, now: float) -> None:
+    def _add(self, call: HandlerCall, now: float) -> None:
         if self.failure or self._done:
             return
         if self.handled is not None and call.handler not in (*_ALWAYS, *self.handled):
@@ -345,7 +345,7 @@ class Asynchronous:
         if self._running is not None or not self._queue:
             return
         if not self._began:
-            start = Call("start")
+            start = HandlerCall("start")
             if start not in self._queue:
                 return
             self._queue.remove(start)

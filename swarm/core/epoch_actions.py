@@ -1,25 +1,25 @@
 """What `swarm.core.epochs` asks of its host (actions), and what an operator may ask of it (requests)."""
 
-from swarm.core.epoch_notes import Epoch, Kept
+from swarm.core.epoch_notes import Epoch, SavedEpochs
 from swarm.frozen import frozen
 
 
 @frozen
-class Keep:
-    """Write this where it outlives kills and reboots, before the `Tell` that follows."""
+class SaveEpochs:
+    """Write this where it outlives kills and reboots, before the `SendToNeighbours` that follows."""
 
-    kept: Kept
+    kept: SavedEpochs
 
 
 @frozen
-class Tell:
+class SendToNeighbours:
     """Send this to all neighbours, whatever epoch they are in."""
 
     data: bytes
 
 
 @frozen
-class Switch:
+class SwitchEpoch:
     """Leave the old epoch for this one, whether this robot is in it or not."""
 
     epoch: Epoch
@@ -34,4 +34,4 @@ class EpochRequest:
     force: bool = False
 
 
-Action = Keep | Tell | Switch
+Action = SaveEpochs | SendToNeighbours | SwitchEpoch

@@ -61,7 +61,7 @@ class Epoch:
     away: tuple[str, ...]
     """Robots that only the operator lets in again."""
     restored: tuple[LostVote, ...]
-    """The numbers of lost votes (`Note.lost`) of members: from this epoch on these robots vote again. Sorted."""
+    """The numbers of lost votes (`EpochNote.lost`) of members: from this epoch on these robots vote again. Sorted."""
     forced: bool
     """Ordered by the operator without a majority."""
 
@@ -123,7 +123,7 @@ class Offer:
 
 
 @frozen
-class Note:
+class EpochNote:
     """All that a robot has to say; each one replaces its earlier ones everywhere."""
 
     robot: str
@@ -174,7 +174,7 @@ class Note:
         return encode(self)
 
     @classmethod
-    def decode(cls, data: bytes) -> "Note":
+    def decode(cls, data: bytes) -> "EpochNote":
         """Unpack; `PayloadError` says what is wrong with it."""
         note = decode(cls, data, "epoch note")
         for epoch in note._epochs:
@@ -183,12 +183,12 @@ class Note:
 
 
 @frozen
-class Kept:
+class SavedEpochs:
     """What must outlive the process and, for robots that reboot, the runtime directory: no robot votes twice."""
 
     run: int
     schema: int
-    note: Note
+    note: EpochNote
 
 
 def _check(epoch: Epoch) -> None:

@@ -1,6 +1,6 @@
 """What one robot knows of the others of a run: their newest notes, and when they came."""
 
-from swarm.core.epoch_notes import Ballot, Note
+from swarm.core.epoch_notes import Ballot, EpochNote
 
 FRESH = 3.5
 """A robot is there if its newest note is at most so old, s."""
@@ -9,15 +9,15 @@ FRESH = 3.5
 class Roster:
     """The notes, the own one among them."""
 
-    def __init__(self, me: str, mine: Note) -> None:
+    def __init__(self, me: str, mine: EpochNote) -> None:
         self.me = me
         self.mine = mine
-        self.notes: dict[str, Note] = {}
+        self.notes: dict[str, EpochNote] = {}
         """Of the others."""
         self.heard: dict[str, float] = {}
         """When each came."""
 
-    def take(self, note: Note, now: float) -> None:
+    def take(self, note: EpochNote, now: float) -> None:
         """A newer note of another robot."""
         self.notes[note.robot] = note
         self.heard[note.robot] = now
@@ -26,7 +26,7 @@ class Roster:
         """Whether a robot was heard of lately."""
         return name == self.me or now - self.heard.get(name, float("-inf")) <= FRESH
 
-    def of_members(self) -> dict[str, Note]:
+    def of_members(self) -> dict[str, EpochNote]:
         """The notes of members who know of this epoch, the own one too."""
         return {
             name: note
@@ -34,11 +34,11 @@ class Roster:
             if note is not None and note.epoch.number == self.mine.epoch.number
         }
 
-    def answered(self, ballot: Ballot) -> dict[str, Note]:
+    def answered(self, ballot: Ballot) -> dict[str, EpochNote]:
         """The notes of members who take part in a ballot."""
         return {name: note for name, note in self.of_members().items() if note.promised == ballot}
 
-    def newcomers(self, now: float, *added: str) -> dict[str, Note]:
+    def newcomers(self, now: float, *added: str) -> dict[str, EpochNote]:
         """Robots that are there and know that they have no part in this epoch, or that have lost their vote; `added`:
         whom the operator lets in."""
         away = set(self.mine.epoch.away) - set(added)
@@ -56,7 +56,7 @@ class Roster:
         enough = 2 * (len(members) - lost) > len(members)
         return any(enough or self._outside(note) for note in self.newcomers(now).values())
 
-    def _outside(self, note: Note) -> bool:
+    def _outside(self, note: EpochNote) -> bool:
         """Whether a robot is in no epoch, or in one of its own. Who has not heard of this one yet will: no matter."""
         if note.epoch.number == self.mine.epoch.number:
             return note.robot not in self.mine.epoch.members

@@ -7,8 +7,8 @@ those who answered and who join, their links, and K, the smallest of the iterati
 decided, and every robot finds that out by itself. All go on from x(K) of the old epoch, which every one of them has or
 has had: neighbours are at most one iteration apart, so nobody goes back by more than the graph's diameter.
 
-- Two majorities of the same members have a robot in common, and it keeps its word through kills and reboots (`Keep`
-  comes before `Tell`): of two halves at most one ever goes on, and each epoch has one successor.
+- Two majorities of the same members have a robot in common, and it keeps its word through kills and reboots
+  (`SaveEpochs` comes before `SendToNeighbours`): of two halves at most one ever goes on; each epoch has one successor.
 - Who has promised does not compute on before there is a decision: K stays within what all can go back to.
 - Robots that left, that lost their state in a reboot, or that come late are heard of by their notes, and are taken in
   by the next epoch, with a value of their own.
@@ -29,8 +29,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 
-from swarm.core.epoch_actions import Action, EpochRequest, Keep, Switch, Tell
-from swarm.core.epoch_notes import NONE, Ballot, Epoch, Kept, Note, Offer, Vote, following
+from swarm.core.epoch_actions import Action, EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
+from swarm.core.epoch_notes import NONE, Ballot, Epoch, EpochNote, Offer, SavedEpochs, Vote, following
 from swarm.core.epoch_roster import Roster
 from swarm.core.graph import Graph
 from swarm.errors import PayloadError
@@ -93,7 +93,7 @@ class Epochs:
         of: tuple[int, int],
         birth: int,
         begin: Epoch,
-        kept: Kept | None,
+        kept: SavedEpochs | None,
         *,
         auto: bool,
         lost: int = 0,
@@ -111,7 +111,7 @@ class Epochs:
         if kept is not None and (kept.run, kept.schema) == of:
             mine = replace(kept.note, birth=max(birth, kept.note.birth + 1), version=0, offer=None, well=True)
         else:
-            mine = Note(me, birth, 0, begin, -1, True, (), NONE, None, None, lost)
+            mine = EpochNote(me, birth, 0, begin, -1, True, (), NONE, None, None, lost)
         self._roster = Roster(me, mine)
         self._mine = mine
         self._become()
@@ -142,9 +142,9 @@ class Epochs:
         return self._mine.birth
 
     @property
-    def kept(self) -> Kept:
+    def kept(self) -> SavedEpochs:
         """What is to outlive the process."""
-        return Kept(*self._of, self._mine)
+        return SavedEpochs(*self._of, self._mine)
 
     @property
     def lost(self) -> bool:
@@ -201,13 +201,13 @@ class Epochs:
             self._relink = here != {frozenset(edge) for edge in self.epoch.edges}
 
     def settle(self) -> None:
-        """The host has done what the last `Switch` asked for: only now is there a state to make promises with."""
+        """The host has done what the last `SwitchEpoch` asked for: only now is there a state to make promises with."""
         self._settled = True
 
     def resettle(self) -> None:
-        """The host's state is of an earlier epoch: it has not done yet what the last `Switch` asked for."""
+        """The host's state is of an earlier epoch: it has not done yet what the last `SwitchEpoch` asked for."""
         self._settled = False
-        self._actions.append(Switch(self.epoch))
+        self._actions.append(SwitchEpoch(self.epoch))
 
     def lose(self) -> None:
         """The state of this epoch is gone, whatever was told of it."""
@@ -241,7 +241,7 @@ class Epochs:
     def receive(self, data: bytes, now: float) -> None:
         """A note, of whomever."""
         try:
-            note = Note.decode(data)
+            note = EpochNote.decode(data)
         except PayloadError:
             self.counters["malformed note"] += 1
             return
@@ -264,10 +264,10 @@ class Epochs:
             if other and now >= self._reminded_at + TELL_AGAIN:
                 # It lost its files, and does not know that it has to count on from there.
                 self._reminded_at = now
-                self._actions.append(Tell(known.encode()))
+                self._actions.append(SendToNeighbours(known.encode()))
             return
         self._roster.take(note, now)
-        self._actions.append(Tell(data))  # who has it passes it on no more
+        self._actions.append(SendToNeighbours(data))  # who has it passes it on no more
         self._weigh(note, now)
 
     def handle_timer(self, now: float) -> None:
@@ -308,7 +308,7 @@ class Epochs:
         """When a ballot need not wait for further answers."""
         return max(self._offered_at + COLLECT, self._answered_at + QUIET)
 
-    def _weigh(self, note: Note, now: float) -> None:
+    def _weigh(self, note: EpochNote, now: float) -> None:
         if note.epoch.supersedes(self.epoch):
             self._adopt(note.epoch, now)
         elif note.epoch.number != self.epoch.number:
@@ -384,7 +384,7 @@ class Epochs:
             self._become(offer=replace(offer, epoch=epoch))
             self._stop(offer.ballot, Vote(offer.ballot, epoch), now)
 
-    def _choose(self, offer: Offer, notes: dict[str, Note], now: float) -> Epoch | None:
+    def _choose(self, offer: Offer, notes: dict[str, EpochNote], now: float) -> Epoch | None:
         """The epoch to offer: what may have been decided already, else what this robot would have."""
         members = self.epoch.members
         if not offer.forced:
@@ -442,7 +442,7 @@ class Epochs:
         self._cause_at = None
         self._tell(now)
         if not lost:  # else it may have been in this epoch, and must not begin it a second time
-            self._actions.append(Switch(epoch))
+            self._actions.append(SwitchEpoch(epoch))
 
     def _cause(self, now: float) -> bool:
         """Whether this robot should make a ballot."""
@@ -473,5 +473,5 @@ class Epochs:
         bound = (new.birth, new.epoch, new.promised, new.accepted, new.lost, stopped_at)
         if bound != self._bound:  # a repetition binds to nothing new: it need not wait for a disk
             self._bound = bound
-            self._actions.append(Keep(self.kept))
-        self._actions.append(Tell(new.encode()))
+            self._actions.append(SaveEpochs(self.kept))
+        self._actions.append(SendToNeighbours(new.encode()))

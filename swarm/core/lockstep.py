@@ -19,7 +19,7 @@ from swarm.core.lockstep_actions import Action, Advanced, Compute, Fault, Finish
 from swarm.core.lockstep_frames import (
     MAX_ITERATION,
     Channel,
-    Heard,
+    HeardNeighbour,
     Snapshot,
     Step,
     Want,
@@ -108,7 +108,7 @@ class Lockstep:
         self.fault: str | None = None
         self.done = False
         self.counters: Counter[str] = Counter()
-        self._peers = {name: Heard() for name in sorted(neighbours)}
+        self._peers = {name: HeardNeighbour() for name in sorted(neighbours)}
         self._size = size
         self._last = MAX_ITERATION if last is None else last
         self._linger = linger
@@ -304,7 +304,7 @@ class Lockstep:
         else:
             self.counters["own frame"] += 1
 
-    def _accept(self, sender: str, peer: Heard, incarnation: int, frame: Step | Want) -> bool:
+    def _accept(self, sender: str, peer: HeardNeighbour, incarnation: int, frame: Step | Want) -> bool:
         """Learn from a frame of the newest incarnation (R3); whether it held a value that was missing."""
         restarted = incarnation > peer.incarnation
         peer.incarnation = incarnation
@@ -331,7 +331,7 @@ class Lockstep:
             self.counters["duplicate"] += 1
         return False
 
-    def _fill(self, sender: str, peer: Heard, k: int, value: bytes) -> bool:
+    def _fill(self, sender: str, peer: HeardNeighbour, k: int, value: bytes) -> bool:
         """Take a value of iteration k-1 to k+1; whether it was missing."""
         held = peer.slots[k % 3]
         if held is None:

@@ -120,7 +120,7 @@ def decode_frame(data: bytes, size: int) -> Step | Want:
 
 
 @dataclass(slots=True)
-class Heard:
+class HeardNeighbour:
     """What is known of one neighbour."""
 
     incarnation: int = -1
@@ -148,7 +148,7 @@ class Snapshot:
     k: int
     value: bytes
     previous: bytes | None
-    heard: dict[str, Heard]
+    heard: dict[str, HeardNeighbour]
     private: bytes
 
     def encode(self) -> bytes:
@@ -196,7 +196,7 @@ class Snapshot:
             for bit in range(3):
                 if mask >> bit & 1:
                     slots[(k + bit - 1) % 3] = rest.take(size)
-            heard[name] = Heard(incarnation, reached, slots) if known else Heard()
+            heard[name] = HeardNeighbour(incarnation, reached, slots) if known else HeardNeighbour()
         return cls(run, epoch, schema, size, k, value, previous, heard, rest.take(private))
 
 

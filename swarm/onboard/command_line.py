@@ -33,7 +33,7 @@ class Command(NamedTuple):
     """One line; empty where the module has it as `HELP`."""
 
 
-class Group(NamedTuple):
+class CommandGroup(NamedTuple):
     """Commands under one word, as in `swarm hand press`."""
 
     help: str
@@ -42,7 +42,7 @@ class Group(NamedTuple):
     """The command that is meant where none is named; empty: one must be named."""
 
 
-Commands = Mapping[str, Command | Group]
+Commands = Mapping[str, Command | CommandGroup]
 Sections = Mapping[str, Commands]
 """Commands by the title above them in the help."""
 
@@ -90,7 +90,7 @@ def complain(program: str, text: str) -> None:
         sys.stderr.flush()
 
 
-def commands_of(sections: Sections) -> dict[str, Command | Group]:
+def commands_of(sections: Sections) -> dict[str, Command | CommandGroup]:
     """Return all commands and groups by the word that is typed behind `swarm`."""
     return {name: each for section in sections.values() for name, each in section.items()}
 
@@ -99,11 +99,11 @@ def names(commands: Commands) -> list[str]:
     """Return every command as it is typed behind `swarm`, groups with each of their commands."""
     found: list[str] = []
     for name, each in commands.items():
-        found += [f"{name} {sub}" for sub in each.commands] if isinstance(each, Group) else [name]
+        found += [f"{name} {sub}" for sub in each.commands] if isinstance(each, CommandGroup) else [name]
     return found
 
 
-def help_of(command: Command | Group) -> str:
+def help_of(command: Command | CommandGroup) -> str:
     """Return the one line of help, read from the text of the module: importing all modules takes long."""
     if command.help:
         return command.help
@@ -134,7 +134,7 @@ def _main(sections: Sections, argv: list[str]) -> int:
     command = commands.get(name)
     if command is None:
         raise LocalError(f"no command {name!r}; {_hint(name, commands)}")
-    if not isinstance(command, Group):
+    if not isinstance(command, CommandGroup):
         return _call(name, command, rest)
     if rest and (chosen := command.commands.get(rest[0])) is not None:
         return _call(f"{name} {rest[0]}", chosen, rest[1:])
@@ -174,7 +174,7 @@ def _usage(sections: Sections) -> str:
     return "\n".join([*lines, ""])
 
 
-def _usage_of(name: str, group: Group) -> str:
+def _usage_of(name: str, group: CommandGroup) -> str:
     """Return what `swarm GROUP --help` prints."""
     lines = [f"usage: swarm {name} COMMAND ...   (swarm {name} COMMAND --help)", "", f"{group.help}:"]
     lines += [_line(sub, each) for sub, each in group.commands.items()]
@@ -183,9 +183,9 @@ def _usage_of(name: str, group: Group) -> str:
     return "\n".join([*lines, ""])
 
 
-def _line(name: str, command: Command | Group) -> str:
+def _line(name: str, command: Command | CommandGroup) -> str:
     text = help_of(command)
-    if isinstance(command, Group):
+    if isinstance(command, CommandGroup):
         text = f"{text}: {', '.join(command.commands)}"
     return f"  {name:<10} {text}"
 

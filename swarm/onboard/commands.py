@@ -5,9 +5,9 @@ Tools of a service are named here and imported when they are used: no module of 
 
 from typing import NoReturn
 
-from swarm.onboard.command_line import Command, Group, Sections, main
+from swarm.onboard.command_line import Command, CommandGroup, Sections, main
 
-MESH = Group(
+MESH = CommandGroup(
     "the robots and their links, the topology, the members of runs",
     {
         "show": Command("swarm.onboard.mesh.show"),
@@ -17,7 +17,7 @@ MESH = Group(
     alone="show",
 )
 
-MEASURE = Group(
+MEASURE = CommandGroup(
     "links, paths and the I2C bus",
     {
         "rtt": Command("swarm.onboard.measure.links", ("rtt",), "round-trip times by payload size and overlay"),
@@ -27,7 +27,7 @@ MEASURE = Group(
     },
 )
 
-TOOLS: dict[str, Command | Group] = {
+TOOLS: dict[str, Command | CommandGroup] = {
     "dwm": Command("services.dwm.tool", help="look at UWB modules, set them up, find what is wrong"),
     "calibrate": Command("services.dwm.calibrate.__main__", help="calibrate the UWB module of a robot"),
     "discover": Command("services.mesh.discover", help="list Bluetooth devices in range, and which are robots"),
@@ -39,7 +39,7 @@ SECTIONS: Sections = {
     "this robot and its swarm": {
         "mesh": MESH,
         "measure": MEASURE,
-        "app": Group("apps while they run", {"param": Command("swarm.onboard.param")}),
+        "app": CommandGroup("apps while they run", {"param": Command("swarm.onboard.param")}),
         **TOOLS,
         "flash": Command("services.balancer.flash", help="put new firmware on the Balboa, over its USB cable"),
     },

@@ -22,7 +22,7 @@ _FRAME = struct.Struct("<BI")
 _FRAME_KINDS = {STEP: "STEP", WANT: "WANT"}
 
 
-class Sample(NamedTuple):
+class BusSample(NamedTuple):
     """What came, when, and on whose bus."""
 
     time: float
@@ -33,12 +33,12 @@ class Sample(NamedTuple):
     payload: bytes
 
 
-def as_text(sample: Sample) -> str:
+def as_text(sample: BusSample) -> str:
     """One line: time, bus, key and the decoded payload."""
     return f"{clock_text(sample.time)} {_bus(sample.robot)}{_word(sample.key)} {_payload_text(sample)}"
 
 
-def as_json(sample: Sample) -> str:
+def as_json(sample: BusSample) -> str:
     """One JSON object: `value` is the decoded payload, or `hex` the raw one beside `error` or a frame's head."""
     data: dict[str, object] = {"time": round(sample.time, 6), "robot": sample.robot, "key": sample.key}
     if (frame := _frame(sample)) is not None:
@@ -70,7 +70,7 @@ def clock_text(seconds: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(seconds)) + f".{int(seconds % 1 * 1000):03d}"
 
 
-def _payload_text(sample: Sample) -> str:
+def _payload_text(sample: BusSample) -> str:
     if (frame := _frame(sample)) is not None:
         return f"{frame[0]} {frame[1]}={frame[2]} {_raw(sample.payload)}"
     try:
@@ -81,7 +81,7 @@ def _payload_text(sample: Sample) -> str:
     return value_text(value) + (f" (! {printable(fault)})" if fault is not None else "")
 
 
-def _frame(sample: Sample) -> tuple[str, str, int] | None:
+def _frame(sample: BusSample) -> tuple[str, str, int] | None:
     """Kind and iteration, or sequence, of an app-to-app frame (docs/lockstep.md, docs/events.md), None for everything
     else."""
     try:
@@ -97,7 +97,7 @@ def _frame(sample: Sample) -> tuple[str, str, int] | None:
     return ("STATE", "sequence", number) if chunks[1] == "latest" else None
 
 
-def _fault(sample: Sample) -> str | None:
+def _fault(sample: BusSample) -> str | None:
     """Why the payload is not what its key demands; None where it is, or where the key is none of ours."""
     try:
         if type_of(sample.key) is not None:

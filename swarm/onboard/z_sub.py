@@ -21,7 +21,7 @@ from swarm.messages.keys import EVERYTHING
 from swarm.onboard import buses, samples
 from swarm.onboard.arguments import add_robots, add_run_dir, number, whole
 from swarm.onboard.command_line import complain, end_with
-from swarm.onboard.samples import Sample
+from swarm.onboard.samples import BusSample
 from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
 
@@ -126,7 +126,7 @@ class _Watch:
         self._while_input: bool = options.while_input
         self._end = clock.now() + options.seconds if options.seconds else None
         self._source = _source(options)
-        self._queue: queue.Queue[Sample] = queue.Queue(_QUEUE)
+        self._queue: queue.Queue[BusSample] = queue.Queue(_QUEUE)
         self._lost = 0
         self._buses: dict[str, _Watched] = {}
 
@@ -180,7 +180,7 @@ class _Watch:
     def _receiver(self, robot: str) -> Callable[[str, bytes], None]:
         def receive(key: str, payload: bytes) -> None:
             try:
-                self._queue.put_nowait(Sample(clock.wall(), robot, key, payload))
+                self._queue.put_nowait(BusSample(clock.wall(), robot, key, payload))
             except queue.Full:
                 self._lost += 1
 
@@ -212,7 +212,7 @@ class _Rates:
         self._counts: dict[tuple[str, str], tuple[int, int]] = {}
         self._since = clock.now()
 
-    def count(self, sample: Sample) -> None:
+    def count(self, sample: BusSample) -> None:
         """Add one sample."""
         number, size = self._counts.get((sample.robot, sample.key), (0, 0))
         self._counts[sample.robot, sample.key] = number + 1, size + len(sample.payload)

@@ -27,7 +27,7 @@ def default_run_dir() -> Path:
     return Path(runtime) / "swarm-sim" if runtime else Path(f"/tmp/swarm-sim-{os.getuid()}")  # noqa: S108
 
 
-class Claim:
+class _RunLock:
     """The lock on a run directory, held until closed or until the process ends."""
 
     def __init__(self, descriptor: int) -> None:
@@ -39,14 +39,14 @@ class Claim:
         if descriptor >= 0:
             os.close(descriptor)
 
-    def __enter__(self) -> "Claim":
+    def __enter__(self) -> "_RunLock":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
 
-def claim(directory: Path) -> Claim:
+def claim(directory: Path) -> _RunLock:
     """Make `directory` and hold it for one simulation; `BusError` where that cannot be.
 
     It is open to its owner alone: whoever reaches the sockets in it drives the robots. Since a simulation clears
@@ -67,7 +67,7 @@ def claim(directory: Path) -> Claim:
         raise BusError(f"{directory}: a simulation is already running there (pid {pid}); end it or use --run-dir")
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-    return Claim(descriptor)
+    return _RunLock(descriptor)
 
 
 def _lock(descriptor: int) -> bool:

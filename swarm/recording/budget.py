@@ -26,7 +26,7 @@ _log = logging.getLogger("record")
 
 
 @frozen
-class Kept:
+class _RunFolder:
     """One run's folder."""
 
     path: Path
@@ -38,7 +38,7 @@ class Kept:
     """Whether a process records into it."""
 
 
-def runs_of(root: Path) -> list[Kept]:
+def runs_of(root: Path) -> list[_RunFolder]:
     """The runs in a folder, the one that has rested longest first. What vanishes meanwhile is left out."""
     found = []
     with contextlib.suppress(OSError):
@@ -59,7 +59,7 @@ class Budget:
         self._now = now
         self._told = False
 
-    def keep(self) -> list[Kept]:
+    def keep(self) -> list[_RunFolder]:
         """Delete what is too much, as far as it may be: the runs that went. Each is logged; so is, once, that those
         that go on take more than the budget by themselves."""
         runs = runs_of(self._root)
@@ -104,7 +104,7 @@ def hold(file: int) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _look(folder: Path) -> Kept:
+def _look(folder: Path) -> _RunFolder:
     about = folder.stat()
     size, changed, held = 0, about.st_mtime, False
     for path in folder.rglob("*"):
@@ -113,7 +113,7 @@ def _look(folder: Path) -> Kept:
             size += about.st_blocks * _BLOCK
             changed = max(changed, about.st_mtime)
             held = held or (path.suffix == SUFFIX and is_held(path))
-    return Kept(folder, size, changed, held)
+    return _RunFolder(folder, size, changed, held)
 
 
 def _delete(folder: Path) -> None:

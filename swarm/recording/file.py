@@ -18,7 +18,7 @@ from swarm import __version__
 from swarm.errors import RecordingError
 from swarm.recording.budget import hold
 from swarm.recording.core import mcap
-from swarm.recording.core.writer import Known, Writer
+from swarm.recording.core.writer import ExistingContent, Writer
 from swarm.recording.journal import Journal
 from swarm.recording.survey import survey
 
@@ -70,7 +70,7 @@ class RecordingFile:
         self._file: int | None = None
         self._journal = self._open_journal(journal)
         left = self._journal.left() if self._journal is not None and append else []
-        known = Known()
+        known = ExistingContent()
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
             hold(self._file)
@@ -179,7 +179,7 @@ class RecordingFile:
         if self._journal is not None and not self._restoring:
             self._journal.add(record)
 
-    def _found(self, limit: int | None) -> Known:
+    def _found(self, limit: int | None) -> ExistingContent:
         """What an earlier process has left, up to `limit` where its journal goes on from there; a file that is none of
         ours is put aside, not written over."""
         assert self._file is not None
@@ -192,7 +192,7 @@ class RecordingFile:
             os.close(self._file)
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
             hold(self._file)
-            return Known()
+            return ExistingContent()
 
     def _loop(self) -> None:
         """Write once a second until closed. A defect ends the recording, never the app whose run is recorded."""

@@ -22,7 +22,7 @@ CLOCK = "clock"
 """Its entry that names the clock: of a machine since it was started, or a virtual one."""
 
 
-class Sample(NamedTuple):
+class RecordedSample(NamedTuple):
     """One recorded message."""
 
     topic: str
@@ -43,15 +43,15 @@ class Sample(NamedTuple):
         return message
 
 
-class Reader:
+class RecordingReader:
     """One file. May be iterated again while it grows: then it goes on behind the last whole record."""
 
     def __init__(self, path: Path) -> None:
         """Raises `RecordingError` for a file that is none."""
         self.path = path
-        self.channels: dict[int, mcap.Channel] = {}
+        self.channels: dict[int, mcap.McapChannel] = {}
         """Seen so far, by number."""
-        self.schemas: dict[int, mcap.Schema] = {}
+        self.schemas: dict[int, mcap.McapSchema] = {}
         self.metadata: list[tuple[str, dict[str, str]]] = []
         """Name and entries of each, in order, as far as was read."""
         self.damage: list[str] = []
@@ -72,7 +72,7 @@ class Reader:
         if begins != mcap.MAGIC[: len(begins)]:
             raise RecordingError(f"{path}: it is no MCAP file")
 
-    def samples(self, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[Sample]:
+    def samples(self, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[RecordedSample]:
         """The messages of the topics that are `wanted`, in the order of their writing."""
         self.damage.clear()
         self.finished = False  # a process that was started again goes on with what the one before had ended
@@ -118,7 +118,7 @@ class Reader:
                         if message.channel not in chosen:
                             chosen[message.channel] = channel.topic if wanted(channel.topic) else None
                         if (topic := chosen[message.channel]) is not None:
-                            yield Sample(topic, (message.log_time - self._epoch_ns) / 1e9, message.data)
+                            yield RecordedSample(topic, (message.log_time - self._epoch_ns) / 1e9, message.data)
                 except RecordingError as error:
                     if not torn:
                         self._name(start, str(error))
@@ -127,7 +127,7 @@ class Reader:
                     return
                 self._at = after
 
-    def _take(self, opcode: int, content: bytes, *, torn: bool) -> Iterator[mcap.Message]:
+    def _take(self, opcode: int, content: bytes, *, torn: bool) -> Iterator[mcap.McapMessage]:
         """Note what a record says; its messages."""
         if opcode == mcap.SCHEMA:
             schema = mcap.read_schema(content)
@@ -149,7 +149,7 @@ class Reader:
         elif opcode == mcap.CHUNK:
             yield from self._chunk(content, torn=torn)
 
-    def _chunk(self, content: bytes, *, torn: bool) -> Iterator[mcap.Message]:
+    def _chunk(self, content: bytes, *, torn: bool) -> Iterator[mcap.McapMessage]:
         chunk = mcap.read_chunk(content)
         if chunk.compression:
             raise RecordingError(f"a chunk is compressed with {chunk.compression!r}, which is not read here")
@@ -180,7 +180,7 @@ def _time(text: str) -> int:
 def run_of(path: Path) -> str:
     """The run that a recording is of; empty where that cannot be read."""
     try:
-        reader = Reader(path)
+        reader = RecordingReader(path)
         next(reader.samples(), None)
     except RecordingError:
         return ""

@@ -84,7 +84,7 @@ class Heard(NamedTuple):
         return self._asdict()
 
 
-class Watch:
+class TopicRecorder:
     """Listens on one robot's bus, and puts what it hears into a recording when told to."""
 
     def __init__(self, bus: BusLike, robot: str, app: str, sink: Takes, now: Clock, *, copies: bool = True) -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 from swarm.errors import RecordingError
 from swarm.recording import folder
 from swarm.recording.axis import Axis, Clocks, Relation
-from swarm.recording.core.mcap import Schema
-from swarm.recording.reader import SUFFIX, Reader, Sample
+from swarm.recording.core.mcap import McapSchema
+from swarm.recording.reader import SUFFIX, RecordedSample, RecordingReader
 from swarm.recording.trajectory import Builder, Trajectory, epoch_topic, is_state
 
-_NO_SCHEMA = Schema(0, "", "", b"{}")
+_NO_SCHEMA = McapSchema(0, "", "", b"{}")
 
 DISORDER_S = 5.0
 """s by which a message may stand in a file behind later ones: what came over the bus is written once a second."""
@@ -34,7 +34,7 @@ class Run:
         """App, run, version, seed and digest."""
         self.topics: dict[str, list[Path]] = {}
         """Every topic, and the files that hold it."""
-        self.schemas: dict[str, Schema] = {}
+        self.schemas: dict[str, McapSchema] = {}
         """Of each topic."""
         self._metadata: list[tuple[str, dict[str, str]]] = []
         self.damage: list[str] = []
@@ -95,7 +95,7 @@ class Run:
                 self.damage += [] if note in self.damage else [note]
         return {robot: builder.known() for robot, builder in found.items()}
 
-    def samples(self, *keys: str) -> Iterator[Sample]:
+    def samples(self, *keys: str) -> Iterator[RecordedSample]:
         """All messages of the topics that one of `keys` names (as on the bus `*` is any one chunk, `**` any number of
         them; none: all), in the order of common time, which counts from `origin`. What two apps of a robot have both
         recorded comes once, as often as one of them has it."""
@@ -113,7 +113,7 @@ class Run:
 
     def _look(self, file: Path, clocks: Clocks) -> None:
         """First pass: what is in a file, and how its clocks relate."""
-        reader = Reader(file)
+        reader = RecordingReader(file)
         for sample in reader.samples():
             clock = reader.clock
             begun = self._begun[is_state(sample.topic)]
@@ -136,21 +136,21 @@ class Run:
             if name == "run":
                 self.info = {**{key: entries[key] for key in folder.KEYS if key in entries}, **self.info}
 
-    def _read(self, file: Path, wanted: Callable[[str], bool]) -> Iterator[Sample]:
-        reader = Reader(file)
+    def _read(self, file: Path, wanted: Callable[[str], bool]) -> Iterator[RecordedSample]:
+        reader = RecordingReader(file)
         for sample in reader.samples(wanted):
             yield sample._replace(t=self._axis(reader.clock)(sample.t) - self.origin)
 
     def _axis(self, clock: str) -> Axis:
         return self._axes.get(clock, float)
 
-    def _ordered(self, file: Path, patterns: tuple[re.Pattern[str], ...]) -> Iterator[tuple[Path, Sample]]:
+    def _ordered(self, file: Path, patterns: tuple[re.Pattern[str], ...]) -> Iterator[tuple[Path, RecordedSample]]:
         """A file's messages by time: those written late are waited for."""
 
         def wanted(topic: str) -> bool:
             return not patterns or any(pattern.fullmatch(topic) for pattern in patterns)
 
-        waiting: list[tuple[float, str, int, Sample]] = []
+        waiting: list[tuple[float, str, int, RecordedSample]] = []
         latest = float("-inf")
         for number, sample in enumerate(self._read(file, wanted)):
             heapq.heappush(waiting, (*_order(sample), number, sample))
@@ -177,9 +177,9 @@ def natural(text: str) -> tuple[object, ...]:
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text))
 
 
-def _place(entry: tuple[Path, Sample]) -> tuple[float, str]:
+def _place(entry: tuple[Path, RecordedSample]) -> tuple[float, str]:
     return _order(entry[1])
 
 
-def _order(sample: Sample) -> tuple[float, str]:
+def _order(sample: RecordedSample) -> tuple[float, str]:
     return sample.t, sample.topic

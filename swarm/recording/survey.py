@@ -4,7 +4,7 @@ import os
 
 from swarm.errors import RecordingError
 from swarm.recording.core import mcap
-from swarm.recording.core.writer import Known, recall
+from swarm.recording.core.writer import ExistingContent, recall
 
 _CHUNK_HEAD = 40
 """Bytes of a chunk record's content before its messages, where they are not compressed."""
@@ -13,7 +13,7 @@ _INDEX_HEAD = 6
 """Bytes of a message index before its entries: channel, and length of the entries."""
 
 
-def survey(file: int, limit: int | None = None) -> Known:
+def survey(file: int, limit: int | None = None) -> ExistingContent:
     """What the file holds, up to its last whole record (`position`) or to the end of its data where it was finished.
 
     What begins at `limit` or behind it is left out. Between two checkpoints that are linked nothing is read, behind the
@@ -24,8 +24,8 @@ def survey(file: int, limit: int | None = None) -> Known:
     if limit is not None:
         size = min(size, limit)
     if size == 0:
-        return Known()
-    known = Known(len(mcap.MAGIC))
+        return ExistingContent()
+    known = ExistingContent(len(mcap.MAGIC))
     if os.pread(file, len(mcap.MAGIC), 0) != mcap.MAGIC:
         raise RecordingError("it is no MCAP file")
     chunk: tuple[mcap.Chunk, int] | None = None
@@ -83,7 +83,7 @@ _NOTED = frozenset((mcap.METADATA, mcap.SCHEMA, mcap.CHANNEL))
 """Records whose content a process needs that goes on with the file."""
 
 
-def _last_checkpoint(file: int, known: Known, at: int, size: int) -> Known | None:
+def _last_checkpoint(file: int, known: ExistingContent, at: int, size: int) -> ExistingContent | None:
     """What the file holds up to the last checkpoint that the one at `at` leads to; None where `at` has none that is
     whole. A link is only a hint: it may lead to what was cut off when a process was started again."""
     chain: list[int] = []
@@ -104,7 +104,7 @@ def _last_checkpoint(file: int, known: Known, at: int, size: int) -> Known | Non
     return None
 
 
-def _note(known: Known, opcode: int, content: bytes, length: int) -> None:
+def _note(known: ExistingContent, opcode: int, content: bytes, length: int) -> None:
     if opcode == mcap.METADATA:
         name, _ = mcap.read_metadata(content)
         known.add_metadata(length, name)

@@ -28,7 +28,7 @@ _CM = 100.0
 _LOCALIZATION = ("x", "y", "zx", "zy", "gx", "gy")
 
 
-class Line(NamedTuple):
+class _Line(NamedTuple):
     """What a line says."""
 
     t: float | None
@@ -58,7 +58,7 @@ def channel_of(path: PurePosixPath) -> str:
     return path.parent.name if path.parent.name in CHANNELS else ""
 
 
-def read(text: str, kind: str, name: str) -> Iterator[tuple[str, Line]]:
+def read(text: str, kind: str, name: str) -> Iterator[tuple[str, _Line]]:
     """Each line with its ending, and what it says; `RecordingError` names file and line."""
     lines = text.splitlines(keepends=True)
     metres = kind == "localization" and not any(line.count(",") == 11 for line in lines)
@@ -86,13 +86,13 @@ def _cell(text: str) -> float | bool:
     return value
 
 
-def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> Line:
+def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> _Line:
     nothing: dict[str, float | bool] = {}
     if kind in ("latency", "calibration"):
         if len(cells) not in ((1,) if kind == "latency" else (1, 3)):
             raise ValueError(f"{len(cells)} columns are none of {kind}")
         names = ("rtt",) if kind == "latency" else ("place",) if len(cells) == 1 else ("distance", "x", "y")
-        return Line(None, k + 1, dict(zip(names, cells, strict=True)), nothing, None)
+        return _Line(None, k + 1, dict(zip(names, cells, strict=True)), nothing, None)
     t = float(cells[0])
     if kind == "localization":
         if len(cells) not in (7, 8, 12):
@@ -101,16 +101,16 @@ def _line(cells: Sequence[float | bool], kind: str, k: int, *, metres: bool) -> 
         scale = 1.0 if metres else _CM
         result = {"x": cells[1] / scale, "y": cells[2] / scale}
         if metres and k >= 0 and len(cells) == 8:
-            return Line(t, k + 1, state, {**result, "cost": cells[7]}, None)
+            return _Line(t, k + 1, state, {**result, "cost": cells[7]}, None)
         new = k < 0 or (len(cells) > 7 and cells[7] == 0)
         measured = (cells[9] / _CM, cells[10] / _CM, cells[11] / _CM) if len(cells) == 12 else None
         cost = cells[8] / _CM**4 if len(cells) == 12 else 0.0
-        return Line(t, k + 1 if new else None, state, {**result, "cost": cost}, measured if new else None)
+        return _Line(t, k + 1 if new else None, state, {**result, "cost": cost}, measured if new else None)
     if len(cells) not in (2, 3):
         raise ValueError(f"{len(cells)} columns are none of {kind}")
     new = k < 0 or len(cells) == 2 or cells[2] == 0 or kind not in ("consensus", "led_sync")
     name = TRUTHS.get(kind, "value") if isinstance(cells[1], bool) else "value"
-    return Line(t, k + 1 if new else None, {name: cells[1]}, nothing, None)
+    return _Line(t, k + 1 if new else None, {name: cells[1]}, nothing, None)
 
 
 def states(rows: Sequence[tuple[float, Sequence[str]]]) -> str:

@@ -27,7 +27,7 @@ from swarm.frozen import frozen
 _CM = 100.0
 
 
-class Row(NamedTuple):
+class ThesisRow(NamedTuple):
     """One measurement of a robot, in m."""
 
     distance: float
@@ -38,11 +38,11 @@ class Row(NamedTuple):
 
 
 @frozen
-class Recording:
+class ThesisRecording:
     """What one robot measured and estimated."""
 
     path: Path
-    rows: tuple[Row, ...]
+    rows: tuple[ThesisRow, ...]
     """Row k takes state k to state k+1."""
     times: tuple[float, ...]
     """When row k was written, s after the file's first line."""
@@ -55,7 +55,7 @@ class Recording:
         return len(self.rows)
 
 
-def read_folder(directory: Path) -> list[Recording]:
+def read_folder(directory: Path) -> list[ThesisRecording]:
     """The recordings of all robots of a run: 0.csv, 1.csv and so on. Raises `RecordingError`."""
     count = 1
     while (directory / f"{count}.csv").exists():
@@ -63,7 +63,7 @@ def read_folder(directory: Path) -> list[Recording]:
     return [read_recording(directory, index) for index in range(count)]
 
 
-def read_recording(directory: Path, index: int) -> Recording:
+def read_recording(directory: Path, index: int) -> ThesisRecording:
     """The recording of the robot that is number `index` in the config.
 
     Raises `RecordingError`, with file and line, for anything that is not as described above.
@@ -79,7 +79,7 @@ def read_recording(directory: Path, index: int) -> Recording:
         ) from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-    rows: list[Row] = []
+    rows: list[ThesisRow] = []
     times: list[float] = []
     start: float | None = None
     estimates: list[tuple[float, float]] = []
@@ -97,14 +97,14 @@ def read_recording(directory: Path, index: int) -> Recording:
             if flag == 0:
                 _expect(len(values) == 12, "a new state without cost, distance and own place (12 columns)")
                 _expect(values[9] >= 0, f"a distance of {values[9]:g} cm")
-                rows.append(Row(values[9] / _CM, values[10] / _CM, values[11] / _CM))
+                rows.append(ThesisRow(values[9] / _CM, values[10] / _CM, values[11] / _CM))
                 times.append(values[0] - start)
                 estimates.append((values[1] / _CM, values[2] / _CM))
         except ValueError as error:
             raise RecordingError(f"{path}:{number}: {error}") from None
     if not rows:
         raise RecordingError(f"{path}:{len(lines) + 1}: the file ends before the first measurement")
-    return Recording(path, tuple(rows), tuple(times), tuple(estimates))
+    return ThesisRecording(path, tuple(rows), tuple(times), tuple(estimates))
 
 
 def _numbers(line: str) -> list[float]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from swarm.errors import RecordingError
 from swarm.frozen import frozen
-from swarm.recording.reader import Reader
+from swarm.recording.reader import RecordingReader
 
 WINDOW = 10
 """Iterations of a window. On bipartite graphs (a line, an even loop) lockstep has period 2: single intervals alternate
@@ -134,7 +134,7 @@ class TrajectoryReader:
         """`topic`: of the app's states; default: the first app in the file. `whole`: see `Builder`."""
         self._path = path
         self._topic = topic
-        self._reader: Reader | None = None
+        self._reader: RecordingReader | None = None
         self._builder = Builder(whole=whole)
 
     def read(self) -> Trajectory:
@@ -142,7 +142,7 @@ class TrajectoryReader:
         if self._reader is None:
             if not self._path.is_file() or not self._path.stat().st_size:
                 return EMPTY
-            self._reader = Reader(self._path)
+            self._reader = RecordingReader(self._path)
         for sample in self._reader.samples(self._wanted):
             if is_state(sample.topic):
                 self._builder.add(sample.message, self._path)

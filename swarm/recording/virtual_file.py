@@ -14,7 +14,7 @@ VIRTUAL = "virtual"
 """Names the clock of virtual time, which begins at 0."""
 
 
-class PlainRecording:
+class DirectRecording:
     """One file for a whole run, robots told apart by the topics. Raises `LocalError` where it cannot be written."""
 
     def __init__(self, path: Path, run: Mapping[str, str], clock: str = VIRTUAL) -> None:

@@ -5,7 +5,7 @@ import random
 from collections import deque
 from collections.abc import Callable
 
-from services.apps.core.unicycle import Pose
+from services.apps.core.unicycle import UnicyclePose
 
 DT = 0.02
 ACCELERATION, TURN_ACCELERATION = 0.5, 6.0
@@ -14,14 +14,14 @@ ACCELERATION, TURN_ACCELERATION = 0.5, 6.0
 class Body:
     """A differential drive as the balancer has it (config [balancing]), seen through an EKF's errors."""
 
-    def __init__(self, pose: Pose, generator: random.Random, sigma: float, delay: float) -> None:
+    def __init__(self, pose: UnicyclePose, generator: random.Random, sigma: float, delay: float) -> None:
         self.x, self.y, self.heading = pose
         self.speed = self.turn_rate = 0.0
         self.wanted = (0.0, 0.0)
         self._generator, self._sigma = generator, sigma
         self._error = [generator.gauss(0.0, sigma) for _ in range(2)]
         self._heading_error = generator.gauss(0.0, 0.05)
-        self._told: deque[Pose] = deque(maxlen=max(1, round(delay / DT)))
+        self._told: deque[UnicyclePose] = deque(maxlen=max(1, round(delay / DT)))
         self._told.append(self.estimate)
 
     @property
@@ -29,8 +29,8 @@ class Body:
         return self.x, self.y
 
     @property
-    def estimate(self) -> Pose:
-        return Pose(self.x + self._error[0], self.y + self._error[1], self.heading + self._heading_error)
+    def estimate(self) -> UnicyclePose:
+        return UnicyclePose(self.x + self._error[0], self.y + self._error[1], self.heading + self._heading_error)
 
     @property
     def told(self) -> tuple[float, float]:
@@ -54,7 +54,7 @@ class Body:
 class DrivingWorld:
     """Robots that decide every 0.1 s, each at its own time."""
 
-    def __init__(self, poses: list[Pose], seed: int, *, sigma: float = 0.025, delay: float = 0.3) -> None:
+    def __init__(self, poses: list[UnicyclePose], seed: int, *, sigma: float = 0.025, delay: float = 0.3) -> None:
         generator = random.Random(seed)
         self.bodies = [Body(pose, generator, sigma, delay) for pose in poses]
         self.closest = math.inf
@@ -63,7 +63,7 @@ class DrivingWorld:
     def run(
         self,
         seconds: float,
-        decide: Callable[[int, Pose, list[tuple[float, float]]], tuple[float, float]],
+        decide: Callable[[int, UnicyclePose, list[tuple[float, float]]], tuple[float, float]],
         until: Callable[[], bool] = lambda: False,
     ) -> bool:
         """`decide(i, pose, others)` gives speed and turn rate; True where `until` held in time."""

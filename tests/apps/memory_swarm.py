@@ -7,8 +7,8 @@ from typing import Any
 
 from services.apps import loader
 from services.apps.runner import Runner
-from swarm.config import Anchor, App, Config
-from swarm.config.types import Robot
+from swarm.config import Anchor, AppConfig, Config
+from swarm.config.types import RobotConfig
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Lockstep, Save, Send
 from swarm.messages import Measurement
@@ -33,11 +33,11 @@ def config_of(
     return Config(
         path=Path("swarm.toml"),
         network="test",
-        robots=tuple(Robot(name) for name in names),
+        robots=tuple(RobotConfig(name) for name in names),
         edges=Graph.of_shape(shape, names).edges,
         relay=(),
         anchors=tuple(anchors),
-        apps={app: App(dict(parameters or {}), dict(robots or {}))},
+        apps={app: AppConfig(dict(parameters or {}), dict(robots or {}))},
     )
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from services.apps.core import formation
 from services.apps.core.avoidance import Barrier, allowed_speed, way_round
-from services.apps.core.unicycle import Limits, Pose, drive
+from services.apps.core.unicycle import UnicycleLimits, UnicyclePose, drive
 
 BARRIER = Barrier()
 COORDINATE = st.floats(-3.0, 3.0)
@@ -80,28 +80,28 @@ def test_one_that_is_nearly_past_another_goes_on() -> None:
 def test_without_errors_and_delays_they_keep_apart_whatever_they_wish(seed: int, count: int) -> None:
     """Random wishes, changing all the time; what they need to stop (2 cm) is all they take of the distance."""
     generator = random.Random(seed)
-    poses = [Pose(0.45 * i, 0.45 * (i % 2), generator.uniform(-3, 3)) for i in range(count)]
+    poses = [UnicyclePose(0.45 * i, 0.45 * (i % 2), generator.uniform(-3, 3)) for i in range(count)]
     world = DrivingWorld(poses, seed, sigma=0.0, delay=0.0)
     for body in world.bodies:
         body._heading_error = 0.0
 
-    def decide(i: int, pose: Pose, others: list[tuple[float, float]]) -> tuple[float, float]:
+    def decide(i: int, pose: UnicyclePose, others: list[tuple[float, float]]) -> tuple[float, float]:
         centre = (0.2 * (count - 1) - pose.x, 0.2 - pose.y)
         wish = (centre[0] + generator.uniform(-1, 1), centre[1] + generator.uniform(-1, 1))
-        return drive(pose, wish, others, BARRIER, Limits())
+        return drive(pose, wish, others, BARRIER, UnicycleLimits())
 
     world.run(6.0, decide)
     assert world.closest > BARRIER.distance - 0.03
 
 
-def crossing(seed: int, count: int = 6) -> tuple[list[Pose], list[tuple[float, float]]]:
+def crossing(seed: int, count: int = 6) -> tuple[list[UnicyclePose], list[tuple[float, float]]]:
     """On a circle, each to about the opposite side."""
     generator = random.Random(f"crossing {seed}")
     turned = generator.uniform(0.0, math.tau)
     poses, goals = [], []
     for i in range(count):
         start, end = (turned + math.tau * i / count + half + generator.gauss(0.0, 0.08) for half in (0.0, math.pi))
-        poses.append(Pose(0.8 * math.cos(start), 0.8 * math.sin(start), generator.uniform(-math.pi, math.pi)))
+        poses.append(UnicyclePose(0.8 * math.cos(start), 0.8 * math.sin(start), generator.uniform(-math.pi, math.pi)))
         goals.append((0.8 * math.cos(end), 0.8 * math.sin(end)))
     return poses, goals
 
@@ -111,9 +111,9 @@ def test_six_cross_without_contact_with_errors_of_an_ekf_and_late_news(seed: int
     poses, goals = crossing(seed)
     world = DrivingWorld(poses, seed)
 
-    def decide(i: int, pose: Pose, others: list[tuple[float, float]]) -> tuple[float, float]:
+    def decide(i: int, pose: UnicyclePose, others: list[tuple[float, float]]) -> tuple[float, float]:
         way = (goals[i][0] - pose.x, goals[i][1] - pose.y)
-        return drive(pose, way if math.hypot(*way) > 0.05 else (0.0, 0.0), others, BARRIER, Limits())
+        return drive(pose, way if math.hypot(*way) > 0.05 else (0.0, 0.0), others, BARRIER, UnicycleLimits())
 
     def there() -> bool:
         return all(math.dist(body.place, goal) < 0.12 for body, goal in zip(world.bodies, goals, strict=True))
@@ -128,14 +128,14 @@ def test_six_drive_into_a_formation_and_stay(shape: str, seed: int) -> None:
     generator = random.Random(f"formation {seed}")
     places = [(0.5, 1.5), (1.0, 0.5), (1.5, 1.5), (1.5, 0.5), (0.35, 0.4), (1.0, 1.75)]
     generator.shuffle(places)
-    world = DrivingWorld([Pose(*place, generator.uniform(-3, 3)) for place in places], seed)
+    world = DrivingWorld([UnicyclePose(*place, generator.uniform(-3, 3)) for place in places], seed)
     offsets = [formation.offset(shape, i, 6, 0.6 if shape == "circle" else 0.36) for i in range(6)]
     misfits: list[float] = []
 
-    def decide(i: int, pose: Pose, others: list[tuple[float, float]]) -> tuple[float, float]:
+    def decide(i: int, pose: UnicyclePose, others: list[tuple[float, float]]) -> tuple[float, float]:
         known = list(zip(others, offsets[:i] + offsets[i + 1 :], strict=True))
         wish = formation.error((pose.x, pose.y), offsets[i], known)
-        return drive(pose, wish if math.hypot(*wish) > 0.02 else (0.0, 0.0), others, BARRIER, Limits())
+        return drive(pose, wish if math.hypot(*wish) > 0.02 else (0.0, 0.0), others, BARRIER, UnicycleLimits())
 
     def measure() -> bool:
         misfits.append(formation.misfit([(b.place, d) for b, d in zip(world.bodies, offsets, strict=True)]))

@@ -13,18 +13,18 @@ from needs import fill, small_disk
 from power_cut import Disk, Killed
 
 from services.apps.ballots import BallotFile
-from swarm.core.epoch_notes import NONE, Ballot, Kept, Note, first
+from swarm.core.epoch_notes import NONE, Ballot, EpochNote, SavedEpochs, first
 from swarm.errors import LocalError
 
 BEGIN = first(("r0", "r1"), (("r0", "r1"),), 7)
-NOTE = Note("r0", 1, 0, BEGIN, -1, True, (), NONE, None, None, 0)
+NOTE = EpochNote("r0", 1, 0, BEGIN, -1, True, (), NONE, None, None, 0)
 
 
-def vote(number: int) -> Kept:
-    return Kept(0xA1, 0x9F, replace(NOTE, promised=Ballot(number, "r1")))
+def vote(number: int) -> SavedEpochs:
+    return SavedEpochs(0xA1, 0x9F, replace(NOTE, promised=Ballot(number, "r1")))
 
 
-def read(state: Path) -> tuple[Kept | None, bool]:
+def read(state: Path) -> tuple[SavedEpochs | None, bool]:
     """What the next process of the app finds, and whether it takes its vote for lost."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SWARM_STATE", str(state))

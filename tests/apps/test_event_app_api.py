@@ -13,7 +13,7 @@ from services.apps.event_runner import EventRunner, version
 from swarm import EventApp, Matrix, PeriodicApp, SyncApp, channel, parameter
 from swarm.app.overlays import Message
 from swarm.app.robot import Robot
-from swarm.core.asynchronous import Call, Known
+from swarm.core.asynchronous import HandlerCall, NeighbourState
 from swarm.core.graph import Graph
 from swarm.errors import AppError
 from swarm.messages import AppOutput
@@ -172,10 +172,10 @@ def test_changes_are_checked_and_all_or_none() -> None:
 
 def test_a_change_holds_from_the_next_handler_on() -> None:
     each = runner()
-    each.call(Call("start"), 0, [])
+    each.call(HandlerCall("start"), 0, [])
     assert each.change({"gain": 0.75, "period": 0.1}) == ["gain", "period"]
     assert each.app.gain == 0.5  # type: ignore[attr-defined]
-    each.call(Call("on_parameter", ("gain",)), 0, [])
+    each.call(HandlerCall("on_parameter", ("gain",)), 0, [])
     assert (each.app.gain, each.period) == (0.75, 0.1)  # type: ignore[attr-defined]
 
 
@@ -222,23 +222,23 @@ def test_which_handlers_an_app_has() -> None:
 
 def test_a_handler_sees_the_neighbours_with_ages() -> None:
     each = runner()
-    known = [Known("r0", packed(Mood.WILD, 5), 0.25), Known("r2", packed(turns=2), 0.5)]
-    own = each.call(Call("step"), 0, known)
+    known = [NeighbourState("r0", packed(Mood.WILD, 5), 0.25), NeighbourState("r2", packed(turns=2), 0.5)]
+    own = each.call(HandlerCall("step"), 0, known)
     assert own == packed(turns=7)
     assert [(n.name, n.mood, n.turns, n.age) for n in each.app.neighbours] == [
         ("r0", Mood.WILD, 5, 0.25), ("r2", Mood.CALM, 2, 0.5),
     ]  # fmt: skip
-    each.call(Call("on_neighbour", ("r0",)), 1, known)
+    each.call(HandlerCall("on_neighbour", ("r0",)), 1, known)
     assert each.app._partner == ("r0", Mood.WILD, 0.25)  # type: ignore[attr-defined]
 
 
 def test_a_state_that_no_program_of_ours_sends_is_left_out() -> None:
     each = runner()
     broken = b"\x09" + packed()[1:]
-    each.call(Call("step"), 0, [Known("r0", broken, 0.0)])
+    each.call(HandlerCall("step"), 0, [NeighbourState("r0", broken, 0.0)])
     assert each.app.neighbours == ()
     assert each.unreadable == 1
-    each.call(Call("on_neighbour", ("r0",)), 1, [Known("r0", broken, 0.0)])
+    each.call(HandlerCall("on_neighbour", ("r0",)), 1, [NeighbourState("r0", broken, 0.0)])
 
 
 @pytest.mark.parametrize(
@@ -270,13 +270,13 @@ def test_bad_behaviour_is_named_with_robot_and_step(
     each = runner(**{handler: function})
     arguments = {"on_button": ("a",)}.get(handler, ())
     with pytest.raises(AppError, match=message):
-        each.call(Call(handler, arguments), 4, [])
+        each.call(HandlerCall(handler, arguments), 4, [])
 
 
 def test_an_app_finishes() -> None:
     each = runner(on_button=lambda self, _: self.finish("enough"))
     assert not each.finished
-    each.call(Call("on_button", ("a",)), 0, [])
+    each.call(HandlerCall("on_button", ("a",)), 0, [])
     assert each.finished
     assert each.app.finished == "enough"
 
@@ -289,14 +289,18 @@ def test_messages_and_timers_come_as_they_are() -> None:
         on_answer=lambda self, ticket, outcome: found.append((ticket, outcome)),
     )
     message = Message("r2", b"hi", flooded=True)
-    for call in (Call("on_message", (message,)), Call("on_timer", ("t",)), Call("on_answer", ("x-1", "done"))):
+    for call in (
+        HandlerCall("on_message", (message,)),
+        HandlerCall("on_timer", ("t",)),
+        HandlerCall("on_answer", ("x-1", "done")),
+    ):
         each.call(call, 0, [])
     assert found == [message, "t", ("x-1", "done")]
 
 
 def test_state_and_result_are_plain() -> None:
     each = runner()
-    each.call(Call("start"), 0, [])
+    each.call(HandlerCall("start"), 0, [])
     assert each.state() == each.result() == {"mood": "CALM", "turns": 3, "table": (0.0, 0.0, 0.0, 0.0)}
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.apps.claim import Claim
+from services.apps.claim import AppLock
 from services.apps.snapshot import MAX_SNAPSHOT, SnapshotFile
 from swarm.errors import AppError, LocalError
 
@@ -15,12 +15,12 @@ from swarm.errors import AppError, LocalError
 
 
 def test_one_process_at_a_time_and_a_number_that_goes_up(tmp_path: Path) -> None:
-    first = Claim(tmp_path, "consensus")
+    first = AppLock(tmp_path, "consensus")
     with pytest.raises(LocalError, match=r"app\.consensus\.lock: another process runs app consensus on this robot"):
-        Claim(tmp_path, "consensus")
-    other = Claim(tmp_path, "other")
+        AppLock(tmp_path, "consensus")
+    other = AppLock(tmp_path, "other")
     first.close()
-    second = Claim(tmp_path, "consensus")
+    second = AppLock(tmp_path, "consensus")
     assert (first.incarnation, second.incarnation, other.incarnation) == (1, 2, 1)
     second.close()
     other.close()
@@ -28,13 +28,13 @@ def test_one_process_at_a_time_and_a_number_that_goes_up(tmp_path: Path) -> None
 
 def test_a_runtime_directory_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match=r"none/app\.consensus\.lock: No such file or directory"):
-        Claim(tmp_path / "none", "consensus")
+        AppLock(tmp_path / "none", "consensus")
 
 
 def test_a_damaged_incarnation_is_not_guessed(tmp_path: Path) -> None:
     (tmp_path / "app.consensus.lock").write_text("what is this")
     with pytest.raises(LocalError, match="cannot be used"):
-        Claim(tmp_path, "consensus")
+        AppLock(tmp_path, "consensus")
 
 
 # Snapshot

@@ -98,7 +98,7 @@ def test_a_target_on_the_line_of_the_robots_is_one_place() -> None:
 
 def test_one_robot_gives_a_circle() -> None:
     found = ranges.solve(together([(0.5, 1.5)], [0.5]), 1)
-    assert found == ranges.Estimate(0.5, 1.5, None, 1, (pytest.approx(0.125), 0.0, pytest.approx(0.125)))
+    assert found == ranges.TargetEstimate(0.5, 1.5, None, 1, (pytest.approx(0.125), 0.0, pytest.approx(0.125)))
     assert found.sigma == pytest.approx(0.5)
     assert found.ambiguous
 

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 from typing import Any
 
-from services.apps.recording import Recording
+from services.apps.recording import AppRecording
 
 
 class FakeService:
@@ -23,7 +23,7 @@ class FakeService:
 
 
 def recording(service: FakeService) -> Any:
-    it: Any = Recording.__new__(Recording)
+    it: Any = AppRecording.__new__(AppRecording)
     it._service, it._told = service, ""
     return it
 

@@ -7,7 +7,7 @@ from memory_swarm import config_of
 from test_host import START, MakeRig, make_rig
 
 from services.apps import topology
-from services.apps.topology import CONFIGURED, SETTLED, Watch, lacking
+from services.apps.topology import CONFIGURED, SETTLED, TopologyWatch, lacking
 from swarm.core.lockstep import Channel
 from swarm.messages import Topology
 
@@ -115,7 +115,7 @@ def test_what_is_kept_belongs_to_one_run(runtime) -> None:
 def test_only_a_missing_link_that_is_waited_for_is_a_reason() -> None:
     lost: list[str] = []
     ours = Channel(1, 5, 1, 3)
-    watch = Watch(("r0", "r1"), lost.append)
+    watch = TopologyWatch(("r0", "r1"), lost.append)
     watch.take(told(*STAR, near="r0 r1"))
     assert watch.reason(("r0", "r1")) == ""
     for _ in range(3):

@@ -103,7 +103,7 @@ def test_known_acceleration_is_taken_out_of_gravity() -> None:
     tilt, acceleration, g = 0.2, 3.0, imu.STANDARD_GRAVITY
     up = g * math.cos(tilt) + acceleration * math.sin(tilt)
     back = g * math.sin(tilt) - acceleration * math.cos(tilt)
-    assert imu.gravity_tilt(imu.Reading(0.0, up, back), tilt, acceleration) == pytest.approx(tilt)
+    assert imu.gravity_tilt(imu.ImuReading(0.0, up, back), tilt, acceleration) == pytest.approx(tilt)
 
 
 def test_gyro_reads_the_fall_in_the_range_that_was_set() -> None:

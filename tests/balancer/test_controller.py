@@ -11,8 +11,8 @@ from services.balancer.core import controller as c
 from services.balancer.core import stand_up as su
 from services.balancer.core.choice import make_controller
 from services.balancer.core.drive import TURN_LIMIT
-from services.balancer.core.estimator import Estimate
-from services.balancer.core.faults import FELL, STOPPED, Fault
+from services.balancer.core.estimator import BodyEstimate
+from services.balancer.core.faults import FELL, STOPPED, MotorFault
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.regulator import DUTY_LIMIT
 from swarm.config.types import Balancing
@@ -33,7 +33,7 @@ class Steps:
             self.now += 0.01
             fields = dict.fromkeys(("speed", "heading", "turn_rate", "gyro_heading", "wheel_heading", "x", "y"), 0.0)
             fields |= {"left": way, "right": way} | more
-            duties = self.controller.step(Estimate(t=self.now, dt=0.01, tilt=tilt, tilt_rate=rate, **fields))
+            duties = self.controller.step(BodyEstimate(t=self.now, dt=0.01, tilt=tilt, tilt_rate=rate, **fields))
         return duties
 
     def balancing(self) -> "Steps":
@@ -79,7 +79,7 @@ def test_fallen_is_a_fault_until_commanded() -> None:
     steps.step(1.3, ticks=c.FALLEN_TICKS - 1)
     assert steps.controller.mode == "balancing"
     assert steps.step(1.3) == (0.0, 0.0)
-    assert (steps.controller.mode, steps.controller.fault) == ("fault", Fault(FELL, "fell"))
+    assert (steps.controller.mode, steps.controller.fault) == ("fault", MotorFault(FELL, "fell"))
     assert steps.step(0.0, ticks=100) == (0.0, 0.0)
     steps.controller.command("stand", steps.now)
     steps.step(0.0, ticks=su.UPRIGHT_TICKS)
@@ -99,7 +99,7 @@ def test_rest_from_anywhere() -> None:
     for prepare in (
         lambda s: s.balancing(),
         lambda s: s.controller.command("stand", 0.0),
-        lambda s: s.controller.fail(Fault(FELL, "x")),
+        lambda s: s.controller.fail(MotorFault(FELL, "x")),
     ):
         steps = Steps()
         prepare(steps)
@@ -110,9 +110,9 @@ def test_rest_from_anywhere() -> None:
 
 def test_the_first_reason_of_a_fault_stays() -> None:
     steps = Steps().balancing()
-    assert steps.controller.fail(Fault(STOPPED, "enough"))
-    assert not steps.controller.fail(Fault(FELL, "fell"))
-    assert steps.controller.fault == Fault(STOPPED, "enough")
+    assert steps.controller.fail(MotorFault(STOPPED, "enough"))
+    assert not steps.controller.fail(MotorFault(FELL, "fell"))
+    assert steps.controller.fault == MotorFault(STOPPED, "enough")
 
 
 @pytest.mark.parametrize("mode", ["", "Stand", "balancing", "dance"])
@@ -153,7 +153,7 @@ def test_it_gives_up_after_its_tries_and_each_is_stronger() -> None:
         if duty and (not strongest or duty != strongest[-1]):
             strongest.append(duty)
     assert tuple(strongest) == su.SWING_DUTIES
-    assert steps.controller.fault == Fault("cannot_stand", "cannot stand up: 3 tries failed")
+    assert steps.controller.fault == MotorFault("cannot_stand", "cannot stand up: 3 tries failed")
 
 
 @pytest.mark.parametrize("tilt", [math.pi, -math.radians(150), math.radians(60), 0.7])

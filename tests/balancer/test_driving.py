@@ -7,7 +7,7 @@ from balancer_rig import CONFIGURED, OTHER, Rig, scaled, upright
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core.drive import HEADING_LAG, TURN_LIMIT, WAY_LAG, Drive, Limits
+from services.balancer.core.drive import HEADING_LAG, TURN_LIMIT, WAY_LAG, Drive, DriveLimits
 from swarm.errors import LocalError
 
 BODIES = pytest.mark.parametrize("plant", [CONFIGURED, OTHER], ids=["configured", "other"])
@@ -189,7 +189,7 @@ def test_a_command_of_before_a_fall_is_void_after_it() -> None:
 
 def test_held_while_it_drives_it_does_not_run_away_afterwards() -> None:
     """Its wheels are blocked: the place waits for it."""
-    drive = Drive(CONFIGURED, Limits(0.5, 3.0, 0.5, 6.0))
+    drive = Drive(CONFIGURED, DriveLimits(0.5, 3.0, 0.5, 6.0))
     drive.begin(1.0, 0.0)
     drive.command(0.5, 3.0, 10.0)
     for tick in range(500):
@@ -199,7 +199,7 @@ def test_held_while_it_drives_it_does_not_run_away_afterwards() -> None:
 
 
 def test_carried_off_while_it_stands_it_goes_back() -> None:
-    drive = Drive(CONFIGURED, Limits(0.5, 3.0, 0.5, 6.0))
+    drive = Drive(CONFIGURED, DriveLimits(0.5, 3.0, 0.5, 6.0))
     drive.begin(1.0, 0.0)
     for tick in range(500):
         drive.step(3.0, 2.0, tick * 0.01, 0.01)
@@ -209,7 +209,7 @@ def test_carried_off_while_it_stands_it_goes_back() -> None:
 
 @given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 4, st.floats(0.0, 1.0)), max_size=30))
 def test_whatever_is_commanded_limits_hold(commands) -> None:
-    limits = Limits(0.5, 3.0, 0.5, 6.0)
+    limits = DriveLimits(0.5, 3.0, 0.5, 6.0)
     drive, now = Drive(CONFIGURED, limits), 0.0
     drive.begin(0.0, 0.0)
     for speed, turn_rate, way, heading, dt in commands:

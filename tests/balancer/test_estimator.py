@@ -16,8 +16,8 @@ G = imu.STANDARD_GRAVITY
 PER_METRE = CONFIGURED.counts_per_turn / (math.tau * CONFIGURED.wheel_radius)
 
 
-def reading(tilt: float, rate: float = 0.0) -> imu.Reading:
-    return imu.Reading(rate, G * math.cos(tilt), G * math.sin(tilt))
+def reading(tilt: float, rate: float = 0.0) -> imu.ImuReading:
+    return imu.ImuReading(rate, G * math.cos(tilt), G * math.sin(tilt))
 
 
 def wrapped(count: int) -> int:
@@ -36,7 +36,7 @@ def test_gyro_zero_is_the_mean_after_settling() -> None:
     assert zero.restarts == 0
 
 
-def ticks_until_found(zero: GyroZero, sample: imu.Reading, shake: float = 0.0) -> tuple[int, Zero | None]:
+def ticks_until_found(zero: GyroZero, sample: imu.ImuReading, shake: float = 0.0) -> tuple[int, Zero | None]:
     for tick in range(1000):
         moved = sample._replace(back_rate=sample.back_rate + shake * (-1) ** tick)
         if (found := zero.add(moved, 50.0 + tick * 0.01)) is not None:
@@ -103,7 +103,7 @@ def test_way_adds_up_across_the_wrap(steps: list[int], start: int) -> None:
     assert estimate.way == pytest.approx(sum(steps) / PER_METRE, abs=2e-3)
 
 
-def turning(rate: float, tilt: float = 0.0, zero: float = 0.0) -> imu.Reading:
+def turning(rate: float, tilt: float = 0.0, zero: float = 0.0) -> imu.ImuReading:
     """Turning left about the vertical while leaning."""
     return reading(tilt)._replace(up_rate=rate * math.cos(tilt) + zero, back_rate=rate * math.sin(tilt) + zero)
 
@@ -195,7 +195,7 @@ def test_any_samples_give_finite_estimates(samples) -> None:
     estimator, now = Estimator(CONFIGURED, Zero(0.0)), 0.0
     for rate, up, back, count, dt in samples:
         now += dt
-        sample = imu.Reading(rate * imu.GYRO_SCALE, up * imu.ACCELERATION_SCALE, back * imu.ACCELERATION_SCALE)
+        sample = imu.ImuReading(rate * imu.GYRO_SCALE, up * imu.ACCELERATION_SCALE, back * imu.ACCELERATION_SCALE)
         try:
             estimate = estimator.update(sample, (count, -count - 1), now)
         except RemoteError:

@@ -5,7 +5,7 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.balancer.core.inbox import ROOM_BYTES, ROOM_EACH, Inbox, Waiting
+from services.balancer.core.inbox import ROOM_BYTES, ROOM_EACH, Inbox, WaitingCommand
 
 puts = st.tuples(
     st.sampled_from(["velocity", "mode", "leds"]), st.sampled_from([0, 1, 5, ROOM_BYTES // 3, ROOM_BYTES + 1])
@@ -28,7 +28,7 @@ def test_inbox_keeps_order_and_bounds_and_tells_of_each_loss(steps: list[tuple |
         for name, size in step:
             now += 1.0
             put[name] += 1
-            inbox.put(Waiting(name, bytes(size), now))
+            inbox.put(WaitingCommand(name, bytes(size), now))
     while some := inbox.take(7):
         taken += some
         assert sum(len(each.payload) for each in some) <= ROOM_BYTES
@@ -43,9 +43,9 @@ def test_inbox_keeps_order_and_bounds_and_tells_of_each_loss(steps: list[tuple |
 def test_only_the_newest_velocity_waits_and_takes_its_place_in_the_order() -> None:
     inbox = Inbox(newest_only="velocity")
     for number in range(10_000):
-        inbox.put(Waiting("velocity", b"%d" % number, float(number)))
+        inbox.put(WaitingCommand("velocity", b"%d" % number, float(number)))
         if number == 5000:
-            inbox.put(Waiting("mode", b"stand", float(number)))
+            inbox.put(WaitingCommand("mode", b"stand", float(number)))
     assert [each.payload for each in inbox.take(8)] == [b"stand", b"9999"]
     assert inbox.dropped() == {}
 
@@ -53,8 +53,8 @@ def test_only_the_newest_velocity_waits_and_takes_its_place_in_the_order() -> No
 def test_a_flood_under_one_key_leaves_room_for_the_others() -> None:
     inbox = Inbox(newest_only="velocity")
     for number in range(1000):
-        inbox.put(Waiting("leds", bytes(100), float(number)))
-    inbox.put(Waiting("mode", b"rest", 1000.0))
+        inbox.put(WaitingCommand("leds", bytes(100), float(number)))
+    inbox.put(WaitingCommand("mode", b"rest", 1000.0))
     taken = inbox.take(1000)
     assert [each.heard for each in taken] == [*map(float, range(ROOM_EACH)), 1000.0]
     assert inbox

@@ -9,7 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_loop import VirtualLoop
 
-from services.balancer.core.leds import CONTROL_S, LONGEST_AHEAD_S, MARGIN_S, MOST_AHEAD, WRITE_S, Claim, Order, moment
+from services.balancer.core.leds import (
+    CONTROL_S,
+    LONGEST_AHEAD_S,
+    MARGIN_S,
+    MOST_AHEAD,
+    WRITE_S,
+    LedClaim,
+    LedOrder,
+    moment,
+)
 from swarm.errors import LocalError
 from swarm.messages import Leds, Notice, SetLeds, SetMode
 
@@ -17,9 +26,9 @@ YELLOW, GREEN, OFF = (False, True, False), (False, False, True), (False, False, 
 
 
 def test_orders_hold_from_their_time_until_the_next_one_or_their_end() -> None:
-    claim = Claim()
+    claim = LedClaim()
     for at, leds in ((1.0, YELLOW), (2.0, OFF), (3.0, GREEN)):
-        assert claim.take(Order(leds, at, at + 1.5), 0.0)
+        assert claim.take(LedOrder(leds, at, at + 1.5), 0.0)
     assert [claim.leds(t) for t in (0.5, 1.0, 1.9, 2.0, 3.0, 4.4, 4.5)] == [
         None,
         YELLOW,
@@ -32,30 +41,30 @@ def test_orders_hold_from_their_time_until_the_next_one_or_their_end() -> None:
 
 
 def test_a_new_order_voids_what_was_said_of_its_time_and_later() -> None:
-    claim = Claim()
+    claim = LedClaim()
     for at, leds in ((1.0, YELLOW), (2.0, OFF), (3.0, YELLOW)):
-        claim.take(Order(leds, at, at + 9.0), 0.0)
-    claim.take(Order(GREEN, 1.5, 9.0), 0.5)
+        claim.take(LedOrder(leds, at, at + 9.0), 0.0)
+    claim.take(LedOrder(GREEN, 1.5, 9.0), 0.5)
     assert [claim.leds(t) for t in (1.2, 1.5, 2.5, 3.5)] == [YELLOW, GREEN, GREEN, GREEN]
-    claim.take(Order(YELLOW, 4.0, 9.0), 3.6)
-    claim.take(Order(OFF, 3.7, 9.0), 3.7)
+    claim.take(LedOrder(YELLOW, 4.0, 9.0), 3.6)
+    claim.take(LedOrder(OFF, 3.7, 9.0), 3.7)
     assert claim.leds(5.0) == OFF
 
 
 def test_one_written_a_little_early_stays() -> None:
     """The loop may write it up to the length of a control step before its time, and look again before that."""
-    claim = Claim()
-    claim.take(Order(YELLOW, 0.0, 9.0), 0.0)
-    claim.take(Order(GREEN, 1.001, 9.0), 0.0)
+    claim = LedClaim()
+    claim.take(LedOrder(YELLOW, 0.0, 9.0), 0.0)
+    claim.take(LedOrder(GREEN, 1.001, 9.0), 0.0)
     assert claim.leds(1.001) == GREEN
     assert claim.leds(1.0) == GREEN
 
 
 def test_too_many_are_refused_and_the_others_stay() -> None:
-    claim = Claim()
-    assert all(claim.take(Order(YELLOW, 1.0 + n, 99.0), 0.0) for n in range(MOST_AHEAD))
-    assert not claim.take(Order(GREEN, 99.0, 100.0), 0.0)
-    assert claim.take(Order(GREEN, 5.0, 9.0), 0.0), "room, since it voids the later ones"
+    claim = LedClaim()
+    assert all(claim.take(LedOrder(YELLOW, 1.0 + n, 99.0), 0.0) for n in range(MOST_AHEAD))
+    assert not claim.take(LedOrder(GREEN, 99.0, 100.0), 0.0)
+    assert claim.take(LedOrder(GREEN, 5.0, 9.0), 0.0), "room, since it voids the later ones"
     assert claim.leds(4.5) == YELLOW
     assert claim.next_change == 5.0
 

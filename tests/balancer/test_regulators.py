@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from services.balancer.core import lqr
 from services.balancer.core.body import body_model
 from services.balancer.core.choice import REGULATORS
-from services.balancer.core.parameters import Parameter, Parameters, around
+from services.balancer.core.parameters import BalancerParameter, BalancerParameters, around
 from services.balancer.core.pololu import POLOLU, Pololu
 from services.balancer.core.regulator import DUTY_LIMIT, STANDSTILL, Demand, Deviation
 from swarm.config.sections import CONTROLLERS
@@ -123,7 +123,7 @@ def test_feed_forward_holds_speed_and_acceleration_in_the_model(body) -> None:
 
 
 def test_parameters_change_all_or_none() -> None:
-    parameters = Parameters({"a": Parameter(1.0, 0.5, 2.0), "b": around(-3.0)})
+    parameters = BalancerParameters({"a": BalancerParameter(1.0, 0.5, 2.0), "b": around(-3.0)})
     parameters.change({"a": 2.0, "b": -9.0})
     assert parameters.values == {"a": 2.0, "b": -9.0}
     for wrong, message in (

@@ -263,7 +263,7 @@ def location(number: int) -> Location:
 
 @given(st.binary(max_size=110))
 def test_any_block_is_decoded_or_refused(block: bytes) -> None:
-    progress = balboa.Progress(1, 0, 0, 0, 0, 0, 0, 1, 0)
+    progress = balboa.UwbProgress(1, 0, 0, 0, 0, 0, 0, 1, 0)
     try:
         if uwb.check(block):
             found = uwb.decode(block, 1.0, progress, 0, 1, 0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import swarm
-from swarm.onboard.command_line import Group, commands_of
+from swarm.onboard.command_line import CommandGroup, commands_of
 from swarm.onboard.commands import SECTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -46,7 +46,7 @@ def test_everything_that_a_robot_carries_is_imported_without_the_laptop_and_the_
 def every_command() -> list[list[str]]:
     found = []
     for name, each in commands_of(SECTIONS).items():
-        found += [[name, sub] for sub in each.commands] if isinstance(each, Group) else [[name]]
+        found += [[name, sub] for sub in each.commands] if isinstance(each, CommandGroup) else [[name]]
     return found
 
 

@@ -6,7 +6,7 @@ import pytest
 from dwm_frames import LOCATION
 
 from services.dwm.core.block import PATIENCE, Block
-from services.dwm.core.poller import Health, Report
+from services.dwm.core.poller import ModuleHealth, ModuleReport
 from swarm.messages import Uwb, UwbRange
 
 RANGES = tuple(
@@ -20,17 +20,17 @@ NONE_YET = Uwb(1.0, "silent", 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, 0, ())
 def test_a_report_is_that_of_the_module_with_its_age():
     block = Block(0.0)
     health, report = block.receive(GOOD, 1.02)
-    assert health == Health(True, "")
-    assert report == Report(LOCATION, pytest.approx(0.05))
+    assert health == ModuleHealth(True, "")
+    assert report == ModuleReport(LOCATION, pytest.approx(0.05))
     assert block.receive(replace(GOOD, t=1.1), 1.1) == []  # the same one
-    assert block.receive(replace(GOOD, t=1.2, sequence=2), 1.2) == [Report(LOCATION, pytest.approx(0.03))]
+    assert block.receive(replace(GOOD, t=1.2, sequence=2), 1.2) == [ModuleReport(LOCATION, pytest.approx(0.03))]
 
 
 def test_a_balancer_that_starts_anew_counts_from_one_again():
     block = Block(0.0)
     block.receive(replace(GOOD, sequence=500), 1.0)
     block.receive(NONE_YET, 1.1)
-    assert Report(LOCATION, pytest.approx(0.03)) in block.receive(replace(GOOD, t=1.2), 1.2)
+    assert ModuleReport(LOCATION, pytest.approx(0.03)) in block.receive(replace(GOOD, t=1.2), 1.2)
 
 
 @pytest.mark.parametrize(
@@ -44,11 +44,11 @@ def test_a_balancer_that_starts_anew_counts_from_one_again():
 )
 def test_trouble_is_told_once_when_it_lasts(changes, words):
     block = Block(0.0)
-    assert block.receive(GOOD, 1.0)[0] == Health(True, "")
+    assert block.receive(GOOD, 1.0)[0] == ModuleHealth(True, "")
     told = [event for step in range(9) for event in block.receive(replace(GOOD, **changes), 2.0 + step)]
     (health,) = told
     assert (health.working, words in health.reason) == (False, True)
-    assert block.receive(GOOD, 20.0) == [Health(True, "")]
+    assert block.receive(GOOD, 20.0) == [ModuleHealth(True, "")]
 
 
 def test_a_pause_for_a_request_is_no_trouble():
@@ -64,4 +64,4 @@ def test_a_silent_balancer_is_told():
     (health,) = block.handle_timer(PATIENCE + 0.1)
     assert "is it running" in health.reason
     assert block.handle_timer(PATIENCE + 1) == []
-    assert block.receive(GOOD, 9.0)[0] == Health(True, "")
+    assert block.receive(GOOD, 9.0)[0] == ModuleHealth(True, "")

@@ -15,7 +15,7 @@ from thesis_data import DATA, needs_calibration, needs_localization
 from services.dwm.calibrate.session import Hearing, hold
 from services.dwm.core import calibration_file
 from services.dwm.core.guide import QUARTERS, Guide
-from services.dwm.core.samples import HEADER, Sample, read, write
+from services.dwm.core.samples import HEADER, RangeSample, read, write
 from sim.core import uwb
 from swarm import config as configuration
 from swarm.bus.zenoh_bus import Bus
@@ -218,7 +218,7 @@ def test_the_thesis_samples_give_a_file_and_its_picture(processes, swarm, runtim
 @needs_localization
 def test_an_offset_is_learned_and_added_to_the_file(processes, swarm, runtime):
     rows = [
-        Sample(k, 0.3 * k, 0.5, None, 0.1 * i, "C933", math.dist((0.3 * k, 0.5), (0.5, 1.0)), None, None)
+        RangeSample(k, 0.3 * k, 0.5, None, 0.1 * i, "C933", math.dist((0.3 * k, 0.5), (0.5, 1.0)), None, None)
         for k in range(4)
         for i in range(3)
     ]

@@ -6,7 +6,16 @@ from hypothesis import strategies as st
 
 from services.dwm.core import calls
 from services.dwm.core.calls import ModuleStatus, Settings, UpdateRate, Version
-from services.dwm.core.tlv import LOC_GET, OK, Decoder, Position, Refusal, encode_part, encode_position, encode_refusal
+from services.dwm.core.tlv import (
+    LOC_GET,
+    OK,
+    Position,
+    Refusal,
+    TlvDecoder,
+    encode_part,
+    encode_position,
+    encode_refusal,
+)
 from swarm.errors import FrameError, LocalError
 
 PLACE = Position(1.0, -0.5, 0.123, 100)
@@ -28,7 +37,7 @@ SETTINGS = st.builds(
 
 
 def answer(call, data):
-    decoder = Decoder(call)
+    decoder = TlvDecoder(call)
     decoder.receive(data)
     result = decoder.next()
     assert decoder.raw == data

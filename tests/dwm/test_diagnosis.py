@@ -8,7 +8,7 @@ import pytest
 
 from services.dwm.core import diagnosis
 from services.dwm.core.calls import ModuleStatus, Settings, UpdateRate, Version
-from services.dwm.core.diagnosis import Watch
+from services.dwm.core.diagnosis import DiagnosisWatch
 from services.dwm.core.exchange import Trouble
 from services.dwm.core.tlv import AnchorRange, Location, Position
 from sim.core.uwb import ErrorModel, Module, Tag
@@ -206,7 +206,7 @@ def test_strangers_are_noted_and_robots_are_none():
 
 
 def test_a_running_service_tells_what_is_new_once():
-    watch, told = Watch(ANCHORS, {}, 0.0), []
+    watch, told = DiagnosisWatch(ANCHORS, {}, 0.0), []
     few = answers(modules(ANCHORS[:2]), 100)
     for step, location in enumerate([*few, *answers(modules(), 100), *few]):
         told += [(math.floor(step / 100), finding.code) for finding in watch.report(location, step * 0.1)]

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from services.dwm.core import calls, shell
 from services.dwm.core.calls import Settings, UpdateRate
-from services.dwm.core.shell import Info, Reader
-from services.dwm.core.tlv import LOC_GET, AnchorRange, Decoder, Location, Position, encode_location
+from services.dwm.core.shell import ShellInfo, ShellReader
+from services.dwm.core.tlv import LOC_GET, AnchorRange, Location, Position, TlvDecoder, encode_location
 from sim.core.dwm1001 import (
     BYTE,
     FACTORY_RATE,
@@ -59,7 +59,7 @@ class Line:
         return self.run(seconds)
 
     def ask(self, call):
-        decoder = Decoder(call)
+        decoder = TlvDecoder(call)
         decoder.receive(self.send(call.request))
         return decoder.next()
 
@@ -225,7 +225,7 @@ def test_text_in_generic_mode_is_answered_by_a_refusal():
 def test_lines_of_the_shell_come_at_the_update_rate_until_switched_off():
     known = Position(7.94, 8.03, 0.0, 100)
     seen = Location(Position(6.97, 5.17, -1.77, 53), (AnchorRange("022E", 3.38, 100, known),))
-    line, reader = Line(measure=lambda: seen), Reader()
+    line, reader = Line(measure=lambda: seen), ShellReader()
     line.enter()
     for command, expected in ((b"lec\r", seen), (b"les\r", seen), (b"lep\r", seen.position)):
         reader.receive(line.send(command, 1.05))
@@ -237,13 +237,13 @@ def test_lines_of_the_shell_come_at_the_update_rate_until_switched_off():
 
 
 def test_the_shells_own_commands():
-    line, reader = Line(), Reader()
+    line, reader = Line(), ShellReader()
     line.enter()
     reader.receive(line.send(b"si\r"))
     found = []
     while (one := reader.next()) is not None:
         found.append(one)
-    assert all(isinstance(one, Info) for one in found)
+    assert all(isinstance(one, ShellInfo) for one in found)
     entries = {name: value for one in found for name, value in one.entries.items()}
     assert entries["addr"] == "xDECA9AABC0A2DE01"
     assert entries["upd_rate_stat"] == "1"
@@ -273,7 +273,7 @@ def test_whatever_is_sent_it_lives(sent, shell_first):
     line.send(b"\r")
     line.send(shell.LEAVE)
     line.run(2.0)
-    decoder = Decoder(LOC_GET)
+    decoder = TlvDecoder(LOC_GET)
     decoder.receive(line.send(LOC_GET.request, 0.1))
     answers = []
     while LOCATION not in answers:

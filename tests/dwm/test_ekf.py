@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.dwm.core.ekf import BIAS, GATE, GYRO, HEADING, PATIENCE, SCALE, Ekf, Noise
+from services.dwm.core.ekf import BIAS, GATE, GYRO, HEADING, PATIENCE, SCALE, Ekf, EkfNoise
 from services.dwm.core.linear import cholesky
 
 ANCHORS = [(0.0, 0.0, 0.0), (1.94, 0.0, 0.5), (1.0, 1.94, 0.0), (0.5, 1.0, 1.0)]
-NOISE = Noise()
+NOISE = EkfNoise()
 
 
 def make(place=(1.2, 0.7), heading=0.3, deviation=0.5):

@@ -18,7 +18,7 @@ from services.dwm.core.fitting import (
     robot_offset,
     with_antenna,
 )
-from services.dwm.core.samples import Group, Spot
+from services.dwm.core.samples import SampleGroup, Spot
 from swarm.config.types import Linear
 from swarm.errors import LocalError
 
@@ -28,7 +28,7 @@ DISTANCES = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 0.7, 1.1, 0.9, 1.45]
 def world(report, distances=DISTANCES, headings=(None,), noise=0.0, samples=10, seed=1):
     generator = random.Random(seed)
     return [
-        Group(k, d, h, tuple(report(d, h) + generator.gauss(0, noise) for _ in range(samples)))
+        SampleGroup(k, d, h, tuple(report(d, h) + generator.gauss(0, noise) for _ in range(samples)))
         for k, d in enumerate(distances)
         for h in headings
     ]
@@ -80,13 +80,13 @@ def test_a_places_own_error_is_none_of_the_antenna():
     groups = []
     for k, d in enumerate(DISTANCES):  # each place has an error, and was looked at in some orientations only
         for h in (0.0, 2.0, 4.0)[: 2 + k % 2]:
-            groups.append(Group(k, d, h, (d + 0.05 * (-1) ** k + 0.02 * math.cos(h),)))
+            groups.append(SampleGroup(k, d, h, (d + 0.05 * (-1) ** k + 0.02 * math.cos(h),)))
     assert with_antenna(fit_linear)(groups).antenna == pytest.approx((0.02, 0.0), abs=2e-3)
 
 
 def test_a_robots_offset_counts_each_place_once():
     model = RangeModel(1.0, 0.0)
-    groups = [Group(0, 1.0, h, (1.05,)) for h in (0.0, 1.0, 2.0)] + [Group(1, 2.0, None, (2.01,))]
+    groups = [SampleGroup(0, 1.0, h, (1.05,)) for h in (0.0, 1.0, 2.0)] + [SampleGroup(1, 2.0, None, (2.01,))]
     assert robot_offset(model, groups) == pytest.approx(0.03)
     assert RangeModel(1.0, 0.0, robot=0.03).distance(1.05) == pytest.approx(1.02)
 

@@ -11,9 +11,18 @@ from dwm_frames import LOCATION
 
 from services.dwm.core import calls, shell
 from services.dwm.core.calls import Settings, UpdateRate
-from services.dwm.core.exchange import Exchange
-from services.dwm.core.shell import Reader
-from services.dwm.core.tlv import LOC_GET, OK, Decoder, Location, Position, encode_location, encode_part, encode_refusal
+from services.dwm.core.exchange import ModuleExchange
+from services.dwm.core.shell import ShellReader
+from services.dwm.core.tlv import (
+    LOC_GET,
+    OK,
+    Location,
+    Position,
+    TlvDecoder,
+    encode_location,
+    encode_part,
+    encode_refusal,
+)
 from sim.core.dwm1001 import VERSION, Dwm1001, Flash
 from swarm.errors import FrameError
 
@@ -71,7 +80,7 @@ def test_answers(count):
     generator = random.Random(1)
     for _ in range(count):
         call, good = ANSWERS[generator.randrange(len(ANSWERS))]
-        decoder = Decoder(call)
+        decoder = TlvDecoder(call)
         decoder.receive(mutated(good, generator))
         # One frame behind the broken one may be lost to it; the next one is not.
         decoder.receive(good * 2)
@@ -91,7 +100,7 @@ def test_exchanges(count):
     generator = random.Random(2)
     for _ in range(count):
         call, good = ANSWERS[generator.randrange(len(ANSWERS))]
-        exchange = Exchange(call)
+        exchange = ModuleExchange(call)
         data = mutated(good, generator)
         outcome = exchange.receive(data[: len(data) // 2]) or exchange.receive(data[len(data) // 2 :])
         if outcome is None:
@@ -104,7 +113,7 @@ def test_exchanges(count):
 def test_shell_lines(count):
     generator = random.Random(3)
     good = f"{shell.lep(SHELL_LOCATION.position)}\r\n".encode()
-    reader = Reader()
+    reader = ShellReader()
     for _ in range(count):
         line = LINES[generator.randrange(len(LINES))]
         reader.receive(mutated(line.encode(), generator) + b"\r\n" + good)

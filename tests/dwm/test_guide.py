@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.dwm.calibrate.session import Presses, Reports
-from services.dwm.core.guide import QUARTERS, SETTLE, Guide, Press, grid
+from services.dwm.core.guide import QUARTERS, SETTLE, Guide, GuideButton, grid
 from swarm.messages import Buttons, Pose, Range, Ranges
 
 PLACES = [(0.5, 0.5), (1.0, 0.5), (1.0, 1.0)]
@@ -23,7 +23,7 @@ def test_leads_through_places_and_orientations():
     prompts = []
     while not guide.done:
         prompts.append(guide.prompt())
-        guide.press(Press.START)
+        guide.press(GuideButton.START)
         measure(guide, 2)
         assert not guide.measuring
     assert len(prompts) == 12
@@ -39,65 +39,65 @@ def test_nothing_is_taken_before_the_start():
     guide = Guide(PLACES)
     measure(guide, 5)
     assert guide.samples == []
-    guide.press(Press.START)
-    guide.press(Press.START)  # at once: not meant
+    guide.press(GuideButton.START)
+    guide.press(GuideButton.START)  # at once: not meant
     measure(guide, 5)
     assert guide.samples == []
 
 
 def test_start_again_ends_an_orientation_before_it_is_enough():
     guide = Guide(PLACES, QUARTERS, 10)
-    guide.press(Press.START)
+    guide.press(GuideButton.START)
     measure(guide, 4)
-    guide.press(Press.START)
+    guide.press(GuideButton.START)
     assert "heading 90" in guide.prompt()
     assert len(guide.samples) == 4
 
 
 def test_next_leaves_the_rest_of_a_place_out():
     guide = Guide(PLACES)
-    guide.press(Press.NEXT)
+    guide.press(GuideButton.NEXT)
     assert guide.prompt().startswith("place 2 of 3")
-    guide.press(Press.NEXT)
-    guide.press(Press.NEXT)
+    guide.press(GuideButton.NEXT)
+    guide.press(GuideButton.NEXT)
     assert guide.done
-    guide.press(Press.START)  # without effect
+    guide.press(GuideButton.START)  # without effect
     assert guide.done
 
 
 def test_redo_forgets_this_place_or_the_one_before():
     guide = Guide(PLACES, QUARTERS[:1], 2)
-    guide.press(Press.START)
+    guide.press(GuideButton.START)
     measure(guide, 2)
-    guide.press(Press.START)
+    guide.press(GuideButton.START)
     measure(guide, 1)
-    guide.press(Press.REDO)
+    guide.press(GuideButton.REDO)
     assert guide.prompt().startswith("place 2")
     assert [sample.place for sample in guide.samples] == [0, 0]
-    guide.press(Press.REDO)
+    guide.press(GuideButton.REDO)
     assert guide.prompt().startswith("place 1")
     assert guide.samples == []
 
 
 def test_quit_keeps_what_there_is():
     guide = Guide(PLACES, QUARTERS[:1], 2)
-    guide.press(Press.START)
+    guide.press(GuideButton.START)
     measure(guide, 1)
-    guide.press(Press.QUIT)
+    guide.press(GuideButton.QUIT)
     assert guide.done
     assert len(guide.samples) == 1
 
 
 def test_progress_shows_the_spread():
     guide = Guide(PLACES, QUARTERS, 10)
-    guide.press(Press.START)
+    guide.press(GuideButton.START)
     assert guide.progress("C933") == "0/10"
     measure(guide, 6)
     assert guide.progress("C933") == "6/10  C933 1.005 m +- 0.5 cm, 0 outliers"
     assert guide.progress("D001") == "6/10"
 
 
-@given(st.lists(st.sampled_from([*Press, None]), max_size=60))
+@given(st.lists(st.sampled_from([*GuideButton, None]), max_size=60))
 def test_whatever_is_pressed_the_samples_are_where_the_robot_was_asked_to_be(presses):
     guide = Guide(PLACES, QUARTERS[:2], 3)
     for press in presses:
@@ -136,7 +136,11 @@ def test_reports_are_ranges_and_pose_without_what_was_there_before():
 def test_presses_count_from_the_first_message_and_none_is_lost():
     presses = Presses()
     assert presses.take(Buttons(0.0, False, False, False, 5, 1, 0)) == []
-    assert presses.take(Buttons(1.0, True, False, False, 6, 1, 0)) == [Press.START]
-    assert presses.take(Buttons(2.0, False, False, False, 6, 3, 1)) == [Press.NEXT, Press.NEXT, Press.REDO]
+    assert presses.take(Buttons(1.0, True, False, False, 6, 1, 0)) == [GuideButton.START]
+    assert presses.take(Buttons(2.0, False, False, False, 6, 3, 1)) == [
+        GuideButton.NEXT,
+        GuideButton.NEXT,
+        GuideButton.REDO,
+    ]
     assert presses.take(Buttons(3.0, False, False, False, 0, 0, 0)) == []  # the balancer began anew
-    assert presses.take(Buttons(4.0, False, False, False, 1, 0, 0)) == [Press.START]
+    assert presses.take(Buttons(4.0, False, False, False, 1, 0, 0)) == [GuideButton.START]

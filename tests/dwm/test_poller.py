@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from services.dwm.core.calls import CFG_GET, RESET, VER_GET
 from services.dwm.core.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT
-from services.dwm.core.poller import FAILURES, MAX_PAUSE, MAX_WAITING, Answered, Health, Poller, Report
+from services.dwm.core.poller import FAILURES, MAX_PAUSE, MAX_WAITING, Answered, ModuleHealth, ModuleReport, Poller
 from services.dwm.core.shell import LEAVE
 from services.dwm.core.tlv import LOC_GET, encode_refusal
 
@@ -41,8 +41,8 @@ def test_asks_at_the_rate_and_reports():
         poller.receive(GOLDEN[:30], 5.01 + 0.1 * index)
         assert poller.events() == []
         poller.receive(GOLDEN[30:], 5.02 + 0.1 * index)
-        first = [Health(True, "")] if index == 0 else []
-        assert poller.events() == [*first, Report(LOCATION)]
+        first = [ModuleHealth(True, "")] if index == 0 else []
+        assert poller.events() == [*first, ModuleReport(LOCATION)]
 
 
 def test_never_faster_than_the_module():
@@ -91,7 +91,7 @@ def test_a_silent_module_is_told_once_and_asked_ever_more_rarely_for_ever():
     while poller.to_send() != LOC_GET.request:
         poller.handle_timer(poller.next_deadline())
     poller.receive(GOLDEN, poller.next_deadline() - 0.05)
-    assert poller.events() == [Health(True, ""), Report(LOCATION)]
+    assert poller.events() == [ModuleHealth(True, ""), ModuleReport(LOCATION)]
 
 
 def test_a_module_that_stays_in_its_shell_is_told_to_leave_it():
@@ -106,7 +106,7 @@ def test_a_module_that_stays_in_its_shell_is_told_to_leave_it():
     assert asked[:7] == [LOC_GET.request] * FAILURES + [LEAVE] * 2 + [LOC_GET.request] * 2
     events = poller.events()
     assert "shell mode" in events[0].reason
-    assert events[1:3] == [Health(True, ""), Report(LOCATION)]
+    assert events[1:3] == [ModuleHealth(True, ""), ModuleReport(LOCATION)]
 
 
 def test_a_module_that_is_in_no_shell_is_not_blamed_for_its_answer_to_quit():
@@ -133,7 +133,7 @@ def test_requests_of_others_go_between_two_polls():
     raw = bytes.fromhex("400100 5004 01000301 5104 00070100 5204 2a00cade")
     poller.receive(raw[:7], 0.03)
     poller.receive(raw[7:], 0.04)
-    assert poller.events() == [Health(True, ""), Report(LOCATION), Answered("a", raw, "")]
+    assert poller.events() == [ModuleHealth(True, ""), ModuleReport(LOCATION), Answered("a", raw, "")]
     assert poller.next_deadline() == pytest.approx(0.1)
     ask(poller, 0.1)
 
@@ -197,7 +197,7 @@ def test_an_answer_after_a_wrong_frame_counts():
     poller = Poller(10.0, 0.0)
     ask(poller, 0.0)
     poller.receive(GOLDEN[:3] + b"\x47" + GOLDEN, 0.02)
-    assert poller.events() == [Health(True, ""), Report(LOCATION)]
+    assert poller.events() == [ModuleHealth(True, ""), ModuleReport(LOCATION)]
     assert poller.counters == {"wrong_frames": 1}
 
 

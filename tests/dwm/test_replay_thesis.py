@@ -8,7 +8,7 @@ import pytest
 from conftest import CONFIG, Processes, ask, stop, wait_until
 from thesis_data import DATA, needs_localization
 
-from services.dwm.replay import Row
+from services.dwm.replay import _Row
 from sim.virtual.run import simulate
 from swarm.bus.packer import TOO_LARGE
 from swarm.bus.zenoh_bus import Bus
@@ -70,7 +70,7 @@ def test_the_dwm_service_survives_all_of_test_5_at_once(
 def test_no_row_of_test_5_makes_a_message_that_is_too_large() -> None:
     for recording in read_folder(TEST_5):
         for k in range(recording.steps):
-            row = Row(recording, k)
+            row = _Row(recording, k)
             for message in (row.measurement(), *row.published("C933", 1e9)):
                 assert len(encode(message)) < 200
 

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.dwm.core import samples
-from services.dwm.core.samples import HEADER, TARGET, Group, Sample, Spot, digest, groups, read, spots
+from services.dwm.core.samples import HEADER, TARGET, RangeSample, SampleGroup, Spot, digest, groups, read, spots
 from swarm.errors import RecordingError
 
 NUMBER = st.floats(-100, 100)
 ROW = st.builds(
-    Sample,
+    RangeSample,
     st.integers(0, 99),
     NUMBER,
     NUMBER,
@@ -32,15 +32,15 @@ def test_what_is_written_is_read_again(rows):
 
 
 def test_a_report_without_a_fix_has_ranges_alone():
-    row = Sample(0, 1.0, 2.0, None, 3.0, "C933", 1.5, None, None)
+    row = RangeSample(0, 1.0, 2.0, None, 3.0, "C933", 1.5, None, None)
     assert read(f"{HEADER}\n{samples.write(row)}\n", "f") == [row]
     assert spots([row]) == []
 
 
 def test_the_layout_of_the_thesis():
     found = read("0\n268.0,228.0,1083.0\n5\n1400,1700,1010\n", "f")
-    assert found[0] == Sample(0, 0.25, 1.0, None, 2.0, TARGET, 0.268, 0.228, 1.083)
-    assert found[1] == Sample(5, 1.75, 1.0, None, 4.0, TARGET, 1.4, 1.7, 1.01)
+    assert found[0] == RangeSample(0, 0.25, 1.0, None, 2.0, TARGET, 0.268, 0.228, 1.083)
+    assert found[1] == RangeSample(5, 1.75, 1.0, None, 4.0, TARGET, 1.4, 1.7, 1.01)
 
 
 @pytest.mark.parametrize(
@@ -76,22 +76,22 @@ def test_any_text_is_read_or_refused(text):
 
 def test_groups_are_by_place_module_and_orientation():
     rows = [
-        Sample(0, 3.0, 4.0, 0.0, 0.0, "C933", 5.1, 3.0, 4.0),
-        Sample(0, 3.0, 4.0, 0.0, 0.0, "D001", 1.0, 3.0, 4.0),
-        Sample(0, 3.0, 4.0, 0.0, 0.1, "C933", 5.3, 3.2, 4.0),
-        Sample(0, 3.0, 4.0, 1.5, 0.2, "C933", 5.5, None, None),
-        Sample(1, 0.0, 1.0, 0.0, 0.3, "FFFF", 5.5, 0.0, 1.0),
+        RangeSample(0, 3.0, 4.0, 0.0, 0.0, "C933", 5.1, 3.0, 4.0),
+        RangeSample(0, 3.0, 4.0, 0.0, 0.0, "D001", 1.0, 3.0, 4.0),
+        RangeSample(0, 3.0, 4.0, 0.0, 0.1, "C933", 5.3, 3.2, 4.0),
+        RangeSample(0, 3.0, 4.0, 1.5, 0.2, "C933", 5.5, None, None),
+        RangeSample(1, 0.0, 1.0, 0.0, 0.3, "FFFF", 5.5, 0.0, 1.0),
     ]
     assert groups(rows, {"C933": (0.0, 0.0, 0.0), "D001": (3.0, 4.0, 2.0)}) == [
-        Group(0, 5.0, 0.0, (5.1, 5.3)),
-        Group(0, 2.0, 0.0, (1.0,)),
-        Group(0, 5.0, 1.5, (5.5,)),
+        SampleGroup(0, 5.0, 0.0, (5.1, 5.3)),
+        SampleGroup(0, 2.0, 0.0, (1.0,)),
+        SampleGroup(0, 5.0, 1.5, (5.5,)),
     ]
     assert spots(rows) == [Spot(0, 3.0, 4.0, ((3.0, 4.0), (3.2, 4.0))), Spot(1, 0.0, 1.0, ((0.0, 1.0),))]
 
 
 def test_means_are_of_what_is_no_outlier():
-    group = Group(0, 1.0, None, (1.0, 1.1, 1.2, 1.1, 9.0))
+    group = SampleGroup(0, 1.0, None, (1.0, 1.1, 1.2, 1.1, 9.0))
     assert group.mean == pytest.approx(1.1)
     assert group.raw_mean == pytest.approx(2.68)
     spot = Spot(0, 0.0, 0.0, ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 0.0), (30.0, 0.0)))

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from services.dwm.core import shell
 from services.dwm.core.exchange import is_shell
-from services.dwm.core.shell import Info, Reader
+from services.dwm.core.shell import ShellInfo, ShellReader
 from services.dwm.core.tlv import AnchorRange, Location, Position
 from swarm.errors import FrameError
 
@@ -51,7 +51,7 @@ def drain(reader):
 
 
 def read(data):
-    reader = Reader()
+    reader = ShellReader()
     reader.receive(data)
     return drain(reader)
 
@@ -68,9 +68,11 @@ def read(data):
         ("POS,7.10,5.24,-2.03,53", Position(7.1, 5.24, -2.03, 53)),
         (
             "[000541.880 INF] uwb0: panid=xFD5C addr=xDECA9AABC0A2591A",
-            Info(541.88, "uwb0", "panid=xFD5C addr=xDECA9AABC0A2591A", {"panid": "xFD5C", "addr": "xDECA9AABC0A2591A"}),
+            ShellInfo(
+                541.88, "uwb0", "panid=xFD5C addr=xDECA9AABC0A2591A", {"panid": "xFD5C", "addr": "xDECA9AABC0A2591A"}
+            ),
         ),
-        ("[000541.880 INF] mode: tn (act,twr,np,le)", Info(541.88, "mode", "tn (act,twr,np,le)", {})),
+        ("[000541.880 INF] mode: tn (act,twr,np,le)", ShellInfo(541.88, "mode", "tn (act,twr,np,le)", {})),
     ],
 )
 def test_lines_of_the_module(text, line):
@@ -87,7 +89,7 @@ def test_round_trips(location):
 def test_split_anywhere(sent, data):
     stream = "".join(f"{shell.lec(location)}\r\n" for location in sent).encode()
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=9)))
-    reader, results = Reader(), []
+    reader, results = ShellReader(), []
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         reader.receive(stream[start:end])
         results += drain(reader)[0]
@@ -115,7 +117,7 @@ def test_a_garbled_line_costs_itself_alone(text):
 
 
 def test_what_is_no_data_is_passed_over():
-    reader = Reader()
+    reader = ShellReader()
     reader.receive(b"\r\n DWM1001 TWR Real Time Location System\r\n\r\n Help      :  ? or help \r\n\r\ndwm> ")
     assert drain(reader) == ([], 0)
     assert reader.prompts == 1
@@ -125,7 +127,7 @@ def test_what_is_no_data_is_passed_over():
 
 
 def test_a_line_without_an_end_is_given_up():
-    reader = Reader()
+    reader = ShellReader()
     for _ in range(100):
         reader.receive(b"DIST," * 100)
         assert len(reader._rest) <= shell.MAX_LINE

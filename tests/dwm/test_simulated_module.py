@@ -14,19 +14,19 @@ import serial
 from dwm_frames import GOLDEN
 
 from services.dwm.core.calls import CFG_GET, POS_GET, RESET, Settings, cfg_set
-from services.dwm.core.tlv import LOC_GET, NOWHERE, Decoder, Location, Position, Refusal
+from services.dwm.core.tlv import LOC_GET, NOWHERE, Location, Position, Refusal, TlvDecoder
 from sim.module import ModuleBoard
-from swarm.config import Anchor, Config, Dwm, Robot, Simulation
+from swarm.config import Anchor, Config, Dwm, RobotConfig, SimulationConfig
 
 CONFIG = Config(
     path=Path("swarm.toml"),
     network="test",
-    robots=(Robot("r0"), Robot("r1")),
+    robots=(RobotConfig("r0"), RobotConfig("r1")),
     edges=(("r0", "r1"),),
     relay=(),
     anchors=(Anchor("D001", 0.0, 0.0), Anchor("D002", 1.94, 0.0), Anchor("D003", 1.0, 1.94)),
     dwm=Dwm(target="C933"),
-    simulation=Simulation(target=(0.5, 1.0), places={"r0": (0.5, 1.5, 0.0)}),
+    simulation=SimulationConfig(target=(0.5, 1.0), places={"r0": (0.5, 1.5, 0.0)}),
 )
 
 
@@ -47,7 +47,7 @@ def port(board, tmp_path):
 
 def answers(board, port, count, limit=200, call=LOC_GET, tolerant=False):
     """Let the board work until `count` answers came."""
-    decoder, found = Decoder(call), []
+    decoder, found = TlvDecoder(call), []
     for _ in range(limit):
         board.poll(0.05)
         while select.select([port], [], [], 0)[0]:
@@ -178,7 +178,7 @@ def test_an_anchor_that_is_made_a_tag_takes_its_turn_at_ranging(board, tmp_path)
 
 
 def test_a_robot_as_an_anchor_is_ranged_by_the_others(tmp_path):
-    robots = (Robot("r0", uwb="DE00"), Robot("r1", uwb="DE01", uwb_role="anchor"))
+    robots = (RobotConfig("r0", uwb="DE00"), RobotConfig("r1", uwb="DE01", uwb_role="anchor"))
     places = {"r0": (0.5, 1.5, 0.0), "r1": (0.6, 1.5, 0.0)}
     config = replace(CONFIG, robots=robots, simulation=replace(CONFIG.simulation, places=places))
     board = ModuleBoard(tmp_path, config, 1)

@@ -19,7 +19,7 @@ from services.dwm.core.fitting import (
     robot_offset,
 )
 from services.dwm.core.multilateration import Fix, multilaterate
-from services.dwm.core.samples import TARGET, TARGET_PLACE, Group, groups, of_recording, spots
+from services.dwm.core.samples import TARGET, TARGET_PLACE, SampleGroup, groups, of_recording, spots
 from swarm.recording.thesis_ranges import read_folder
 
 MODULES = {TARGET: (*TARGET_PLACE, 0.0)}
@@ -95,10 +95,10 @@ def errors_at(left, model):
 def test_never_worse_than_linear_on_orientations_left_out(samples, unseen):
     every = groups(samples, MODULES)
     seen = [
-        Group(g.place, g.true, None, tuple(v for part in range(4) if part != unseen for v in parts(g, part, 4)))
+        SampleGroup(g.place, g.true, None, tuple(v for part in range(4) if part != unseen for v in parts(g, part, 4)))
         for g in every
     ]
-    left = [Group(g.place, g.true, None, parts(g, unseen, 4)) for g in every]
+    left = [SampleGroup(g.place, g.true, None, parts(g, unseen, 4)) for g in every]
     chosen = fit_ranges(seen)
     assert chosen.name == "curved"
     assert errors_at(left, chosen.model) < errors_at(left, fit_linear(seen))
@@ -183,7 +183,9 @@ def target_error(rows, offsets):
 
 
 def test_logarithmic_model_is_the_tangent_below_what_it_was_fitted_to():
-    fit = fit_logarithmic([Group(k, d, None, (d + 0.1 + 0.05 * math.log(d),)) for k, d in enumerate((0.3, 0.6, 1.2))])
+    fit = fit_logarithmic(
+        [SampleGroup(k, d, None, (d + 0.1 + 0.05 * math.log(d),)) for k, d in enumerate((0.3, 0.6, 1.2))]
+    )
     assert fit.log < 0
     low, step = fit.low, 1e-6
     slope = (fit.distance(low + step) - fit.distance(low)) / step

@@ -8,10 +8,10 @@ from services.dwm.core.tlv import (
     LOC_GET,
     MAX_RANGES,
     AnchorRange,
-    Decoder,
     Location,
     Position,
     Refusal,
+    TlvDecoder,
     encode_location,
     encode_refusal,
 )
@@ -55,7 +55,7 @@ def drain(decoder):
 
 
 def decode(data):
-    decoder = Decoder(LOC_GET)
+    decoder = TlvDecoder(LOC_GET)
     decoder.receive(data)
     return drain(decoder)
 
@@ -91,7 +91,7 @@ def test_round_trip(location):
 def test_split_anywhere_and_merged(sent, data):
     stream = b"".join(encode_location(location) for location in sent)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=12)))
-    decoder, results = Decoder(LOC_GET), []
+    decoder, results = TlvDecoder(LOC_GET), []
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         decoder.receive(stream[start:end])
         results += drain(decoder)[0]
@@ -126,7 +126,7 @@ def test_mutations_raise_only_frame_errors_and_cost_one_answer(sent, data):
     stream = bytearray(b"".join(encode_location(location) for location in sent))
     for _ in range(data.draw(st.integers(1, 8))):
         stream[data.draw(st.integers(0, len(stream) - 1))] = data.draw(st.integers(0, 255))
-    decoder = Decoder(LOC_GET)
+    decoder = TlvDecoder(LOC_GET)
     decoder.receive(bytes(stream))
     drain(decoder)
     # A mutated length may have us wait for bytes: the next whole answer, at the latest, comes through.
@@ -136,7 +136,7 @@ def test_mutations_raise_only_frame_errors_and_cost_one_answer(sent, data):
 
 @given(st.binary(max_size=600))
 def test_any_bytes(data):
-    decoder = Decoder(LOC_GET)
+    decoder = TlvDecoder(LOC_GET)
     decoder.receive(data)
     drain(decoder)
 
@@ -157,7 +157,7 @@ def test_any_bytes(data):
 def test_what_cannot_be_true_is_named(at, value, message):
     data = bytearray(GOLDEN)
     data[at] = value
-    decoder = Decoder(LOC_GET)
+    decoder = TlvDecoder(LOC_GET)
     decoder.receive(bytes(data))
     with pytest.raises(FrameError, match=message):
         decoder.next()
@@ -166,7 +166,7 @@ def test_what_cannot_be_true_is_named(at, value, message):
 
 
 def test_reset_forgets_half_an_answer():
-    decoder = Decoder(LOC_GET)
+    decoder = TlvDecoder(LOC_GET)
     decoder.receive(GOLDEN[:50])
     assert drain(decoder) == ([], 0)
     decoder.reset()

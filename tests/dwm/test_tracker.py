@@ -3,7 +3,7 @@ import random
 
 import pytest
 
-from services.dwm.core.motion import KEPT, Increments, Motion
+from services.dwm.core.motion import KEPT, DeadReckoning, Increments
 from services.dwm.core.tracker import LATENCY, SILENCE, START_REPORTS, Tracker
 from swarm.messages import Odometry
 
@@ -152,7 +152,7 @@ def test_odometry_from_the_past_is_left_out():
 
 
 def test_track_gives_the_robot_at_any_time():
-    motion = Motion(10.0)
+    motion = DeadReckoning(10.0)
     for i in range(1, 6):
         motion.add(10.0 + 0.04 * i, 0.02, 0.0, 0.1 * i)
     node = motion.at(10.10)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from services.dwm.core.tlv import LOC_GET, Decoder, Position, encode_location
+from services.dwm.core.tlv import LOC_GET, Position, TlvDecoder, encode_location
 from sim.core.uwb import ErrorModel, Module, Tag, multilaterate
 
 QUIET = ErrorModel(1.0, 0.0, heading=0, noise=0, hidden=0, outlier=0, missing=0, engine_offset=0)
@@ -121,7 +121,7 @@ def test_every_measurement_can_be_sent():
     tag, generator = Tag(random.Random(1)), random.Random(2)
     for _ in range(300):
         location = tag.measure(MODULES, generator.uniform(-5, 5), generator.uniform(-5, 5), 0.0)
-        decoder = Decoder(LOC_GET)
+        decoder = TlvDecoder(LOC_GET)
         decoder.receive(encode_location(location))
         assert decoder.next() == location
 

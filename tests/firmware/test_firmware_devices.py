@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.balancer.core import balboa
-from services.balancer.core.health import Health
+from services.balancer.core.health import BoardHealth
 from services.balancer.core.mailbox import Mailbox
 from services.balancer.core.transfers import LONGEST
 from services.balancer.core.tune import Player
@@ -96,7 +96,7 @@ def test_it_is_found_and_shows_how_it_is(driven: Driven) -> None:
     assert found.buttons == (True, False, True)
     assert (found.revision, found.encoder_errors, found.bus_resets) == (1, (0, 0), 0)
     driven.balboa.select(balboa.ENCODERS)
-    assert driven.balboa.fetch_motion() == balboa.Motion(0, 0, 0b101, False)
+    assert driven.balboa.fetch_motion() == balboa.MotionBlock(0, 0, 0b101, False)
     driven.robot.press(0b010)
     driven.robot.run(0.05)
     driven.balboa.select(balboa.ENCODERS)
@@ -246,7 +246,7 @@ def test_a_reset_in_the_middle_of_a_request_is_named(driven: Driven) -> None:
 
 
 def test_health_is_read_twice_a_second_and_told_each(driven: Driven) -> None:
-    health = Health(driven.now())
+    health = BoardHealth(driven.now())
     told = [driven.until_news(health) for _ in range(3)]
     assert [each.voltage for each in told] == pytest.approx([7.4] * 3, abs=0.05)
     assert [b.t - a.t for a, b in itertools.pairwise(told)] == pytest.approx([1.0, 1.0], abs=0.02)

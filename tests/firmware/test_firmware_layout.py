@@ -21,7 +21,7 @@ def test_every_constant_known_to_both_is_equal():
 
 
 def test_every_state_has_the_same_number():
-    for ours, theirs in ((uwb.State, UWB_STATE), (mailbox.State, MAILBOX_STATE)):
+    for ours, theirs in ((uwb.UwbState, UWB_STATE), (mailbox.MailboxState, MAILBOX_STATE)):
         assert {state.name.lower(): state.value for state in ours} == theirs
     assert set(balboa.RESET_CAUSES) == set(RESET_CAUSE.values())
 

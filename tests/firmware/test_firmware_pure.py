@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from services.dwm.core.tlv import (
     LOC_GET,
     AnchorRange,
-    Decoder,
     Location,
     Position,
+    TlvDecoder,
     encode_location,
 )
 from swarm.errors import FrameError
@@ -239,7 +239,7 @@ def test_it_never_reads_what_the_services_decoder_would_refuse(pure, data, locat
             continue
         place, records = found
         again = bytes((0x40, 1, 0, 0x41, 13)) + place + bytes((0x49, 1 + 20 * len(records), len(records)))
-        decoder = Decoder(LOC_GET)
+        decoder = TlvDecoder(LOC_GET)
         decoder.receive(again + b"".join(records))
         assert isinstance(decoder.next(), Location)
 
@@ -258,7 +258,7 @@ def test_each_byte_that_must_hold_is_checked(pure, at, value):
     place = Position(1.0, 2.0, 3.0, 90)
     frame = bytearray(encode_location(Location(place, (AnchorRange("C933", 1.5, 95, place),))))
     frame[at] = value
-    decoder = Decoder(LOC_GET)
+    decoder = TlvDecoder(LOC_GET)
     decoder.receive(bytes(frame))
     try:
         reference = decoder.next()

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from laptop.fleet import collect
-from laptop.fleet.collect import Data, End, File, Stream, Wanted
-from laptop.fleet.journal import Mark, entry
+from laptop.fleet.collect import File, FileData, FileEnd, Stream, Wanted
+from laptop.fleet.journal import JournalMark, entry
 from swarm.errors import RemoteError
 
 
@@ -65,7 +65,7 @@ def test_a_stream_comes_apart_wherever_it_is_cut(files: list[tuple[bytes, int, b
     while answer:
         size = cuts.pop() if cuts else len(answer)
         for part in stream.receive(answer[:size]):
-            if isinstance(part, Data):
+            if isinstance(part, FileData):
                 got[part.wanted] += part.data
             else:
                 sums[part.wanted] = part.sum
@@ -81,7 +81,7 @@ def test_a_stream_takes_any_bytes(parts: list[bytes]) -> None:
     stream = Stream([Wanted(File("a-1/x", 40), 10), Wanted(File("a-1/y", 3), 0)])
     with contextlib.suppress(RemoteError):
         for part in parts:
-            assert all(isinstance(found, Data | End) for found in stream.receive(part))
+            assert all(isinstance(found, FileData | FileEnd) for found in stream.receive(part))
 
 
 def test_more_than_was_asked_for_is_refused() -> None:
@@ -133,9 +133,9 @@ def test_a_size_of_thousands_of_digits_is_no_list() -> None:
 
 @given(st.integers(0, 10**20 - 1), st.from_regex(r"[a-z0-9=;]+", fullmatch=True))
 def test_a_mark_is_read_as_written(size: int, cursor: str) -> None:
-    assert Mark.of(Mark(size, cursor).text) == Mark(size, cursor)
+    assert JournalMark.of(JournalMark(size, cursor).text) == JournalMark(size, cursor)
 
 
 @pytest.mark.parametrize("text", ["", "x", "5", "-5 s=1", "5 ", "\u0663 s=1"])
 def test_a_mark_that_is_none_is_the_beginning(text: str) -> None:
-    assert Mark.of(text) == Mark()
+    assert JournalMark.of(text) == JournalMark()

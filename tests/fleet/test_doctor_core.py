@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from laptop.fleet.core import doctor
-from laptop.fleet.core.checkup import Robot
+from laptop.fleet.core.checkup import ExaminedRobot
 from laptop.fleet.core.packages import FIRMWARE
 from laptop.fleet.core.settings import CLOUD, LIMITS, LIMITS_TEXT, MODULES, NETWORK_CONF, NETWORK_TEXT
 from laptop.fleet.core.texts import with_block
@@ -73,7 +73,7 @@ def bus(**other: Any) -> dict[str, Any]:
     return topics | {name.replace("_", "/", 1): value for name, value in other.items()}
 
 
-WELL = Robot(
+WELL = ExaminedRobot(
     "r0", CONFIG, system(), bus(), digest="digest", addresses={"r1": "B8:27:EB:00:00:11"},
     key={"mode": "0600", "owner": "swarm-mesh", "ids": ["00000001"]},
 )  # fmt: skip
@@ -151,7 +151,7 @@ def test_a_robot_that_is_well() -> None:
         ("time", "bad", "no time", replace(WELL, bus=bus(mesh_clock={}))),
     ],
 )  # fmt: skip
-def test_one_thing_is_wrong_and_named(check: str, state: str, part: str, robot: Robot) -> None:
+def test_one_thing_is_wrong_and_named(check: str, state: str, part: str, robot: ExaminedRobot) -> None:
     found = doctor.examine(robot)[check]
     assert (found.state, part in found.text) == (state, True), found
     assert found.remedy
@@ -179,7 +179,7 @@ def test_what_must_be_the_same_on_all() -> None:
 
 
 def test_keys_differ_where_two_robots_have_none_in_common() -> None:
-    def having(name: str, *ids: str) -> Robot:
+    def having(name: str, *ids: str) -> ExaminedRobot:
         return replace(WELL, name=name, key={**(WELL.key or {}), "ids": list(ids)})
 
     old, both, new = having("r0", "1"), having("r1", "2", "1"), having("r2", "2")

@@ -11,7 +11,7 @@ from fake_robots import FakeRobots, Run, outcomes
 from needs import needs_ssh
 
 from laptop.cli.robots import status
-from laptop.fleet.everyone import Outcome
+from laptop.fleet.everyone import RobotOutcome
 from swarm.config.keyfile import new_key_file
 
 pytest_plugins = ["fleet_fixtures"]
@@ -416,7 +416,7 @@ swarm-mesh.service loaded failed failed Balboa Swarm: the mesh
 
 def test_the_status_of_a_robot_is_read() -> None:
     row = status.parse("r0", ANSWER)
-    assert row == status.Row(
+    assert row == status.StatusRow(
         release="0.1.0-abc",
         firmware="1.4",
         failed=["dwm", "mesh"],
@@ -435,7 +435,7 @@ def test_the_status_of_a_robot_is_read() -> None:
 
 def test_a_row_for_people() -> None:
     rows = {"r0": status.parse("r0", ANSWER)}
-    head, row = status.table([Outcome("r0", True, "", 1.0)], rows, 2e9)
+    head, row = status.table([RobotOutcome("r0", True, "", 1.0)], rows, 2e9)
     assert head.split() == [
         "robot",
         "services",

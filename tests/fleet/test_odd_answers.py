@@ -13,7 +13,7 @@ from laptop.cli import halt as halt_ssh
 from laptop.cli.robots import status
 from laptop.fleet import collect, everyone, versions
 from laptop.fleet.core import doctor
-from laptop.fleet.core.checkup import Robot
+from laptop.fleet.core.checkup import ExaminedRobot
 from laptop.fleet.ssh import Host, HostError, Ssh
 from swarm.config import parse
 from swarm.errors import LocalError, RemoteError
@@ -43,9 +43,9 @@ def test_status_shows_a_robot_whatever_it_says_beside_one_that_is_well(
     samples: list[tuple[str, Any]], runs: str
 ) -> None:
     lines = "".join(json.dumps({"key": f"swarm/r0/{topic}", "value": value}) + "\n" for topic, value in samples)
-    rows: dict[str, status.Row] = {}
+    rows: dict[str, status.StatusRow] = {}
 
-    async def job(host: Host, _: everyone.Tell) -> str:
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
         odd = f"== release\nx\n== units\n{runs}\n== runs\n{runs}\n== bus\n{lines}"
         rows[host.robot] = status.parse(host.robot, odd if host.robot == "r0" else "== release\n/opt/1-a\n")
         return ""
@@ -61,21 +61,21 @@ def test_status_names_the_topics_whose_messages_it_leaves_out() -> None:
     row = status.parse("r0", said)
     assert row.links == {}
     assert row.misunderstood == ["mesh/links"]
-    table = status.table([everyone.Outcome("r0", True, "", 1.0)], {"r0": row}, 1e9)
+    table = status.table([everyone.RobotOutcome("r0", True, "", 1.0)], {"r0": row}, 1e9)
     assert "not understood: mesh/links" in table[1]
 
 
 @given(st.sampled_from(TOPICS), VALUES, VALUES, VALUES)
 def test_doctor_judges_a_robot_whatever_it_says(topic: str, value: Any, system: Any, key: Any) -> None:
-    odd = Robot("r0", CONFIG, system, {"bus": True, topic: value}, key=key)
+    odd = ExaminedRobot("r0", CONFIG, system, {"bus": True, topic: value}, key=key)
     report = doctor.examine(odd)
     assert all(finding.state in ("ok", "warning", "bad", "skipped") for finding in report.values())
-    doctor.compare([odd, Robot("r1", CONFIG, None, None)])
+    doctor.compare([odd, ExaminedRobot("r1", CONFIG, None, None)])
 
 
 @pytest.mark.parametrize("error", [TypeError("x"), KeyError("x"), RecursionError(), RemoteError("x"), UnicodeError()])
 def test_a_job_that_cannot_understand_one_robot_is_done_on_the_others(error: Exception) -> None:
-    async def job(host: Host, _: everyone.Tell) -> str:
+    async def job(host: Host, _: everyone.ReportProgress) -> str:
         if host.robot == "r0":
             raise error
         return "done"
@@ -86,7 +86,7 @@ def test_a_job_that_cannot_understand_one_robot_is_done_on_the_others(error: Exc
 
 
 def test_a_mistake_of_ours_ends_the_command() -> None:
-    async def job(_: Host, __: everyone.Tell) -> str:
+    async def job(_: Host, __: everyone.ReportProgress) -> str:
         raise LocalError("wrong arguments")
 
     with pytest.raises(LocalError):

@@ -10,7 +10,7 @@ from test_doctor_core import WELL, bus
 
 from laptop.cli.robots import status
 from laptop.fleet.core import doctor
-from laptop.fleet.everyone import Outcome
+from laptop.fleet.everyone import RobotOutcome
 
 SAID: dict[str, Any] = {
     "balancer/state": {"mode": "balancing", "battery": 7.4, "battery_left": 9000, "fault": ""},
@@ -51,7 +51,7 @@ def test_a_status_row_leaves_out_what_another_release_does_not_say(said: dict[st
     lines = [json.dumps({"key": f"swarm/r0/{topic}", "value": value}) for topic, value in said.items()]
     row = status.parse("r0", "== release\n/opt/swarm/releases/9.9\n== bus\n" + "\n".join(lines))
     assert row.release == "9.9"
-    assert any("9.9" in line for line in status.table([Outcome("r0", True, "", 1.0)], {"r0": row}, 2e9))
+    assert any("9.9" in line for line in status.table([RobotOutcome("r0", True, "", 1.0)], {"r0": row}, 2e9))
 
 
 @given(changed({topic: value for topic, value in bus().items() if isinstance(value, dict)}))

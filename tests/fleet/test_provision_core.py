@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from laptop.fleet import bundle
 from laptop.fleet.core import packages, settings, steps, texts
-from laptop.fleet.core.wish import Packages, Wish
+from laptop.fleet.core.wish import DesiredRobot, Packages
 from swarm.errors import LocalError
 
-WISH = Wish("r0", "zero2w", "r0", 0.0)
+WISH = DesiredRobot("r0", "zero2w", "r0", 0.0)
 lines = st.lists(st.sampled_from([texts.BEGIN, texts.END, "[pi4]", "dtparam=i2c_arm=off", "", "# x"]), max_size=8)
 
 

@@ -35,13 +35,13 @@ def mine(radio: Radio, number: int, channel: int = CHANNEL) -> rfcomm.Radio:
 
 
 @pytest.fixture
-def listener(radio: Radio) -> Iterator[rfcomm.Listener]:
-    made = rfcomm.Listener(mine(radio, 1), {radio.addresses[0].lower(): "r0"})
+def listener(radio: Radio) -> Iterator[rfcomm.RfcommListener]:
+    made = rfcomm.RfcommListener(mine(radio, 1), {radio.addresses[0].lower(): "r0"})
     yield made
     made.close()
 
 
-def accept(listener: rfcomm.Listener) -> Pipe:
+def accept(listener: rfcomm.RfcommListener) -> Pipe:
     readable("a call arrives", listener)
     return listener.accept()
 
@@ -62,7 +62,7 @@ def dial(radio: Radio, caller: int = 0, called: int = 1) -> Pipe:
 
 
 @pytest.fixture
-def pair(radio: Radio, listener: rfcomm.Listener) -> Iterator[Pair]:
+def pair(radio: Radio, listener: rfcomm.RfcommListener) -> Iterator[Pair]:
     """A connection: the caller's and the called one's pipe."""
     caller = dial(radio)
     called = accept(listener)
@@ -114,7 +114,7 @@ def test_the_other_end_closed_what_it_said_before_still_arrives(pair: Pair) -> N
     assert ended(caller) in ("", "connection reset by peer")
 
 
-def test_the_other_process_killed(radio: Radio, listener: rfcomm.Listener) -> None:
+def test_the_other_process_killed(radio: Radio, listener: rfcomm.RfcommListener) -> None:
     child = os.fork()
     if child == 0:
         accept(listener)
@@ -175,10 +175,10 @@ def test_a_short_silence_costs_nothing(radio: Radio, pair: Pair) -> None:
 
 @pytest.mark.parametrize("limit", [None, 1.0])
 def test_a_silent_robot_takes_the_buffers_of_its_neighbours_until_its_connection_is_over(
-    radio: Radio, listener: rfcomm.Listener, pair: Pair, limit: float | None
+    radio: Radio, listener: rfcomm.RfcommListener, pair: Pair, limit: float | None
 ) -> None:
     """A controller has eight for all its connections; the mesh's limit on silence lets the others have them back."""
-    other = rfcomm.Listener(mine(radio, 2), {})
+    other = rfcomm.RfcommListener(mine(radio, 2), {})
     silent = dial(radio, 0, 2)
     called = accept(other)
     for _ in range(20):  # until it may have more under way than RFCOMM's seven of the beginning
@@ -211,12 +211,12 @@ def test_a_silent_robot_takes_the_buffers_of_its_neighbours_until_its_connection
 
 
 def test_a_link_goes_on_when_a_silent_one_of_the_same_adapter_has_ended(
-    radio: Radio, listener: rfcomm.Listener, pair: Pair
+    radio: Radio, listener: rfcomm.RfcommListener, pair: Pair
 ) -> None:
     """Linux 6.12 gives the silent link's buffers back without sending what waits for them. A link with used-up credits,
     which writes nothing by itself, stayed silent for 40 s and more."""
     caller, living = pair
-    other = rfcomm.Listener(mine(radio, 2), {})
+    other = rfcomm.RfcommListener(mine(radio, 2), {})
     silent = dial(radio, 0, 2)
     called = accept(other)
     for _ in range(20):  # until it may have more under way than RFCOMM's seven of the beginning
@@ -275,9 +275,9 @@ def test_the_same_pair_and_channel_again(radio: Radio, pair: Pair) -> None:
     assert caught.value.errno == errno.EBUSY
 
 
-def test_a_channel_in_use(radio: Radio, listener: rfcomm.Listener) -> None:
+def test_a_channel_in_use(radio: Radio, listener: rfcomm.RfcommListener) -> None:
     with pytest.raises(LocalError, match="something else listens on that channel"):
-        rfcomm.Listener(mine(radio, 1), {})
+        rfcomm.RfcommListener(mine(radio, 1), {})
 
 
 def test_no_such_adapter(radio: Radio) -> None:
@@ -289,7 +289,7 @@ def test_no_such_adapter(radio: Radio) -> None:
 
 def test_both_call_at_once_which_is_why_one_fixed_side_calls(radio: Radio) -> None:
     """Without a link below them both pages are unheard; whatever they come to, neither hangs, and then one works."""
-    listeners = [rfcomm.Listener(mine(radio, number), {}) for number in (4, 5)]
+    listeners = [rfcomm.RfcommListener(mine(radio, number), {}) for number in (4, 5)]
     results: list[str] = []
 
     def call(me: int, other: int) -> None:
@@ -318,7 +318,9 @@ def test_both_call_at_once_which_is_why_one_fixed_side_calls(radio: Radio) -> No
 
 
 @pytest.mark.parametrize("how", ["down and up", "unplugged"])
-def test_an_adapter_that_goes_and_comes_back(radio: Radio, listener: rfcomm.Listener, pair: Pair, how: str) -> None:
+def test_an_adapter_that_goes_and_comes_back(
+    radio: Radio, listener: rfcomm.RfcommListener, pair: Pair, how: str
+) -> None:
     caller, called = pair
     address = radio.addresses[1]
     if how == "unplugged":
@@ -353,7 +355,7 @@ def unreclaimable() -> int:
     return int(Path("/proc/meminfo").read_text().split("SUnreclaim:")[1].split()[0])
 
 
-def test_a_thousand_connections_leave_nothing_behind(radio: Radio, listener: rfcomm.Listener) -> None:
+def test_a_thousand_connections_leave_nothing_behind(radio: Radio, listener: rfcomm.RfcommListener) -> None:
     calls = 0
 
     def once() -> None:

@@ -26,7 +26,7 @@ ROUNDS = 40
 
 def one_way(radio: Radio, one: int, other: int) -> float:
     """s: half of a round trip's median over plain sockets of that link."""
-    listener = rfcomm.Listener(rfcomm.Radio(radio.addresses[other], 7), {})
+    listener = rfcomm.RfcommListener(rfcomm.Radio(radio.addresses[other], 7), {})
     caller = rfcomm.dial(rfcomm.Radio(radio.addresses[one], 7), radio.addresses[other])
     assert select.select([listener], [], [], 60)[0]
     called = listener.accept()

@@ -67,7 +67,7 @@ def call(radio: rfcomm.Radio, other: str) -> None:
         time.sleep(0.5)
 
 
-def serve(listener: rfcomm.Listener) -> None:
+def serve(listener: rfcomm.RfcommListener) -> None:
     say("listening")
     while True:
         select.select([listener], [], [])
@@ -87,7 +87,7 @@ def main() -> None:
         call(radio, other)
         return
     Path("/tmp/peer").write_text(str(os.getpid()))
-    listener = rfcomm.Listener(radio, {other: "r0"})
+    listener = rfcomm.RfcommListener(radio, {other: "r0"})
     # The record stays with its descriptor, which closes with this process.
     record = pybluez.Record(listener.fileno()) if role == "advertise" else None
     try:

@@ -27,6 +27,6 @@ def test_links_need_no_pybluez(radio: Radio, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(sys.modules, "bluetooth", None)
     with pytest.raises(LocalError, match="apt install python3-bluez"):
         pybluez.discover(1.28, ask_services=False)
-    listener = rfcomm.Listener(rfcomm.Radio(radio.addresses[1], 5), {})
+    listener = rfcomm.RfcommListener(rfcomm.Radio(radio.addresses[1], 5), {})
     rfcomm.dial(rfcomm.Radio(radio.addresses[0], 5), radio.addresses[1]).close()
     listener.close()

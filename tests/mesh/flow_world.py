@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import Local
-from services.mesh.core.link.clock import MeshClock
+from services.mesh.core.link.clock import ClockSync
 from services.mesh.core.link.session import Session
 from services.mesh.core.radio_model import AirModel, DelayLine
 
@@ -26,7 +26,7 @@ class Side:
             0.0,
             dialled=peer if dialled else None,
             admit=lambda *_: True,
-            clock=MeshClock(name, 1, frozenset((name, peer))),
+            clock=ClockSync(name, 1, frozenset((name, peer))),
             counters=self.counters,
         )
         self.line = line

@@ -10,17 +10,17 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from services.mesh.core.actions import Close, Dial, Log, Write
+from services.mesh.core.actions import Close, Dial, LogLine, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.link.session import Session
-from services.mesh.core.node import Node
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.node import MeshNode
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.radio_model import AirModel, DelayLine
-from services.mesh.core.relay import Relay
-from services.mesh.core.routing.topology import Ground, Topology
-from services.mesh.core.routing.wanted_links import Start
-from swarm.config.types import DEFAULT_RELAY, RelayRule, Robot
+from services.mesh.core.relay import KeyRelay
+from services.mesh.core.routing.topology import Ground, TopologyVersion
+from services.mesh.core.routing.wanted_links import InitialLinks
+from swarm.config.types import DEFAULT_RELAY, RelayRule, RobotConfig
 from swarm.messages import LinkState
 
 SOCKET = 50_000
@@ -63,11 +63,11 @@ class Bot:
     """One robot's mesh and what came out of it."""
 
     name: str
-    node: Node
+    node: MeshNode
     counters: Counter[str]
     ends: dict[Session, End] = field(default_factory=dict)
     inbox: list[tuple[str, bytes]] = field(default_factory=list)
-    notes: list[Log] = field(default_factory=list)
+    notes: list[LogLine] = field(default_factory=list)
     stopped_until: float = 0.0
 
 
@@ -94,7 +94,7 @@ class World:
         self.auto = auto
         self.topology: Sequence[tuple[str, str]] = () if auto else list(edges)
         """The configuration's."""
-        self.saved: dict[str, Topology] = {}
+        self.saved: dict[str, TopologyVersion] = {}
         """What robots have kept through their restarts."""
         self.keys = keys
         self.now = 0.0
@@ -121,7 +121,7 @@ class World:
 
     def start(self, name: str) -> None:
         """Start a robot's mesh, anew if it was there."""
-        robots = {each: Robot(each) for each in self.network}
+        robots = {each: RobotConfig(each) for each in self.network}
         peers = sorted({peer for edge in self.edges if name in edge for peer in edge if peer != name})
         settings: dict[str, object] = {
             "robot": name,
@@ -134,19 +134,21 @@ class World:
         }
         local = Local(**(settings | self.overrides.get(name, {})))  # type: ignore[arg-type]
         counters: Counter[str] = Counter()
-        relay = Relay(local.robot, peers, self.rules, local.robots)
-        overlays = Overlays(
+        relay = KeyRelay(local.robot, peers, self.rules, local.robots)
+        overlays = RobotOverlays(
             local.robot,
             local.robots,
             incarnation=int((1000.0 + self.now) * 1e6),
             random=self.random.random,
             counters=counters,
             process=local.process,
-            start=Start(Ground(sorted(local.robots), self.topology, auto=self.auto), local.dials, self.saved.get(name)),
+            start=InitialLinks(
+                Ground(sorted(local.robots), self.topology, auto=self.auto), local.dials, self.saved.get(name)
+            ),
             admits_flood=relay.admits_flood,
             admits_unicast=relay.admits_unicast,
         )
-        node = Node(
+        node = MeshNode(
             local,
             relay,
             overlays,
@@ -247,7 +249,7 @@ class World:
 
     # -- the machinery --
 
-    def step(self, name: str, call: Callable[[Node], object]) -> None:
+    def step(self, name: str, call: Callable[[MeshNode], object]) -> None:
         """Call a node and carry out what it wants."""
         bot = self.bots[name]
         call(bot.node)
@@ -267,7 +269,7 @@ class World:
                     end.session = action.session
                     self._flush(end)
                     self._close(end)
-            elif isinstance(action, Log):
+            elif isinstance(action, LogLine):
                 bot.notes.append(action)
             elif isinstance(action, Write):
                 linking = bot.node.overlays.linking
@@ -294,7 +296,7 @@ class World:
         near, far = End(caller.name, None), End(peer, None)
         near.peer, far.peer = far, near
 
-        def dialled(node: Node) -> None:
+        def dialled(node: MeshNode) -> None:
             near.session = node.dialled(peer, self.now)
             caller.ends[near.session] = near
 
@@ -304,7 +306,7 @@ class World:
     def _accept(self, end: End, caller: Caller = UNKNOWN) -> None:
         bot = self.bots[end.robot]
 
-        def accepted(node: Node) -> None:
+        def accepted(node: MeshNode) -> None:
             end.session = node.accepted(self.now, caller)
             if end.session is None:
                 self._close(end)

@@ -10,8 +10,8 @@ from functools import partial
 
 from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.events import Received
-from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.routing.wanted_links import InitialLinks
 from swarm.messages import Flooded, FloodRequest, Passed, SendRequest, Sent
 from swarm.messages.codec import decode
 from swarm.messages.keys import parse
@@ -26,7 +26,7 @@ DATA_OVERHEAD = 5 + 8
 @dataclass
 class Bot:
     name: str
-    overlays: Overlays
+    overlays: RobotOverlays
     counters: Counter[str]
     inbox: list[tuple[str, bytes]] = field(default_factory=list)
     """What came to the bus from others: key and payload."""
@@ -89,7 +89,7 @@ class World:
         """Start a robot; its links to those who run come up after a handshake."""
         counters: Counter[str] = Counter()
         incarnation = int((1000.0 + self.now + self.clock_error.get(name, 0.0)) * 1e6)
-        overlays = Overlays(
+        overlays = RobotOverlays(
             name,
             self.names,
             incarnation=incarnation,
@@ -165,7 +165,7 @@ class World:
             bot.times.clear()
             bot.counters.clear()
 
-    def step(self, name: str, call: Callable[[Overlays], object]) -> None:
+    def step(self, name: str, call: Callable[[RobotOverlays], object]) -> None:
         """Call a robot's overlays and carry out what they want."""
         bot = self.bots[name]
         call(bot.overlays)
@@ -227,7 +227,7 @@ class World:
 
     # -- for worlds in which robots choose their links --
 
-    def beginning(self, name: str) -> Start | None:
+    def beginning(self, name: str) -> InitialLinks | None:
         """What a robot knows of links; here that is the test's matter."""
         return None
 

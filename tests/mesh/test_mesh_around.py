@@ -6,7 +6,7 @@ from overlay_world import World, full, line, ring, thesis_d
 
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import SYNC, UNICAST
-from services.mesh.core.wire.packets import Message
+from services.mesh.core.wire.packets import UnicastMessage
 
 KEY = "swarm/r0/app/x/sync/c/r1/around"
 DIAMOND = [("r0", "r1"), ("r0", "r2"), ("r0", "r3"), ("r1", "r2"), ("r1", "r3")]
@@ -103,12 +103,12 @@ def test_a_message_that_no_rule_lets_in_is_refused_without_an_answer() -> None:
 @pytest.mark.parametrize(
     ("message", "counter"),
     [
-        (Message("r0", "r1", 1, 0, KEY, b"", 1), "unicast_expired"),
-        (Message("r0", "r9", 1, 0, KEY, b"", 9), "bad_packets"),
-        (Message("r9", "r1", 1, 0, KEY, b"", 9), "bad_packets"),
+        (UnicastMessage("r0", "r1", 1, 0, KEY, b"", 1), "unicast_expired"),
+        (UnicastMessage("r0", "r9", 1, 0, KEY, b"", 9), "bad_packets"),
+        (UnicastMessage("r9", "r1", 1, 0, KEY, b"", 9), "bad_packets"),
     ],
 )
-def test_a_message_that_cannot_go_on_is_dropped(message: Message, counter: str) -> None:
+def test_a_message_that_cannot_go_on_is_dropped(message: UnicastMessage, counter: str) -> None:
     world = settled(ring(4))
     world.clear()
     data = packets.encode_message(message)

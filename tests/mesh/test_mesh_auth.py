@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from services.mesh.core.events import LinkUp, Received
 from services.mesh.core.link import flow
 from services.mesh.core.link.calls import Local
-from services.mesh.core.link.clock import Claim, MeshClock, encode_claim
+from services.mesh.core.link.clock import ClockClaim, ClockSync, encode_claim
 from services.mesh.core.link.session import Session
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, Tagger, hkdf, newest_common
-from services.mesh.core.wire.frames import Bind, Decoder, Heartbeat, Hello
+from services.mesh.core.wire.frames import Bind, FrameDecoder, Heartbeat, Hello
 from swarm.errors import FrameError
 
 KEY_ID, SECRET = 0x68A1F0C2, bytes(range(32))
@@ -43,7 +43,7 @@ def session(robot: str, keys: dict[int, bytes] = KEYS) -> Session:
     hello, peer = (DIALLER, "r1") if robot == "r0" else (LISTENER, "r0")
     local = Local(robot, "lab", hello.incarnation, not keys, {peer: robot == "r0"}, frozenset(("r0", "r1")), keys=keys)
     dialled = peer if robot == "r0" else None
-    clock = MeshClock(local.robot, local.incarnation, local.robots)
+    clock = ClockSync(local.robot, local.incarnation, local.robots)
     return Session(local, hello.nonce, 0.0, dialled=dialled, admit=lambda *_: True, clock=clock, counters=Counter())
 
 
@@ -152,7 +152,7 @@ def test_sessions_speak_the_golden_bytes() -> None:
 def test_the_examples_are_frames_of_the_codec() -> None:
     tagger = Keys(SECRET, KEY_ID, frames.VERSION, D, L, dialler=True).outbound
     assert frames.seal(frames.encode_heartbeat(Heartbeat(0, 0, 1_000_000)), tagger) == golden("sealed-heartbeat")
-    own_root = Claim("r0", 0x55667788, 1, 0, False, False, 1.0, 0.0, 0.0, 0.0)
+    own_root = ClockClaim("r0", 0x55667788, 1, 0, False, False, 1.0, 0.0, 0.0, 0.0)
     assert frames.seal(encode_claim(own_root), tagger) == golden("sealed-clock")
     assert frames.seal(flow.encode_ack(len(D) + len(golden("dialler-confirm"))), tagger) == golden("sealed-ack")
     assert frames.seal(frames.encode_bind(Bind(0, 0, "swarm/r0/dwm/pose")), tagger) == golden("sealed-bind")
@@ -195,7 +195,7 @@ def test_directions_and_purposes_have_keys_of_their_own() -> None:
 
 @given(st.lists(st.binary(max_size=200), max_size=10), st.data())
 def test_sealed_frames_come_through_any_split(payloads: list[bytes], data: st.DataObject) -> None:
-    tagger, decoder = Tagger(SECRET), Decoder(frames.MAX_FRAME)
+    tagger, decoder = Tagger(SECRET), FrameDecoder(frames.MAX_FRAME)
     decoder.tag = Tagger(SECRET)
     stream = b"".join(frames.seal(frames.encode_data(1, 5, payload), tagger) for payload in payloads)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
@@ -214,7 +214,7 @@ def test_the_counter_does_not_end_with_32_bits() -> None:
 
 @pytest.mark.parametrize("length", range(1, 9))
 def test_a_frame_without_room_for_its_tag_is_refused(length: int) -> None:
-    decoder = Decoder(frames.MAX_FRAME)
+    decoder = FrameDecoder(frames.MAX_FRAME)
     decoder.tag = Tagger(SECRET)
     decoder.feed(struct.pack("<H", length) + bytes(length))
     with pytest.raises(frames.TagError, match="no room"):
@@ -341,7 +341,7 @@ def test_a_recorded_connection_cannot_be_played_again() -> None:
     assert [type(event) for event in other.events()] == [LinkUp, Received]
     local = Local("r1", "lab", 5, False, {"r0": False}, frozenset(("r0", "r1")), keys=KEYS)
     counters: Counter[str] = Counter()
-    clock = MeshClock(local.robot, local.incarnation, local.robots)
+    clock = ClockSync(local.robot, local.incarnation, local.robots)
     again = Session(local, bytes(16), 0.0, dialled=None, admit=lambda *_: True, clock=clock, counters=counters)
     again.receive(record, 0.0)
     assert again.state == "down"

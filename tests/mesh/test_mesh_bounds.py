@@ -14,20 +14,20 @@ from topology_world import TopologyWorld
 
 from services.mesh.core.bulk import pieces, transfers
 from services.mesh.core.bulk.numbered import SeenNumbers
-from services.mesh.core.bulk.pieces import OFFER, Id, Packet
+from services.mesh.core.bulk.pieces import OFFER, MessageId, Packet
 from services.mesh.core.link import clock, round_trips
-from services.mesh.core.link.clock import Claim, MeshClock, decode_claim, encode_claim
+from services.mesh.core.link.clock import ClockClaim, ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly
 from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.overlays import unicast
 from services.mesh.core.overlays.echo import MAX_WAVES
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.routing import topology
 from services.mesh.core.routing.membership import PAGE
 from services.mesh.core.routing.topology import MAX_STEP, Advertisement
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_MESSAGE, MAX_PAYLOAD, UNICAST, Heartbeat
-from services.mesh.core.wire.packets import Message, Spread
+from services.mesh.core.wire.packets import Spread, UnicastMessage
 from swarm.errors import FrameError
 from swarm.messages.codec import encode
 
@@ -71,7 +71,7 @@ def test_a_message_with_a_number_far_behind_allocates_nothing() -> None:
 
     def two() -> None:
         for number in (2**32 - 1, 1):
-            message = Message("r0", "r1", 7, number, "swarm/r0/app/x/send/r1", b"x", 32)
+            message = UnicastMessage("r0", "r1", 7, number, "swarm/r0/app/x/send/r1", b"x", 32)
             say(world, "r1", "r0", UNICAST, "swarm/r0/mesh/unicast", packets.encode_message(message))
 
     assert allocated(two) < MIB
@@ -94,7 +94,7 @@ def test_an_offer_of_a_flood_is_refused() -> None:
     world.settle()
     body = pieces.encode_offer(MAX_MESSAGE, "swarm/r0/app/test/send/r1")
     for number in range(1, 50):
-        inject(world, "r1", "r0", Packet(OFFER, "r0", "r1", Id("r0", 7, number, flood=True), body, 9))
+        inject(world, "r1", "r0", Packet(OFFER, "r0", "r1", MessageId("r0", 7, number, flood=True), body, 9))
     assert world.bots["r1"].counters["bad_packets"] == 49
     assert not world.bots["r1"].overlays._large._exchange.fetching
     world.run(60.0)
@@ -107,7 +107,7 @@ def test_offers_of_few_bytes_are_refused() -> None:
     for number in range(1, 700):
         size = pieces.LEAST_MESSAGE - (number > 600)
         body = pieces.encode_offer(size, "swarm/r0/app/test/send/r1")
-        inject(world, "r1", "r0", Packet(OFFER, "r0", "r1", Id("r0", 7, number, flood=False), body, 9))
+        inject(world, "r1", "r0", Packet(OFFER, "r0", "r1", MessageId("r0", 7, number, flood=False), body, 9))
     coming = world.bots["r1"].overlays._large._exchange.fetching
     assert len(coming) == transfers.MAX_COMING_EACH // pieces.LEAST_MESSAGE < 600
     assert world.bots["r1"].counters["bad_packets"] == 99
@@ -130,7 +130,7 @@ def test_a_packet_that_came_in_fragments_is_not_passed_on() -> None:
     """What was handed to a link lately is kept by the number of packets, 64 of them: of a megabyte each, 64 MiB."""
     world = World(line(3))
     world.settle()
-    message = Message("r0", "r2", 7, 1, "swarm/r0/app/x/send/r2", bytes(MAX_MESSAGE // 2), 32)
+    message = UnicastMessage("r0", "r2", 7, 1, "swarm/r0/app/x/send/r2", bytes(MAX_MESSAGE // 2), 32)
     say(world, "r1", "r0", UNICAST, "swarm/r0/mesh/unicast", packets.encode_message(message))
     spread = packets.encode_spread(Spread(2**60, 1, bytes(MAX_PAYLOAD)))
     say(world, "r1", "r0", FLOOD, "swarm/r0/app/x/flood", spread)
@@ -161,7 +161,7 @@ def test_a_link_state_with_robots_of_no_configuration_is_refused() -> None:
 
 def test_the_graph_fits_the_bus_whatever_links_robots_claim() -> None:
     names = [f"robot-number{n:03}" for n in range(PAGE + 20)]
-    overlays = Overlays(names[0], names, incarnation=1, random=lambda: 0.5, counters=Counter())
+    overlays = RobotOverlays(names[0], names, incarnation=1, random=lambda: 0.5, counters=Counter())
     claims = topology.encode_advertisement(Advertisement(dict.fromkeys(names, 65535)))
     for name in names[2:]:
         overlays._map.receive(name, 2**60, claims, 1.0)
@@ -206,8 +206,8 @@ def test_the_last_step_of_a_topology_leaves_the_planner_alive() -> None:
 # -- the mesh clock
 
 
-def claim(**fields: object) -> Claim:
-    known = Claim("r0", 1, 1, 0, child=False, settled=True, at=0.0, offset=0.0, rate=0.0, error=0.0)
+def claim(**fields: object) -> ClockClaim:
+    known = ClockClaim("r0", 1, 1, 0, child=False, settled=True, at=0.0, offset=0.0, rate=0.0, error=0.0)
     return known._replace(**fields)  # type: ignore[arg-type]
 
 
@@ -223,7 +223,7 @@ def claim(**fields: object) -> Claim:
 )
 def test_what_a_robot_makes_of_a_claim_is_no_bad_frame_for_the_next_one(lie: dict[str, object]) -> None:
     """A bad frame ends a connection: so a liar could end the links of innocent robots behind it."""
-    mesh_clock = MeshClock("r1", 2, frozenset(("r0", "r1", "r2")))
+    mesh_clock = ClockSync("r1", 2, frozenset(("r0", "r1", "r2")))
     for second in range(30):
         now = 1e6 + second
         mesh_clock.sample("r0", now, 0.06, round_trips.MAX_APART)

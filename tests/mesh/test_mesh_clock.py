@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mesh_world import World
 
 from services.mesh.core.link import clock
-from services.mesh.core.link.clock import Claim, LinkClock, MeshClock, decode_claim, encode_claim
+from services.mesh.core.link.clock import ClockClaim, ClockSync, LinkClock, decode_claim, encode_claim
 from services.mesh.core.wire import frames
 from swarm.app.mesh_clock import mesh_time, monotonic_time
 from swarm.core.graph import Graph
@@ -45,8 +45,8 @@ class Clocks:
             for pair in ((a, b), (b, a)):
                 self.at(self.random.uniform(0.0, 0.5), lambda pair=pair: self.beat(*pair))  # type: ignore[misc]
 
-    def new(self, name: str, incarnation: int) -> MeshClock:
-        return MeshClock(name, incarnation, frozenset(self.graph.names))
+    def new(self, name: str, incarnation: int) -> ClockSync:
+        return ClockSync(name, incarnation, frozenset(self.graph.names))
 
     def at(self, time: float, call: Callable[[], None]) -> None:
         heapq.heappush(self.schedule, (time, next(self.order), call))
@@ -71,7 +71,7 @@ class Clocks:
         self.arrival[sender, receiver] = arrival
         self.at(arrival, lambda: self.arrive(sender, receiver, (t1, t2, t3), claim))
 
-    def arrive(self, sender: str, receiver: str, stamps: tuple[float, float, float], claim: Claim) -> None:
+    def arrive(self, sender: str, receiver: str, stamps: tuple[float, float, float], claim: ClockClaim) -> None:
         if not self.open(sender, receiver):
             return
         t4 = self.monotonic(receiver)
@@ -339,7 +339,7 @@ def test_the_longest_delays_are_not_used() -> None:
 # -- on the wire --
 
 claims = st.builds(
-    Claim,
+    ClockClaim,
     root=st.from_regex(r"[a-z][a-z0-9_-]{0,15}", fullmatch=True),
     incarnation=st.integers(0, 2**32 - 1),
     epoch=st.integers(0, 2**32 - 1),
@@ -354,7 +354,7 @@ claims = st.builds(
 
 
 @given(claims)
-def test_claims_round_trip(claim: Claim) -> None:
+def test_claims_round_trip(claim: ClockClaim) -> None:
     decoded = decode_claim(encode_claim(claim)[3:])
     assert decoded._replace(at=0.0) == claim._replace(at=0.0)
     assert decoded.at == pytest.approx(claim.at, abs=2e-6)
@@ -369,15 +369,15 @@ def test_any_bytes_raise_frame_errors_only(body: bytes) -> None:
 @pytest.mark.parametrize("field", ["offset", "rate", "error"])
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30])
 def test_numbers_that_would_poison_the_clock_are_refused(field: str, value: float) -> None:
-    claim = Claim("r0", 1, 1, 0, False, True, 1.0, 0.0, 0.0, 0.0)._replace(**{field: value})
+    claim = ClockClaim("r0", 1, 1, 0, False, True, 1.0, 0.0, 0.0, 0.0)._replace(**{field: value})
     with pytest.raises(FrameError, match="out of bounds"):
         decode_claim(encode_claim(claim)[3:])
 
 
 def test_robots_that_are_not_of_the_swarm_are_never_root() -> None:
-    own = MeshClock("r1", 1, frozenset(("r1", "r2")))
+    own = ClockSync("r1", 1, frozenset(("r1", "r2")))
     own.sample("r2", 1.0, 0.06, 5.0)
-    own.hear("r2", Claim("a0", 1, 9, 0, False, True, 6.0, 0.0, 0.0, 0.0), 1.0)
+    own.hear("r2", ClockClaim("a0", 1, 9, 0, False, True, 6.0, 0.0, 0.0, 0.0), 1.0)
     assert own.state(1.1).root == "r1"
 
 
@@ -394,7 +394,7 @@ def test_sessions_carry_it() -> None:
 
 
 def test_a_clock_frame_is_short() -> None:
-    claim = Claim("r0", 1, 1, 0, False, True, 1.0, 0.0, 0.0, 0.0)
+    claim = ClockClaim("r0", 1, 1, 0, False, True, 1.0, 0.0, 0.0, 0.0)
     assert len(encode_claim(claim)) + frames.TAG_SIZE <= 48
 
 

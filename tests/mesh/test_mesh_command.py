@@ -16,7 +16,7 @@ from swarm.core.graph import Graph
 from swarm.errors import LocalError
 from swarm.messages import Clock, GraphRobot, Links, LinkState
 from swarm.onboard.mesh import show, tables
-from swarm.onboard.mesh.collected import Mesh, View
+from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 
 __all__ = ["build", "swarm"]
 
@@ -25,8 +25,8 @@ def link(peer: str, state: str = "up", rtt: float | None = 0.06) -> LinkState:
     return LinkState(peer, state, 1, rtt, 5, 5, "" if state == "up" else "host is down", rtt, rtt, rtt)
 
 
-def view(*links: LinkState, hop: int = 0) -> View:
-    return View(Links(1.0, links), Clock(1.0, 0.0, 0.0, "r0", hop, 0.0012), {"flood_sent": 7, "refused_key": 2})
+def view(*links: LinkState, hop: int = 0) -> MeshView:
+    return MeshView(Links(1.0, links), Clock(1.0, 0.0, 0.0, "r0", hop, 0.0012), {"flood_sent": 7, "refused_key": 2})
 
 
 def known(name: str, links: dict[str, float], state: str = "here", **changes: object) -> GraphRobot:
@@ -42,7 +42,7 @@ LINE_OF_FOUR = {
 
 
 def test_one_robot_knows_all_and_tells_what_it_measured_from_what_it_heard() -> None:
-    found = Mesh({"r0": view(link("r1", rtt=0.061))}, LINE_OF_FOUR)
+    found = CollectedMesh({"r0": view(link("r1", rtt=0.061))}, LINE_OF_FOUR)
     assert found.round_trips == {("r0", "r1"): 0.061, ("r1", "r2"): pytest.approx(0.08)}
     assert not found.whole
     text = tables.text(found)
@@ -59,16 +59,18 @@ def test_one_robot_knows_all_and_tells_what_it_measured_from_what_it_heard() -> 
 
 def test_a_link_counts_where_both_ends_tell_of_it_and_nobody_says_it_is_down() -> None:
     robots = LINE_OF_FOUR | {"r1": known("r1", {"r0": 0.03})}
-    assert set(Mesh({}, robots).round_trips) == {("r0", "r1")}
-    found = Mesh({"r0": view(link("r1", "down", None))}, LINE_OF_FOUR)
+    assert set(CollectedMesh({}, robots).round_trips) == {("r0", "r1")}
+    found = CollectedMesh({"r0": view(link("r1", "down", None))}, LINE_OF_FOUR)
     assert found.states == {("r0", "r1"): False, ("r1", "r2"): True}
     assert not found.whole
     whole = {name: replace(robot, state="here") for name, robot in LINE_OF_FOUR.items() if name != "r3"}
-    assert Mesh({"r0": view(link("r1"))}, whole).whole
+    assert CollectedMesh({"r0": view(link("r1"))}, whole).whole
 
 
 def test_the_tables_show_every_link_and_counter_of_those_who_were_asked() -> None:
-    found = Mesh({"r0": view(link("r1")), "r1": view(link("r0"), link("r2", "down", None), hop=1), "r2": View()})
+    found = CollectedMesh(
+        {"r0": view(link("r1")), "r1": view(link("r0"), link("r2", "down", None), hop=1), "r2": MeshView()}
+    )
     text = "\n".join(tables.text(found))
     assert "r0+1 ±1.2 ms" in text
     assert "host is down" in text
@@ -83,7 +85,7 @@ def test_the_tables_show_every_link_and_counter_of_those_who_were_asked() -> Non
 
 def test_a_large_swarm_is_a_list() -> None:
     names = [f"r{number:02}" for number in range(20)]
-    found = Mesh(
+    found = CollectedMesh(
         {name: view(*(link(peer) for peer in names if abs(int(peer[1:]) - int(name[1:])) == 1)) for name in names}
     )
     graph = tables.graph(found)

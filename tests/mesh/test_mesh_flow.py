@@ -15,13 +15,13 @@ from services.mesh.core.link.flow import (
     Fragment,
     Reassembly,
     Receipts,
-    Window,
+    SendWindow,
     decode_ack,
     decode_fragment,
     encode_ack,
     encode_fragment,
 )
-from services.mesh.core.link.outbox import FOR_LATEST, LIMITS, MAX_BEGUN, Channels, Outbox, Part
+from services.mesh.core.link.outbox import FOR_LATEST, LIMITS, MAX_BEGUN, Channels, Outbox, OutgoingPart
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import BULK, CONTROL, SYNC
 from swarm.errors import FrameError
@@ -191,7 +191,7 @@ def test_an_acknowledgement_of_more_than_was_sent_ends_the_connection() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 5000)), max_size=80))
 def test_bytes_under_way_are_counted_across_the_wrap(steps: list[tuple[int, int]]) -> None:
-    window = Window()
+    window = SendWindow()
     window.sent = window.acknowledged = (1 << 32) - 7000
     now, acknowledged = 0.0, window.sent
     for size, taken in steps:
@@ -260,10 +260,10 @@ def test_whatever_is_interleaved_comes_out_whole_and_in_the_order_of_its_key(
     turn = 0
     while (item := outbox.pop(fragment=cuts[turn % len(cuts)])) is not None:
         turn += 1
-        message = item.message if isinstance(item, Part) else item
+        message = item.message if isinstance(item, OutgoingPart) else item
         channel, _ = channels.handle(message.key)
         names[channel] = message.key
-        if isinstance(item, Part):
+        if isinstance(item, OutgoingPart):
             total = 0 if item.number else len(message.payload)
             frame = encode_fragment(Fragment(channel, item.number, item.last, total, item.data))
             whole = reassembly.add(decode_fragment(frame[3:]), turn * 0.01)
@@ -377,21 +377,25 @@ def test_the_largest_message_fits() -> None:
 def test_a_small_message_of_another_key_does_not_wait_for_a_large_one() -> None:
     outbox = Outbox(Counter())
     outbox.push(BULK, "large", bytes(MIB), latest=False)
-    assert isinstance(outbox.pop(fragment=976), Part)
+    assert isinstance(outbox.pop(fragment=976), OutgoingPart)
     outbox.push(BULK, "small", b"x", latest=False)
-    keys = [item.message.key if isinstance(item, Part) else item.key for item in (outbox.pop(fragment=976),) if item]
-    keys += [item.message.key if isinstance(item, Part) else item.key for item in (outbox.pop(fragment=976),) if item]
+    keys = [
+        item.message.key if isinstance(item, OutgoingPart) else item.key for item in (outbox.pop(fragment=976),) if item
+    ]
+    keys += [
+        item.message.key if isinstance(item, OutgoingPart) else item.key for item in (outbox.pop(fragment=976),) if item
+    ]
     assert sorted(keys) == ["large", "small"]
 
 
 def test_a_latest_value_that_has_begun_is_finished_and_the_newest_follows() -> None:
     outbox = Outbox(Counter())
     outbox.push(BULK, "map", b"1" * 600, latest=True)
-    first = cast(Part, outbox.pop(fragment=256))
+    first = cast(OutgoingPart, outbox.pop(fragment=256))
     outbox.push(BULK, "map", b"2" * 600, latest=True)
     outbox.push(BULK, "map", b"3" * 600, latest=True)
     data = first.data
-    while isinstance(item := outbox.pop(fragment=256), Part):
+    while isinstance(item := outbox.pop(fragment=256), OutgoingPart):
         data += item.data
     assert data == b"1" * 600 + b"3" * 600
 
@@ -403,7 +407,7 @@ def test_only_so_many_large_messages_are_begun() -> None:
         outbox.push(BULK, f"small{number}", b"x", latest=False)
     for _ in range(100):
         item = outbox.pop(fragment=256)
-        if isinstance(item, Part):
+        if isinstance(item, OutgoingPart):
             begun.add(item.message.key)
     assert len(begun) == MAX_BEGUN
     while outbox.pop(fragment=256) is not None:
@@ -419,13 +423,13 @@ def test_control_is_never_held_back() -> None:
     full = -flow.SYNC_EXTRA
     assert outbox.leaves(full)
     found = outbox.pop(full)
-    assert not isinstance(found, Part)
+    assert not isinstance(found, OutgoingPart)
     assert found is not None
     assert found.key == "c"
     assert outbox.pop(full) is None
     assert not outbox.leaves(full)
     sync = outbox.pop(full + 1)
-    assert not isinstance(sync, Part)
+    assert not isinstance(sync, OutgoingPart)
     assert sync is not None
     assert sync.key == "s"
     assert outbox.pop(0) is None

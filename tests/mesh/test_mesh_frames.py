@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.link.clock import Claim, decode_claim, encode_claim
+from services.mesh.core.link.clock import ClockClaim, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, decode_ack, decode_fragment, encode_ack, encode_fragment
 from services.mesh.core.node import COUNTERS
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.frames import Bind, Decoder, Frame, Heartbeat, Hello
+from services.mesh.core.wire.frames import Bind, Frame, FrameDecoder, Heartbeat, Hello
 from swarm.errors import FrameError, LocalError
 
 HELLO = Hello("lab", "r0", 0x1122334455667788, bytes(range(16)), dialler=True, insecure=True)
@@ -28,13 +28,13 @@ GOLDEN = {
     "fragment": encode_fragment(Fragment(3, 0, False, 5, b"abc")),
     "last": encode_fragment(Fragment(3, 1, True, 0, b"de")),
     "ack": encode_ack(0x01020304),
-    "clock": encode_claim(Claim("r0", 0x11223344, 7, 2, False, True, 1.5, -0.25, 0.0, 0.0009765625)),
+    "clock": encode_claim(ClockClaim("r0", 0x11223344, 7, 2, False, True, 1.5, -0.25, 0.0, 0.0009765625)),
 }
 
 DOCUMENT = Path(__file__).parents[2] / "docs/frames.md"
 
 
-def drain(decoder: Decoder) -> list[Frame]:
+def drain(decoder: FrameDecoder) -> list[Frame]:
     found = []
     while (frame := decoder.next()) is not None:
         found.append(frame)
@@ -42,7 +42,7 @@ def drain(decoder: Decoder) -> list[Frame]:
 
 
 def body_of(encoded: bytes) -> bytes:
-    decoder = Decoder(frames.MAX_FRAME)
+    decoder = FrameDecoder(frames.MAX_FRAME)
     decoder.feed(encoded)
     (frame,) = drain(decoder)
     return frame.body
@@ -108,7 +108,7 @@ def test_bind_round_trip(channel: int, key: str) -> None:
 
 @given(st.integers(0, 65535), st.binary(max_size=100), st.sampled_from((0, 1, 2)))
 def test_data_round_trip(channel: int, payload: bytes, priority: int) -> None:
-    decoder = Decoder(frames.MAX_FRAME)
+    decoder = FrameDecoder(frames.MAX_FRAME)
     decoder.feed(frames.encode_data(priority, channel, payload))
     (frame,) = drain(decoder)
     assert (frame.kind, frame.priority) == (frames.DATA, priority)
@@ -124,10 +124,10 @@ encoded_frames = st.one_of(
 @given(st.lists(encoded_frames, max_size=12), st.data())
 def test_any_split_of_the_stream_gives_the_same_frames(parts: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(parts)
-    whole = Decoder(frames.MAX_FRAME)
+    whole = FrameDecoder(frames.MAX_FRAME)
     whole.feed(stream)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
-    pieces = Decoder(frames.MAX_FRAME)
+    pieces = FrameDecoder(frames.MAX_FRAME)
     found = []
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         pieces.feed(stream[start:end])
@@ -151,7 +151,7 @@ DECODERS = {
 
 @given(st.binary(max_size=600), st.integers(1, 50))
 def test_noise_raises_frame_errors_only_and_stays_small(noise: bytes, step: int) -> None:
-    decoder = Decoder()
+    decoder = FrameDecoder()
     with suppress(FrameError):
         for at in range(0, len(noise), step):
             decoder.feed(noise[at : at + step])
@@ -165,7 +165,7 @@ def test_mutated_frames_raise_frame_errors_only(encoded: bytes, data: st.DataObj
     mutated = bytearray(encoded)
     for _ in range(data.draw(st.integers(1, 4))):
         mutated[data.draw(st.integers(0, len(mutated) - 1))] = data.draw(st.integers(0, 255))
-    decoder = Decoder(frames.MAX_FRAME)
+    decoder = FrameDecoder(frames.MAX_FRAME)
     decoder.feed(bytes(mutated))
     with suppress(FrameError):
         for frame in drain(decoder):
@@ -180,7 +180,7 @@ def test_any_body_raises_frame_errors_only(body: bytes, kind: int) -> None:
 
 @pytest.mark.parametrize("length", [0, 257, 4097, 65535])
 def test_the_length_is_refused_before_anything_else_is_read(length: int) -> None:
-    decoder = Decoder()
+    decoder = FrameDecoder()
     decoder.feed(struct.pack("<H", length))
     with pytest.raises(FrameError, match=f"length {length}: 1 to 256"):
         decoder.next()
@@ -191,7 +191,7 @@ def test_the_length_is_refused_before_anything_else_is_read(length: int) -> None
     [(0x00, "kind 0"), (0x0A, "kind 10"), (0x0F, "kind 15"), (0x31, "class 3"), (0x46, "class 4")],
 )
 def test_unknown_kinds_and_classes_are_refused(first: int, text: str) -> None:
-    decoder = Decoder()
+    decoder = FrameDecoder()
     decoder.feed(bytes((1, 0, first)))
     with pytest.raises(FrameError, match=text):
         decoder.next()

@@ -11,7 +11,7 @@ from overlay_world import World, full, line, ring, thesis_d
 
 from services.mesh.core.actions import Transmit
 from services.mesh.core.bulk import exchange, pieces, transfers
-from services.mesh.core.bulk.pieces import GONE, OFFER, PIECE, SIZE, WANT, Fetch, Id, Packet
+from services.mesh.core.bulk.pieces import GONE, OFFER, PIECE, SIZE, WANT, Fetch, MessageId, Packet
 from services.mesh.core.overlays import large_messages
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, MAX_MESSAGE, UNICAST
@@ -328,7 +328,7 @@ def test_announced_sizes_reserve_no_more_than_the_limits_and_not_for_long() -> N
     world.settle()
     key = "swarm/r0/app/test/send/r1"
     for number in range(1, 200):
-        id = Id("r0", 7, number, flood=False)
+        id = MessageId("r0", 7, number, flood=False)
         inject(world, "r1", "r0", Packet(OFFER, "r0", "r1", id, pieces.encode_offer(MAX_MESSAGE, key), 9))
     coming = world.bots["r1"].overlays._large._exchange.fetching
     assert sum(fetch.total for fetch in coming) <= transfers.MAX_COMING_EACH
@@ -366,7 +366,7 @@ def test_whoever_asks_for_what_there_is_not_is_told_so() -> None:
     heard: list[Transmit] = []
     world.watch = lambda sender, peer, packet: heard.append(packet)
     for flood in (False, True):
-        id = Id("r1", 7, 1, flood)
+        id = MessageId("r1", 7, 1, flood)
         inject(world, "r1", "r0", Packet(WANT, "r0", "r1", id, pieces.encode_want(0, range(100)), 9))
     answers = [pieces.decode(packet.payload) for packet in heard]
     assert [(answer.kind, answer.id.flood) for answer in answers] == [(GONE, False), (GONE, True)]
@@ -381,7 +381,7 @@ def test_any_body_of_a_member_is_taken_or_counted(kind: int, flood: bool, number
     world.send("r0", "r1", large(1, 20_000), priority="bulk")
     world.flood("r0", large(2, 20_000), priority="bulk")
     world.run(0.1)
-    inject(world, "r1", "r0", Packet(kind, "r0", "r1", Id("r0", incarnation, number, flood), body, 9))
+    inject(world, "r1", "r0", Packet(kind, "r0", "r1", MessageId("r0", incarnation, number, flood), body, 9))
     world.run(exchange.PATIENCE + 20.0)
     assert world.got("r1", "/flood") == [large(2, 20_000)]
     assert len(world.got("r1", "/send/r1")) <= 1
@@ -390,7 +390,7 @@ def test_any_body_of_a_member_is_taken_or_counted(kind: int, flood: bool, number
 
 @given(st.integers(1, 9), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 3)), max_size=60))
 def test_a_fetch_ends_with_every_piece_once(count: int, steps: list[tuple[int, int]]) -> None:
-    fetch = Fetch(Id("r0", 1, 1, flood=False), count * SIZE - 7, 0.0)
+    fetch = Fetch(MessageId("r0", 1, 1, flood=False), count * SIZE - 7, 0.0)
     for index, what in steps:
         if what == 0:
             fetch.pick(0.0)

@@ -17,7 +17,7 @@ from services.mesh.link_address import Rfcomm, Sim, Tcp
 from services.mesh.links import sim, tcp
 from services.mesh.links.pipe import Pipe
 from swarm import clock
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.errors import ConfigError, LocalError, SwarmError
 
 
@@ -29,9 +29,9 @@ class Place:
             (runtime / name).mkdir()
         self.runtime = runtime
         self.path = runtime / "r1/mesh.sock"
-        self.near = sim.Air("r0", runtime / "r0")
-        self.far = sim.Air("r1", runtime / "r1")
-        self.listener = sim.Listener(self.path, self.far)
+        self.near = sim.LinkConditions("r0", runtime / "r0")
+        self.far = sim.LinkConditions("r1", runtime / "r1")
+        self.listener = sim.SimListener(self.path, self.far)
         self.pipes: list[Pipe] = []
 
     def connect(self) -> tuple[Pipe, Pipe]:
@@ -184,7 +184,7 @@ def test_records_split_anywhere_are_put_together(place: Place) -> None:
 
 def test_a_robot_has_one_mesh(place: Place) -> None:
     with pytest.raises(LocalError, match="another mesh of this robot runs already"):
-        sim.Air("r0", place.runtime / "r0")
+        sim.LinkConditions("r0", place.runtime / "r0")
     near, far = place.connect()
     write(near, b"unharmed")
     assert receive(far) == b"unharmed"
@@ -194,8 +194,8 @@ def test_sockets_left_by_a_killed_run_are_replaced(runtime: Path) -> None:
     for name in (sim.AIR_SOCKET, "mesh.sock"):
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
             left.bind(os.fspath(runtime / name))
-    air = sim.Air("r1", runtime)
-    listener = sim.Listener(runtime / "mesh.sock", air)
+    air = sim.LinkConditions("r1", runtime)
+    listener = sim.SimListener(runtime / "mesh.sock", air)
     sim.dial(runtime / "mesh.sock", air, "r1").close()
     listener.close()
     air.close()
@@ -204,7 +204,7 @@ def test_sockets_left_by_a_killed_run_are_replaced(runtime: Path) -> None:
 
 def test_a_missing_directory_is_named(runtime: Path) -> None:
     with pytest.raises(LocalError, match=r"nowhere/mesh\.lock: no such file"):
-        sim.Air("r0", runtime / "nowhere")
+        sim.LinkConditions("r0", runtime / "nowhere")
 
 
 # -- tcp -----------------------------------------------------------------------------------------------------
@@ -220,7 +220,7 @@ def test_tcp_passes_bytes_and_ends() -> None:
     address = Tcp("127.0.0.1", free_port())
     with pytest.raises(ConnectionRefusedError):
         tcp.dial(address)
-    listener = tcp.Listener(address)
+    listener = tcp.TcpListener(address)
     near, far = tcp.dial(address), listener.accept()
     write(near, b"ping")
     assert receive(far) == b"ping"
@@ -235,7 +235,7 @@ def test_tcp_passes_bytes_and_ends() -> None:
 
 def test_a_fault_while_writing_wakes_the_reader_and_is_named() -> None:
     address = Tcp("127.0.0.1", free_port())
-    listener = tcp.Listener(address)
+    listener = tcp.TcpListener(address)
     near, far = tcp.dial(address), listener.accept()
     far._sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     far.close()  # with a reset
@@ -254,9 +254,9 @@ def write_more(pipe: Pipe) -> bool:
 
 def test_a_port_in_use_is_named() -> None:
     address = Tcp("127.0.0.1", free_port())
-    listener = tcp.Listener(address)
+    listener = tcp.TcpListener(address)
     with pytest.raises(LocalError, match=rf"\[mesh\] listen: 127.0.0.1:{address.port}: address already in use"):
-        tcp.Listener(address)
+        tcp.TcpListener(address)
     listener.close()
 
 
@@ -289,9 +289,9 @@ def test_a_wrong_link_address_is_refused_with_what_was_expected(text: str, messa
 
 
 def test_a_robot_without_a_link_is_reached_by_bluetooth() -> None:
-    assert link_address.of_robot(Robot("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
+    assert link_address.of_robot(RobotConfig("r0", bluetooth="B8:27:EB:00:00:01")) == Rfcomm("B8:27:EB:00:00:01")
     with pytest.raises(ConfigError, match="robot r0: it has neither"):
-        link_address.of_robot(Robot("r0"))
+        link_address.of_robot(RobotConfig("r0"))
 
 
 @pytest.mark.parametrize("model", ["dial=60"])

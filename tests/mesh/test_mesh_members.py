@@ -16,7 +16,7 @@ from services.mesh.core.routing import topology
 from services.mesh.core.routing.topology import Advertisement
 from services.mesh.core.wire import frames, packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_MESSAGE, NEIGHBOURS, UNICAST
-from services.mesh.core.wire.packets import Message, Spread
+from services.mesh.core.wire.packets import Spread, UnicastMessage
 from swarm.messages import FloodRequest, Members, Stop
 from swarm.messages.codec import decode
 
@@ -113,7 +113,7 @@ def test_a_message_in_anothers_name_needs_a_rule(watched: Watched) -> None:
             ("r1", "swarm/r1/app/x/send/r1"),
         )
     ):
-        message = Message(
+        message = UnicastMessage(
             sender=sender, to="r1", incarnation=2**60, number=100 + number, key=key, payload=b"forged", ttl=32
         )
         lie(watched, UNICAST, "swarm/r0/mesh/unicast", packets.encode_message(message))

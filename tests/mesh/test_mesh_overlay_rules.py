@@ -11,7 +11,7 @@ from mesh_world import ACCIDENTS, End, World
 from test_mesh_session import KEYS, hello
 
 from services.mesh.core.link.outbox import LIMITS
-from services.mesh.core.relay import Relay, matches
+from services.mesh.core.relay import KeyRelay, matches
 from services.mesh.core.wire import frames, packets
 from services.mesh.core.wire.frames import BULK, FLOOD, MAX_MESSAGE, NEIGHBOURS, SYNC, UNICAST
 from services.mesh.core.wire.packets import Spread
@@ -28,11 +28,11 @@ RULES = (
 )
 
 
-def relay(me: str = "r1", *rules: RelayRule) -> Relay:
-    return Relay(me, ("r0", "r2"), rules or RULES, ("r0", "r1", "r2", "r3"))
+def relay(me: str = "r1", *rules: RelayRule) -> KeyRelay:
+    return KeyRelay(me, ("r0", "r2"), rules or RULES, ("r0", "r1", "r2", "r3"))
 
 
-def legs(relay: Relay, key: str) -> list[tuple[int, tuple[str, ...]]]:
+def legs(relay: KeyRelay, key: str) -> list[tuple[int, tuple[str, ...]]]:
     found = []
     for source, expression in enumerate(relay.subscriptions):
         if matches(expression, key):

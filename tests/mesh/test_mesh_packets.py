@@ -12,38 +12,38 @@ from hypothesis import strategies as st
 
 from services.mesh.core.bulk import pieces
 from services.mesh.core.bulk.numbered import SeenNumbers
-from services.mesh.core.bulk.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, Id, Packet
+from services.mesh.core.bulk.pieces import DONE, GONE, OFFER, PIECE, STATE, WANT, MessageId, Packet
 from services.mesh.core.overlays import stop
 from services.mesh.core.overlays.stop import Halt, Mark
 from services.mesh.core.routing import topology
 from services.mesh.core.routing.topology import Advertisement
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import MAX_PAYLOAD
-from services.mesh.core.wire.packets import Ack, Echo, Message, Spread
+from services.mesh.core.wire.packets import Ack, EchoPacket, Spread, UnicastMessage
 from swarm.errors import FrameError
 
 DOCUMENT = Path(__file__).parents[2] / "docs/overlays.md"
 
-LARGE = Id("r0", 1, 5, flood=False)
+LARGE = MessageId("r0", 1, 5, flood=False)
 
 GOLDEN = {
     "spread": packets.encode_spread(Spread(0x0006_0000_0000_0001, 7, b"hi", latest=True)),
     "second": packets.encode_spread(Spread(0x0006_0000_0000_0001, 9, b"hi", echo=True, first=7)),
-    "echo": packets.encode_echo(Echo(0x0006_0000_0000_0001, 7, ("r1", "r2"))),
+    "echo": packets.encode_echo(EchoPacket(0x0006_0000_0000_0001, 7, ("r1", "r2"))),
     "digest": packets.encode_digests({"r0": (1, 0xAABBCCDD)}, answer=True)[0],
     "summary": packets.encode_summary(0xAABBCCDD),
     "halt": stop.encode_halts(Halt({"r2": (Mark(1, 1), "smoke")}, {}))[0],
     "arm": stop.encode_halts(Halt({}, {"r2": Mark(1, 1)}))[0],
     "lsa": topology.encode_advertisement(Advertisement({"r1": 300, "r2": 291})),
-    "message": packets.encode_message(Message("r0", "r3", 1, 5, "swarm/r0/app/x/send/r3", b"hi", 32)),
+    "message": packets.encode_message(UnicastMessage("r0", "r3", 1, 5, "swarm/r0/app/x/send/r3", b"hi", 32)),
     "ack": packets.encode_ack(Ack("r3", "r0", 1, 5, refused=False, ttl=32)),
     "announce": packets.encode_spread(Spread(0x0006_0000_0000_0001, 7, b"", echo=True, size=1_000_000)),
     "offer": pieces.encode(Packet(OFFER, "r0", "r3", LARGE, pieces.encode_offer(5000, "swarm/r0/app/x/send/r3"), 32)),
     "want": pieces.encode(Packet(WANT, "r3", "r0", LARGE, pieces.encode_want(0, (0, 1, 2)), 32)),
     "piece": pieces.encode(Packet(PIECE, "r0", "r3", LARGE, pieces.encode_piece(2, b"abc"), 32)),
     "state": pieces.encode(Packet(STATE, "r3", "r0", LARGE, pieces.encode_state(DONE), 32)),
-    "gone": pieces.encode(Packet(GONE, "r1", "r2", Id("r0", 1, 7, flood=True), b"", 32)),
-    "avoiding": packets.encode_message(Message("r0", "r1", 1, 0, "swarm/r0/app/x/sync/c/r1/around", b"hi", 32)),
+    "gone": pieces.encode(Packet(GONE, "r1", "r2", MessageId("r0", 1, 7, flood=True), b"", 32)),
+    "avoiding": packets.encode_message(UnicastMessage("r0", "r1", 1, 0, "swarm/r0/app/x/sync/c/r1/around", b"hi", 32)),
 }
 
 DECODERS: dict[str, Callable[[bytes], object]] = {
@@ -95,15 +95,15 @@ def test_spread_round_trip(packet: Spread) -> None:
     assert packets.decode_spread(packets.encode_spread(packet)) == packet
 
 
-@given(st.builds(Echo, u64, u32, st.lists(names, max_size=30).map(tuple), st.booleans(), st.booleans(),
+@given(st.builds(EchoPacket, u64, u32, st.lists(names, max_size=30).map(tuple), st.booleans(), st.booleans(),
                  st.integers(0, 255)))  # fmt: skip
-def test_echo_round_trip(packet: Echo) -> None:
+def test_echo_round_trip(packet: EchoPacket) -> None:
     assert packets.decode_echo(packets.encode_echo(packet)) == packet
 
 
 def test_an_echo_that_does_not_fit_says_so() -> None:
     robots = tuple(f"robot-number-{n}" for n in range(1000))
-    data = packets.encode_echo(Echo(1, 1, robots))
+    data = packets.encode_echo(EchoPacket(1, 1, robots))
     assert len(data) <= MAX_PAYLOAD
     echo = packets.decode_echo(data)
     assert echo.lost
@@ -186,8 +186,10 @@ def test_advertisement_round_trip(packet: Advertisement) -> None:
     assert topology.decode_advertisement(topology.encode_advertisement(packet)) == packet
 
 
-@given(st.builds(Message, names, names, u64, st.just(0) | u32, keys, st.binary(max_size=99), st.integers(0, 255)))
-def test_message_round_trip(packet: Message) -> None:
+@given(
+    st.builds(UnicastMessage, names, names, u64, st.just(0) | u32, keys, st.binary(max_size=99), st.integers(0, 255))
+)
+def test_message_round_trip(packet: UnicastMessage) -> None:
     assert packets.decode_message(packets.encode_message(packet)) == packet
 
 
@@ -204,7 +206,7 @@ def test_pieces_round_trip(
 ) -> None:
     flood = flood and kind not in (OFFER, STATE)  # a flood is announced by a SPREAD
     offers = to if kind in (WANT, STATE) else sender
-    packet = Packet(kind, sender, to, Id(origin if flood else offers, incarnation, number, flood), body, ttl)
+    packet = Packet(kind, sender, to, MessageId(origin if flood else offers, incarnation, number, flood), body, ttl)
     data = pieces.encode(packet)
     assert pieces.decode(data) == packet
     if ttl:
@@ -213,7 +215,7 @@ def test_pieces_round_trip(
 
 @given(st.lists(st.integers(0, 600), max_size=pieces.MAX_RANGES, unique=True), st.integers(0, 65535))
 def test_wants_round_trip(indexes: list[int], have: int) -> None:
-    assert pieces.decode_want(pieces.encode_want(have, indexes)) == pieces.Want(have, tuple(indexes))
+    assert pieces.decode_want(pieces.encode_want(have, indexes)) == pieces.WantBody(have, tuple(indexes))
 
 
 def test_a_want_of_too_many_pieces_is_refused() -> None:

@@ -12,7 +12,7 @@ from mesh_world import World
 from services.mesh.core.link.outbox import LIMITS, Channels, Outbox
 from services.mesh.core.radio_model import AGAIN, FLOOR, PACKET, AirModel, DelayLine
 from services.mesh.core.wire import frames
-from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, Decoder
+from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, FrameDecoder
 from swarm.config.types import RelayRule
 from swarm.errors import ConfigError
 
@@ -117,7 +117,7 @@ def test_an_urgent_message_overtakes_what_waits() -> None:
     for number in range(20):
         node.publish(0, f"swarm/r0/bulk/k{number}", bytes(1000), world.now)
     node.publish(1, "swarm/r0/sync/k", b"now", world.now)
-    decoder = Decoder(frames.MAX_FRAME)
+    decoder = FrameDecoder(frames.MAX_FRAME)
     decoder.feed(session.data_to_send(world.now, 100))
     assert decoder.next().kind == frames.BIND
     assert frames.decode_data(decoder.next().body)[1] == b"now"

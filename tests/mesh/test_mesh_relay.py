@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.relay import Relay, match, matches, may_cross
+from services.mesh.core.relay import KeyRelay, match, matches, may_cross
 from services.mesh.core.wire import frames
 from swarm.config.types import DEFAULT_RELAY, RelayRule
 
 POSE = "swarm/r1/dwm/pose"
 
 
-def relay(*rules: RelayRule, peers: Sequence[str] = ("r0", "r2")) -> Relay:
-    return Relay("r1", peers, rules)
+def relay(*rules: RelayRule, peers: Sequence[str] = ("r0", "r2")) -> KeyRelay:
+    return KeyRelay("r1", peers, rules)
 
 
-def sent(relay: Relay, key: str, payload: bytes = b"x", now: float = 0.0) -> list[tuple[str, bytes]]:
+def sent(relay: KeyRelay, key: str, payload: bytes = b"x", now: float = 0.0) -> list[tuple[str, bytes]]:
     """Who gets what when every matching subscription delivers a sample, as Zenoh does."""
     sends = []
     for source, expression in enumerate(relay.subscriptions):

@@ -20,7 +20,7 @@ from rfcomm_air import RfcommAir
 
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.routing.topology import Ground
-from services.mesh.core.routing.wanted_links import Start
+from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
 from services.mesh.links import pybluez, rfcomm
@@ -49,8 +49,8 @@ def air() -> Iterator[RfcommAir]:
 
 
 @pytest.fixture
-def listener(air: RfcommAir) -> Iterator[rfcomm.Listener]:
-    made = rfcomm.Listener(Radio(B), {A.lower(): "r0"}, open_socket=air.open)
+def listener(air: RfcommAir) -> Iterator[rfcomm.RfcommListener]:
+    made = rfcomm.RfcommListener(Radio(B), {A.lower(): "r0"}, open_socket=air.open)
     yield made
     made.close()
 
@@ -59,7 +59,7 @@ def dial(air: RfcommAir, adapter: str = A, **radio: object) -> Pipe:
     return rfcomm.dial(Radio(adapter, **radio), B, open_socket=air.open)  # type: ignore[arg-type]
 
 
-def accept(listener: rfcomm.Listener) -> Pipe:
+def accept(listener: rfcomm.RfcommListener) -> Pipe:
     wait_until(lambda: select.select([listener], [], [], 0)[0])
     return listener.accept()
 
@@ -88,7 +88,7 @@ def write(pipe: Pipe, data: bytes) -> None:
 # -- each row of the table --
 
 
-def test_bytes_pass_and_the_caller_is_known_by_its_address(air: RfcommAir, listener: rfcomm.Listener) -> None:
+def test_bytes_pass_and_the_caller_is_known_by_its_address(air: RfcommAir, listener: rfcomm.RfcommListener) -> None:
     near, far = dial(air), accept(listener)
     assert (near.caller, far.caller) == (UNKNOWN, Caller(A, robot="r0"))
     write(near, b"ping")
@@ -97,14 +97,14 @@ def test_bytes_pass_and_the_caller_is_known_by_its_address(air: RfcommAir, liste
     assert read(near) == b"pong"
 
 
-def test_an_unknown_address_stands_for_no_robot(air: RfcommAir, listener: rfcomm.Listener) -> None:
+def test_an_unknown_address_stands_for_no_robot(air: RfcommAir, listener: rfcomm.RfcommListener) -> None:
     air.adapters.add(STRANGER)
     dial(air, STRANGER)
     assert accept(listener).caller == Caller(STRANGER, robot="")
 
 
 def test_the_end_is_a_reset_after_the_last_bytes_and_nothing_is_read_after_it(
-    air: RfcommAir, listener: rfcomm.Listener
+    air: RfcommAir, listener: rfcomm.RfcommListener
 ) -> None:
     near, far = dial(air), accept(listener)
     write(far, b"last words")
@@ -118,7 +118,7 @@ def test_the_end_is_a_reset_after_the_last_bytes_and_nothing_is_read_after_it(
 
 
 def test_a_reset_that_the_writer_meets_first_still_ends_the_connection(
-    air: RfcommAir, listener: rfcomm.Listener
+    air: RfcommAir, listener: rfcomm.RfcommListener
 ) -> None:
     near, far = dial(air), accept(listener)
     assert not near.restless
@@ -130,7 +130,7 @@ def test_a_reset_that_the_writer_meets_first_still_ends_the_connection(
     assert read(near) == b""
 
 
-def test_a_lost_radio_is_a_time_out(air: RfcommAir, listener: rfcomm.Listener) -> None:
+def test_a_lost_radio_is_a_time_out(air: RfcommAir, listener: rfcomm.RfcommListener) -> None:
     near, far = dial(air), accept(listener)
     next(sock for sock in air.sockets if sock.fileno() == near.fileno()).silent = True
     write(far, b"wake")
@@ -138,7 +138,7 @@ def test_a_lost_radio_is_a_time_out(air: RfcommAir, listener: rfcomm.Listener) -
     assert near.fault == "connection timed out"
 
 
-def test_a_full_socket_waits_without_an_error(air: RfcommAir, listener: rfcomm.Listener) -> None:
+def test_a_full_socket_waits_without_an_error(air: RfcommAir, listener: rfcomm.RfcommListener) -> None:
     near, _ = dial(air), accept(listener)
     for _ in range(1000):
         near.offer(bytes(4000))
@@ -159,7 +159,7 @@ def test_a_full_socket_waits_without_an_error(air: RfcommAir, listener: rfcomm.L
     ],
 )
 def test_why_a_dial_failed_is_said(
-    air: RfcommAir, listener: rfcomm.Listener, prepare: Callable[[RfcommAir], object], message: str
+    air: RfcommAir, listener: rfcomm.RfcommListener, prepare: Callable[[RfcommAir], object], message: str
 ) -> None:
     prepare(air)
     with pytest.raises(OSError, match=message):
@@ -176,19 +176,19 @@ def test_pythons_own_time_out_has_a_text_too(air: RfcommAir, monkeypatch: pytest
         dial(air)
 
 
-def test_a_taken_channel_is_named(air: RfcommAir, listener: rfcomm.Listener) -> None:
+def test_a_taken_channel_is_named(air: RfcommAir, listener: rfcomm.RfcommListener) -> None:
     with pytest.raises(LocalError, match=f"Bluetooth {B} channel 1: address already in use.*holds channel 8"):
-        rfcomm.Listener(Radio(B), {}, open_socket=air.open)
-    rfcomm.Listener(Radio(B, channel=2), {}, open_socket=air.open).close()
+        rfcomm.RfcommListener(Radio(B), {}, open_socket=air.open)
+    rfcomm.RfcommListener(Radio(B, channel=2), {}, open_socket=air.open).close()
 
 
 def test_an_unknown_adapter_is_named(air: RfcommAir) -> None:
     with pytest.raises(LocalError, match=f"Bluetooth {C} channel 1: no route to host: the own Bluetooth adapter"):
-        rfcomm.Listener(Radio(C), {}, open_socket=air.open)
+        rfcomm.RfcommListener(Radio(C), {}, open_socket=air.open)
 
 
 def test_encryption_is_asked_for_before_connecting_and_listening(air: RfcommAir) -> None:
-    rfcomm.Listener(Radio(B, encrypt=True), {}, open_socket=air.open)
+    rfcomm.RfcommListener(Radio(B, encrypt=True), {}, open_socket=air.open)
     dial(air, encrypt=True)
     assert [sock.security for sock in air.sockets] == [b"\x02\x00", b"\x02\x00"]
 
@@ -265,7 +265,7 @@ class Mesh:
         self.mesh = Shell(
             config,
             own,
-            Start(Ground(config.names, config.edges, auto=False), own.dials),
+            InitialLinks(Ground(config.names, config.edges, auto=False), own.dials),
             Chance(random.random, lambda: os.urandom(16)),
             own.incarnation,
             runtime,
@@ -332,7 +332,7 @@ class L2capSocket:
 
 
 def test_a_nudge_is_an_echo_request_from_the_own_adapter_to_the_other_end(
-    air: RfcommAir, listener: rfcomm.Listener, monkeypatch: pytest.MonkeyPatch
+    air: RfcommAir, listener: rfcomm.RfcommListener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[object] = []
     near, far = dial(air), accept(listener)
@@ -344,7 +344,7 @@ def test_a_nudge_is_an_echo_request_from_the_own_adapter_to_the_other_end(
 
 
 def test_a_nudge_without_the_right_to_a_raw_socket_does_no_harm(
-    air: RfcommAir, listener: rfcomm.Listener, monkeypatch: pytest.MonkeyPatch
+    air: RfcommAir, listener: rfcomm.RfcommListener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused() -> None:
         raise PermissionError
@@ -452,7 +452,7 @@ def test_the_adapter_that_looks_can_be_chosen(
 
 
 def test_the_record_is_that_of_the_listening_socket(
-    bluetooth: types.SimpleNamespace, air: RfcommAir, listener: rfcomm.Listener
+    bluetooth: types.SimpleNamespace, air: RfcommAir, listener: rfcomm.RfcommListener
 ) -> None:
     record = pybluez.Record(listener.fileno())
     ((address, names, ids),) = bluetooth.advertised

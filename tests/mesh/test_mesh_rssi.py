@@ -30,9 +30,9 @@ from swarm.onboard.measure.radio import Signal
 def test_golden_bytes() -> None:
     """By the specification: opcode 0x1405, handle 11; -60 dB for it."""
     assert hci.read_rssi(11) == bytes.fromhex("01 05 14 02 0b 00")
-    assert hci.reading(bytes.fromhex("04 0e 07 01 05 14 00 0b 00 c4")) == hci.Reading(0, 11, -60)
-    assert hci.reading(bytes.fromhex("04 0e 04 01 05 14 02")) == hci.Reading(2, 0, 0)
-    assert hci.reading(bytes.fromhex("04 0f 04 0c 01 05 14")) == hci.Reading(12, 0, 0)
+    assert hci.reading(bytes.fromhex("04 0e 07 01 05 14 00 0b 00 c4")) == hci.RssiReading(0, 11, -60)
+    assert hci.reading(bytes.fromhex("04 0e 04 01 05 14 02")) == hci.RssiReading(2, 0, 0)
+    assert hci.reading(bytes.fromhex("04 0f 04 0c 01 05 14")) == hci.RssiReading(12, 0, 0)
     assert hci.reading(bytes.fromhex("04 0e 04 01 03 0c 00")) is None, "another command's end"
     assert hci.reading(bytes.fromhex("04 05 04 00 0b 00 13")) is None, "another event"
     assert bytes(16) < hci.FILTER == bytes.fromhex("10000000 00c00000 00000000 0000 0000")
@@ -55,7 +55,7 @@ def test_any_bytes_are_an_answer_or_none_or_refused(packet: bytes) -> None:
 @given(st.integers(0, 255), st.integers(0, 0xEFF), st.integers(-128, 127))
 def test_every_reading_comes_through(status: int, handle: int, value: int) -> None:
     packet = struct.pack("<BBBBHBHb", hci.EVENT, hci.COMPLETE, 7, 1, hci.READ_RSSI, status, handle, value)
-    assert hci.reading(packet) == hci.Reading(status, handle, value)
+    assert hci.reading(packet) == hci.RssiReading(status, handle, value)
 
 
 @pytest.fixture

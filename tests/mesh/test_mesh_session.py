@@ -10,7 +10,7 @@ from services.mesh.core.link.calls import FIRST_DELAY, LONGEST_DELAY, MAX_HALF_O
 from services.mesh.core.link.session import HANDSHAKE_TIMEOUT
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.frames import Hello
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.errors import LocalError
 
 PAIR = [("r0", "r1")]
@@ -318,10 +318,10 @@ def test_noise_never_harms_other_links(noise: bytes, stage: int) -> None:
 
 def test_the_lower_address_dials_else_the_lower_name() -> None:
     low, high = "0A:00:00:00:00:01", "b8:27:EB:00:00:00"
-    assert dials(Robot("r9", bluetooth=low), Robot("r1", bluetooth=high))
-    assert not dials(Robot("r1", bluetooth=high), Robot("r9", bluetooth=low))
-    assert dials(Robot("r1", bluetooth=high), Robot("r9"))
-    assert not dials(Robot("r9"), Robot("r1", bluetooth=high))
+    assert dials(RobotConfig("r9", bluetooth=low), RobotConfig("r1", bluetooth=high))
+    assert not dials(RobotConfig("r1", bluetooth=high), RobotConfig("r9", bluetooth=low))
+    assert dials(RobotConfig("r1", bluetooth=high), RobotConfig("r9"))
+    assert not dials(RobotConfig("r9"), RobotConfig("r1", bluetooth=high))
 
 
 @given(st.lists(st.floats(0.0, 1.0, exclude_max=True), min_size=10, max_size=10))

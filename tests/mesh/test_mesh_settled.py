@@ -5,8 +5,8 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mesh.core.overlays.robot_overlays import MEMBERS_PERIOD, Overlays
-from services.mesh.core.routing.link_state import HOLD_DOWN, HOPS, REFRESH, Known, LinkState
+from services.mesh.core.overlays.robot_overlays import MEMBERS_PERIOD, RobotOverlays
+from services.mesh.core.routing.link_state import HOLD_DOWN, HOPS, REFRESH, AdvertisedLinks, LinkStateMap
 from services.mesh.core.routing.membership import SETTLE
 from services.mesh.core.routing.topology import Advertisement, Weight, routes, routes_by_hops
 from sim.virtual.run import simulate
@@ -33,7 +33,7 @@ def test_levels_give_the_routes_that_dijkstra_gives(edges):
 
 
 def map_of(published):
-    return LinkState(
+    return LinkStateMap(
         "r0", frozenset(NAMES), metric=HOPS, publish=published.append, aged=lambda name: None, random=lambda: 0.5
     )
 
@@ -42,8 +42,8 @@ def test_a_settled_robot_tells_nothing_until_something_changes():
     published = []
     each = map_of(published)
     others = {
-        "r1": Known(1, Advertisement({"r0": 300, "r2": 300}), 0.0),
-        "r2": Known(1, Advertisement({"r1": 300}), 0.0),
+        "r1": AdvertisedLinks(1, Advertisement({"r0": 300, "r2": 300}), 0.0),
+        "r2": AdvertisedLinks(1, Advertisement({"r1": 300}), 0.0),
     }
     each.settle({"r1": 300}, others, 0.0)
     assert not each.routes()
@@ -63,10 +63,10 @@ def settled_loop(size, *, without=()):
     """The overlays of a loop of robots that begin settled, links and what floods they send carried by hand."""
     names = [f"r{i}" for i in range(size)]
     links = {name: {names[i - 1]: 300, names[(i + 1) % size]: 300} for i, name in enumerate(names)}
-    known = {name: Known(1, Advertisement(near), 0.0) for name, near in links.items()}
+    known = {name: AdvertisedLinks(1, Advertisement(near), 0.0) for name, near in links.items()}
     bots = {}
     for name in names:
-        bots[name] = Overlays(name, frozenset(names), incarnation=1, random=lambda: 0.5, counters=Counter())
+        bots[name] = RobotOverlays(name, frozenset(names), incarnation=1, random=lambda: 0.5, counters=Counter())
         bots[name].settle(links, known, 0.0)
     for a, near in links.items():
         for b in near:

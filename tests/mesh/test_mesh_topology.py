@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from overlay_world import line, ring
 from topology_world import TopologyWorld, names_of
 
-from services.mesh.core.routing.topology import MAX_LINKS, Ground, Topology
+from services.mesh.core.routing.topology import MAX_LINKS, Ground, TopologyVersion
 from swarm.core.graph import Graph
 from swarm.errors import FrameError, LocalError
 from swarm.messages import TopologyRequest, TopologySet
@@ -45,7 +45,7 @@ def test_a_value_survives_wire_and_file(
     version: int, step: int, issuer: str, auto: bool, edges: list[tuple[str, str]]
 ) -> None:
     ground = Ground(SIX, line(6), auto=False)
-    value = Topology(version, step, issuer, auto or not version, Graph(SIX, edges).edges)
+    value = TopologyVersion(version, step, issuer, auto or not version, Graph(SIX, edges).edges)
     assert ground.decode(ground.encode(value)) == value
     assert ground.from_file(ground.to_file(value)) == value
     assert Ground(SIX, ring(6), auto=False).decode(ground.encode(value)) is None
@@ -55,7 +55,7 @@ def test_a_value_survives_wire_and_file(
 def test_golden_bytes() -> None:
     ground = Ground(["r0", "r1", "r2"], line(3), auto=False)
     assert ground.base == 0x4E2800DF
-    value = Topology(3, 1, "r2", True, (("r0", "r1"), ("r0", "r2")))
+    value = TopologyVersion(3, 1, "r2", True, (("r0", "r1"), ("r0", "r2")))
     expected = "06 01 df 00 28 4e 03 00 00 00 01 00 00 00 02 72 32 02 01 00 02 00 00 00"
     assert ground.encode(value).hex(" ") == expected
     assert ground.tag(ground.first) == 0
@@ -64,7 +64,7 @@ def test_golden_bytes() -> None:
 @given(st.binary(max_size=60), st.integers(0, 30), st.integers(0, 255))
 def test_no_bytes_do_harm(noise: bytes, place: int, byte: int) -> None:
     ground = Ground(SIX, line(6), auto=False)
-    good = ground.encode(Topology(3, 0, "r1", False, Graph(SIX, ring(6)).edges))
+    good = ground.encode(TopologyVersion(3, 0, "r1", False, Graph(SIX, ring(6)).edges))
     bad = bytearray(good)
     bad[place % len(bad)] = byte
     for data in (noise, bytes(bad), good[:-1], good + b"\0", b"\x06\x00" + good[2:6] + noise):

@@ -10,11 +10,11 @@ from overlay_world import SILENCE, World, full, line, ring, thesis_d
 
 from services.mesh.core.overlays import unicast
 from services.mesh.core.routing import link_state, topology
-from services.mesh.core.routing.link_state import HOPS, TIME, Level, LinkState
+from services.mesh.core.routing.link_state import HOPS, TIME, Level, LinkStateMap
 from services.mesh.core.routing.topology import Advertisement, Weight, encode_advertisement, routes
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, SYNC, UNICAST
-from services.mesh.core.wire.packets import Message
+from services.mesh.core.wire.packets import UnicastMessage
 from swarm.messages import SendRequest
 
 GRAPHS = {"line": line(6), "loop": ring(6), "thesis-d": thesis_d(), "full": full(6)}
@@ -282,7 +282,7 @@ def test_hops_to_live_are_counted() -> None:
     world = World(line(3))
     world.settle()
     for ttl in (0, 1):
-        message = Message("r0", "r2", 1, 1, "swarm/r2/x/set/allowed", b"x", ttl)
+        message = UnicastMessage("r0", "r2", 1, 1, "swarm/r2/x/set/allowed", b"x", ttl)
         data = packets.encode_message(message)
         world.step("r1", lambda each, data=data: each.receive("r0", UNICAST, "swarm/r0/mesh/unicast", data, CONTROL,
                                                                world.now))  # fmt: skip
@@ -445,15 +445,15 @@ def advertise(**neighbours: int) -> bytes:
     return encode_advertisement(Advertisement(neighbours))
 
 
-def linkstate_of(name: str) -> tuple[LinkState, list[bytes], list[str]]:
+def linkstate_of(name: str) -> tuple[LinkStateMap, list[bytes], list[str]]:
     published: list[bytes] = []
     aged: list[str] = []
     robots = frozenset(f"r{n}" for n in range(9))
-    each = LinkState(name, robots, metric=HOPS, publish=published.append, aged=aged.append, random=lambda: 0.5)
+    each = LinkStateMap(name, robots, metric=HOPS, publish=published.append, aged=aged.append, random=lambda: 0.5)
     return each, published, aged
 
 
-def run(each: LinkState, start: float, end: float) -> None:
+def run(each: LinkStateMap, start: float, end: float) -> None:
     while each.next_deadline() <= end:
         each.handle_timer(max(start, each.next_deadline()))
     each.handle_timer(end)

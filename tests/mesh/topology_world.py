@@ -7,8 +7,8 @@ import networkx as nx
 from overlay_world import World
 
 from services.mesh.core.actions import Connect, Disconnect, LinkAction, Write
-from services.mesh.core.routing.topology import Ground, Topology
-from services.mesh.core.routing.wanted_links import Linking, Start
+from services.mesh.core.routing.topology import Ground, TopologyVersion
+from services.mesh.core.routing.wanted_links import InitialLinks, Linking
 from swarm.messages import TopologyRequest
 
 RETRY = 1.0
@@ -38,7 +38,7 @@ class TopologyWorld(World):
         """`reach` are the pairs that hear each other; None = all. A call takes up to `slow` s more than it must."""
         names = names_of(count)
         self.ground = Ground(names, tuple(topology), auto=auto)
-        self.saved: dict[str, Topology] = {}
+        self.saved: dict[str, TopologyVersion] = {}
         self.lasting: dict[str, set[str]] = {name: set() for name in names}
         self.blocked: set[frozenset[str]] = set()
         self.slow = slow
@@ -46,7 +46,7 @@ class TopologyWorld(World):
         """Whether it would be a fault if a link that a robot gives up split the swarm."""
         self.given_up = 0
         self.calls = 0
-        self.values: list[Topology] = []
+        self.values: list[TopologyVersion] = []
         """Every value that a robot took over."""
         super().__init__(reach if reach is not None else combinations(names, 2), latency=latency, jitter=jitter,
                          seed=seed, start=False)  # fmt: skip
@@ -90,7 +90,7 @@ class TopologyWorld(World):
         assert linking is not None
         return linking
 
-    def value(self, name: str) -> Topology:
+    def value(self, name: str) -> TopologyVersion:
         return self.linking(name).value
 
     def graph(self) -> "nx.Graph[str]":
@@ -100,7 +100,7 @@ class TopologyWorld(World):
         graph.add_edges_from(tuple(edge) for edge, state in self.edges.items() if state.up)
         return graph
 
-    def agreed(self) -> Topology:
+    def agreed(self) -> TopologyVersion:
         """The value that all have."""
         (value,) = {self.value(name) for name in self.bots}
         return value
@@ -111,10 +111,10 @@ class TopologyWorld(World):
 
     # -- the machinery --
 
-    def beginning(self, name: str) -> Start:
+    def beginning(self, name: str) -> InitialLinks:
         place = self.names.index(name)
         dials = {other: place < self.names.index(other) for other in self.names if other != name}
-        return Start(self.ground, dials, self.saved.get(name))
+        return InitialLinks(self.ground, dials, self.saved.get(name))
 
     def obey(self, name: str, action: LinkAction) -> None:
         match action:

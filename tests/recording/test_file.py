@@ -15,7 +15,7 @@ from needs import fill, small_disk
 from swarm.recording import file as module
 from swarm.recording.file import RecordingFile
 from swarm.recording.journal import HALF, Journal
-from swarm.recording.reader import Reader
+from swarm.recording.reader import RecordingReader
 
 TOPIC = "swarm/r0/x"
 
@@ -36,7 +36,7 @@ def open_file(tmp_path):
 
 
 def numbers(path):
-    reader = Reader(path)
+    reader = RecordingReader(path)
     return [sample.message["i"] for sample in reader.samples()], reader
 
 

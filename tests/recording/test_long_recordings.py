@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from swarm.recording.core import mcap, writer
 from swarm.recording.core.writer import Writer
 from swarm.recording.file import RecordingFile
-from swarm.recording.reader import Reader
+from swarm.recording.reader import RecordingReader
 from swarm.recording.survey import survey
-from swarm.recording.virtual_file import PlainRecording
+from swarm.recording.virtual_file import DirectRecording
 
 TOPICS = tuple(f"swarm/r0/{name}" for name in "abcde")
 SMALL = 1000
@@ -76,14 +76,14 @@ def test_the_index_of_a_long_recording_is_in_the_file_not_in_memory(tmp_path):
     written(path, range(200))
     assert len(checkpoints(path)) > 10
     check_with_the_other_reader(path, 200)
-    reader = Reader(path)
+    reader = RecordingReader(path)
     assert [sample.message["i"] for sample in reader.samples(TOPICS[0].__eq__)] == list(range(200))
     assert (reader.finished, reader.damage) == (True, [])
 
 
 def test_a_recording_under_virtual_time_keeps_its_index_in_the_file_too(tmp_path):
     path = tmp_path / "x.mcap"
-    file = PlainRecording(path, {"app": "x"})
+    file = DirectRecording(path, {"app": "x"})
     for t in range(201):
         for topic in TOPICS:
             file.write(topic, float(t), {"i": t})
@@ -183,7 +183,7 @@ def test_a_damaged_checkpoint_costs_no_message(killed, tmp_path_factory, data):
     found = surveyed(path)
     assert (found.position, found.counts, found.chunks) == (whole.position, whole.counts, whole.chunks)
     written(path, range(60, 70), append=True)
-    reader = Reader(path)
+    reader = RecordingReader(path)
     assert [sample.message["i"] for sample in reader.samples(TOPICS[0].__eq__)] == list(range(70))
     if reader.finished:  # damage to the index itself leaves the file without one
         assert reader.damage == []

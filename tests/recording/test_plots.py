@@ -9,7 +9,7 @@ import pytest
 from laptop.cli import main
 from laptop.cli.runs.plot import KINDS
 from laptop.plotting import style
-from laptop.plotting.journeys import Leg, Pass, legs
+from laptop.plotting.journeys import JourneyLeg, Pass, legs
 from laptop.plotting.mesh import layout, spots
 from laptop.plotting.style import figure
 from sim.virtual.run import simulate
@@ -117,18 +117,18 @@ def test_a_messages_way_is_that_of_the_robots_that_tell_of_it():
     out = [Pass(0.0, "r0", "r1", False), Pass(0.03, "r1", "r2", False)]
     back = [Pass(0.06, "r2", "r3", True), Pass(0.09, "r3", "r0", True)]
     assert legs([*back, *out], "r0", "r2", 0.061, 0.12) == [
-        Leg(0.0, "r0", "r1", False, 0.03),
-        Leg(0.03, "r1", "r2", False, 0.06),
-        Leg(0.06, "r2", "r3", True, 0.09),
-        Leg(0.09, "r3", "r0", True, 0.12),
+        JourneyLeg(0.0, "r0", "r1", False, 0.03),
+        JourneyLeg(0.03, "r1", "r2", False, 0.06),
+        JourneyLeg(0.06, "r2", "r3", True, 0.09),
+        JourneyLeg(0.09, "r3", "r0", True, 0.12),
     ]
 
 
 def test_what_was_lost_on_a_link_arrived_by_the_next_try():
     lost = Pass(0.0, "r0", "r1", False)
     again = Pass(0.2, "r0", "r1", False)
-    assert legs([lost, again], "r0", "r1", 0.23, None) == [Leg(*lost, None), Leg(*again, 0.23)]
-    assert legs([lost], "r0", "r1", None, None) == [Leg(*lost, None)]
+    assert legs([lost, again], "r0", "r1", 0.23, None) == [JourneyLeg(*lost, None), JourneyLeg(*again, 0.23)]
+    assert legs([lost], "r0", "r1", None, None) == [JourneyLeg(*lost, None)]
 
 
 def test_of_two_answers_the_sender_heeds_one():

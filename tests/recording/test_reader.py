@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from swarm.errors import RecordingError
 from swarm.recording.core.writer import Writer
-from swarm.recording.reader import Reader
+from swarm.recording.reader import RecordingReader
 
 
 def recording():
@@ -24,7 +24,7 @@ def recording():
 
 
 def read(path):
-    reader = Reader(path)
+    reader = RecordingReader(path)
     return [sample.message["i"] for sample in reader.samples()], reader
 
 
@@ -65,7 +65,7 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory, junk):
     for data in (junk, b"\x89MCAP0\r\n" + junk, recording()[0][:300] + junk):
         path.write_bytes(data)
         try:
-            reader = Reader(path)
+            reader = RecordingReader(path)
             for sample in reader.samples():
                 sample.message  # noqa: B018
         except RecordingError:
@@ -87,9 +87,9 @@ def test_a_damaged_chunk_is_named_and_the_others_are_read(tmp_path):
 
 def test_what_is_no_recording_is_refused(tmp_path):
     with pytest.raises(RecordingError, match="cannot be read: No such file"):
-        Reader(tmp_path / "none.mcap")
+        RecordingReader(tmp_path / "none.mcap")
     (tmp_path / "x.mcap").write_text("k,t,value\n")
     with pytest.raises(RecordingError, match="it is no MCAP file"):
-        Reader(tmp_path / "x.mcap")
+        RecordingReader(tmp_path / "x.mcap")
     with pytest.raises(RecordingError, match="cannot be read: Is a directory"):
-        Reader(tmp_path)
+        RecordingReader(tmp_path)

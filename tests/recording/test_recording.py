@@ -16,7 +16,7 @@ from swarm.errors import LocalError
 from swarm.messages import AppState, Links, LinkState, Pose
 from swarm.recording.core import json_text, mcap
 from swarm.recording.core.writer import CHUNK_SIZE, Writer
-from swarm.recording.reader import Reader
+from swarm.recording.reader import RecordingReader
 
 POSE = Pose(2.5, 7, 1.25, -0.5, None, 90, "ekf", 0.02, 0.03, 0.1)
 
@@ -41,7 +41,7 @@ def recorded(*messages, epoch_ns=0, finish=True):
 def read(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("r") / "x.mcap"
     path.write_bytes(data)
-    reader = Reader(path)
+    reader = RecordingReader(path)
     return list(reader.samples()), reader
 
 

@@ -10,15 +10,15 @@ from test_reader import recording
 
 from swarm.errors import RecordingError
 from swarm.recording.core import mcap
-from swarm.recording.core.writer import Known
-from swarm.recording.reader import Reader
+from swarm.recording.core.writer import ExistingContent
+from swarm.recording.reader import RecordingReader
 from swarm.recording.survey import survey
 
 LARGE = 300 * 1024 * 1024
 MIB = 1024 * 1024
 
 
-def surveyed(path, data: bytes, size: int | None = None) -> Known:
+def surveyed(path, data: bytes, size: int | None = None) -> ExistingContent:
     path.write_bytes(data)
     file = os.open(path, os.O_RDWR)
     try:
@@ -79,7 +79,7 @@ def test_a_clock_beyond_64_bits_is_named(tmp_path, epoch):
     data, _ = recording()
     begin = mcap.MAGIC + mcap.metadata("run", {"epoch_ns": epoch})
     (tmp_path / "x.mcap").write_bytes(begin + data[8:])
-    reader = Reader(tmp_path / "x.mcap")
+    reader = RecordingReader(tmp_path / "x.mcap")
     assert len(list(reader.samples())) == 6
     assert any("64 bits" in text for text in reader.damage)
 
@@ -90,6 +90,6 @@ def test_zeros_that_a_power_cut_has_left_are_the_end(tmp_path):
     whole = surveyed(tmp_path / "x.mcap", data[: marks[-1][0]])
     known = surveyed(tmp_path / "x.mcap", data[: marks[-1][0]], LARGE)
     assert (known.position, known.counts) == (marks[-1][0], whole.counts)
-    reader = Reader(tmp_path / "x.mcap")
+    reader = RecordingReader(tmp_path / "x.mcap")
     assert len(list(reader.samples())) == 6
     assert "cut off" in reader.damage[0]

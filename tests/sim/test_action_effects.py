@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from sim.control import datagrams
 from sim.core.action_effects import ActionEffects
-from sim.core.actions import Lay, Place, Press, Push, Unplug, check, pack, unpack
-from sim.world import LedReport, World
+from sim.core.actions import BodyPlace, Lay, Press, Push, Unplug, check, pack, unpack
+from sim.world import BodyWorld, LedReport
 from sim.world_client import WORLD_SOCKET, WorldClient
 from swarm import clock
 from swarm import config as configuration
@@ -38,7 +38,7 @@ with claim(Path(sys.argv[1])):
 
 
 @pytest.mark.parametrize(
-    "act", [Press("B", 0.5), Push(-0.2), Lay("back"), Unplug("imu", True), Place(1.0, 2.0, 0.3, -1.9, False)]
+    "act", [Press("B", 0.5), Push(-0.2), Lay("back"), Unplug("imu", True), BodyPlace(1.0, 2.0, 0.3, -1.9, False)]
 )
 def test_an_act_survives_its_datagram(act) -> None:
     assert unpack(pack(act)) == act
@@ -135,12 +135,12 @@ def test_a_robot_that_falls_while_its_loop_stands_still_keeps_its_motors_off_unt
 
 def test_a_body_that_is_put_down_lies_where_it_was() -> None:
     rig = Rig(start_mode="stand")
-    ActionEffects(rig.robot).do(Place(1.5, -0.5, 0.7, -0.1, False), rig.now)
+    ActionEffects(rig.robot).do(BodyPlace(1.5, -0.5, 0.7, -0.1, False), rig.now)
     rig.run(1)
     assert (rig.body.x, rig.body.y, rig.body.heading) == (1.5, -0.5, 0.7)
     assert rig.body.tilt == pytest.approx(-math.radians(110))
     assert rig.run(8).balancer.mode == "balancing"
-    ActionEffects(rig.robot).do(Place(9.0, 9.0, 0.0, 0.0, True), rig.now)
+    ActionEffects(rig.robot).do(BodyPlace(9.0, 9.0, 0.0, 0.0, True), rig.now)
     assert rig.body.x < 3.0, "a body in its hand begins at its own place"
 
 
@@ -173,7 +173,7 @@ class Robot:
         self.holder = processes.start("-c", CLAIM, str(self.run))
         assert self.holder.stdout.readline() == "claimed\n"
         self.robot.mkdir()
-        self.world = World(self.run, configuration.load(processes.config), 1, lambda robot, truth: self.seen(truth))
+        self.world = BodyWorld(self.run, configuration.load(processes.config), 1, lambda robot, truth: self.seen(truth))
         self.truths: list[Truth] = []
         self.lamps: list[LedChange] = []
         self.states: list[BalancerState] = []
@@ -278,17 +278,17 @@ def test_a_killed_balancers_body_is_where_it_was_when_it_comes_back(robot: Robot
 
 def test_a_world_answers_only_its_own_robots(processes: Processes, runtime: Path) -> None:
     (runtime / "r0").mkdir()
-    world = World(runtime, configuration.load(processes.config), 1, lambda robot, truth: None)
+    world = BodyWorld(runtime, configuration.load(processes.config), 1, lambda robot, truth: None)
     with contextlib.closing(world), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as body:
         body.bind(str(runtime / "r0" / "body.sock"))
         body.settimeout(60)
         for hello in ({"robot": "nobody"}, {"robot": "../r0"}, {"nonsense": 1}, {"robot": "r0"}):
             body.sendto(msgpack.packb(hello), str(runtime / "world.sock"))
-        assert unpack(body.recv(4096)) == Place(0.0, 0.0, 0.0, 0.0, True)
+        assert unpack(body.recv(4096)) == BodyPlace(0.0, 0.0, 0.0, 0.0, True)
         pose = {"robot": "r0", "t": 1.0, "x": 1.0, "y": 2.0, "heading": 3.0, "tilt": 0.1, "held": False}
         body.sendto(msgpack.packb(pose), str(runtime / "world.sock"))
         body.sendto(msgpack.packb({"robot": "r0"}), str(runtime / "world.sock"))
-        assert unpack(body.recv(4096)) == Place(1.0, 2.0, 3.0, 0.1, False)
+        assert unpack(body.recv(4096)) == BodyPlace(1.0, 2.0, 3.0, 0.1, False)
 
 
 @pytest.mark.parametrize("verb", ["press r9 A", "push r9", "lay r9 back"])

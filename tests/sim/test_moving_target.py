@@ -8,9 +8,9 @@ import pytest
 from bench.simulation import Simulation
 from sim.options import parse
 from sim.virtual.run import simulate
-from swarm.config.types import Simulation as World
+from swarm.config.types import SimulationConfig as World
 from swarm.errors import ConfigError
-from swarm.recording.reader import SUFFIX, Reader
+from swarm.recording.reader import SUFFIX, RecordingReader
 from swarm.recording.trajectory import is_state
 
 MOVING = ("--target-velocity", "0.1,0.05")
@@ -41,7 +41,7 @@ def test_processes_follow_it_too():
     measurements become, which the virtual run above does not."""
     with Simulation("localization", "--iterations", "200", "--algorithm", "moving", *MOVING) as simulation:
         report = simulation.finish()
-        samples = Reader(simulation.records / f"r0.localization{SUFFIX}").samples()
+        samples = RecordingReader(simulation.records / f"r0.localization{SUFFIX}").samples()
         results = [sample.message["result"] for sample in samples if is_state(sample.topic)][100:]
     assert report["problems"] == []
     beside = [abs((each["x"] - 0.5) * 0.05 - (each["y"] - 1.0) * 0.1) / math.hypot(0.1, 0.05) for each in results]

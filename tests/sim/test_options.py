@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim import options, quantities
-from sim.quantities import Cut, Off, Press, Setting
+from sim.quantities import Cut, Off, ScheduledPress, Setting
 from swarm.errors import ConfigError
 
 
@@ -18,7 +18,7 @@ def test_durations_and_rates_have_units():
     assert quantities.off("r2@5s,10s") == Off("r2", 5.0, 10.0)
     assert quantities.off("r2@start,1min") == Off("r2", None, 60.0)
     assert quantities.cut("r0-r1@12s,3s") == Cut("r0", "r1", 12.0, 3.0)
-    assert quantities.press("r4.a@1500ms") == Press("r4", "A", 1.5)
+    assert quantities.press("r4.a@1500ms") == ScheduledPress("r4", "A", 1.5)
     assert quantities.velocity("0.1, -0.03") == (0.1, -0.03)
     assert quantities.setting("value=0.5") == ("", Setting(None, "value", 0.5))
     assert quantities.setting("r2.value=3") == ("", Setting("r2", "value", 3))

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from services.apps.observer import Line
+from services.apps.observer import StepRecord
 from sim.virtual import trajectory_builder as module
 from sim.virtual.trajectory_builder import TrajectoryBuilder
 from swarm.recording.trajectory import iteration_times, median, percentile
@@ -20,7 +20,7 @@ def written(count, *, keep):
     builder, t = TrajectoryBuilder(keep=keep), 0.0
     for k in range(count):
         t += numbers.uniform(0.05, 0.15)
-        builder.write(SOURCE, Line(k, t, {"value": float(k)}, {}))
+        builder.write(SOURCE, StepRecord(k, t, {"value": float(k)}, {}))
     return builder
 
 
@@ -49,6 +49,6 @@ def test_a_run_that_goes_back_forgets_the_iterations_that_are_done_again(monkeyp
     builder = written(1000, keep=False)
     builder.go_back(600)
     assert max(builder._ks) < 600
-    builder.write(SOURCE, Line(600, 500.0, {"value": 0.0}, {}))
+    builder.write(SOURCE, StepRecord(600, 500.0, {"value": 0.0}, {}))
     found = builder.trajectory()
     assert (found.last, found.newest) == (600, 500.0)

@@ -15,7 +15,7 @@ import pytest
 
 from sim.options import parse
 from sim.scenario import build
-from sim.virtual.run import PLACE, Run
+from sim.virtual.run import PLACE, VirtualRun
 
 HOUR = 3600.0
 WARM_UP_H, END_H = 2.0, 4.0
@@ -50,7 +50,7 @@ def given_out() -> float:
     return float(sys.getallocatedblocks() * BLOCK_B + found.uordblks + found.hblkhd)
 
 
-def growth(run: Run) -> float:
+def growth(run: VirtualRun) -> float:
     """Bytes an hour, between `WARM_UP_H` and `END_H`."""
     found: dict[float, float] = {}
 
@@ -82,6 +82,6 @@ def test_four_hours_of_a_simulation_take_no_more_memory_than_two(
     words += ["--mesh", "delay"] if app == "consensus" else []
     words += ["--record", str(tmp_path)] if recorded else []
     options = parse(words)
-    found = growth(Run(options, build(options, PLACE)))
+    found = growth(VirtualRun(options, build(options, PLACE)))
     record_property("measured", f"{found / 1e6:.3f} MB an hour of virtual time (limit {LIMIT_B_H / 1e6})")
     assert found <= LIMIT_B_H

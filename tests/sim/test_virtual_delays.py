@@ -4,7 +4,7 @@ import pytest
 
 from sim.options import parse
 from sim.scenario import build
-from sim.virtual.run import PLACE, Run, simulate
+from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.errors import ConfigError, LocalError
 
 ARGUMENTS = ("consensus", "--robots", "12", "--topology", "random:3", "--iterations", "60")
@@ -33,7 +33,7 @@ def _calls(*more: str) -> float:
     """Of the event queue, for each iteration of a robot."""
     options = parse(["consensus", "--virtual", "--robots", "30", "--topology", "loop", "--iterations", "100",
                      "--mesh", "delay", *more])  # fmt: skip
-    run = Run(options, build(options, PLACE))
+    run = VirtualRun(options, build(options, PLACE))
     run.go()
     return run.world.time.done / 3000
 

@@ -10,7 +10,7 @@ from sim.options import parse
 from sim.scenario import build
 from sim.virtual.bus import VirtualBus
 from sim.virtual.run import PLACE
-from sim.virtual.world import World
+from sim.virtual.world import VirtualWorld
 from swarm.app.devices import Devices
 from swarm.errors import LocalError
 from swarm.messages import LedChange, Notice, Stop, read
@@ -18,7 +18,7 @@ from swarm.messages import LedChange, Notice, Stop, read
 
 class Rig:
     def __init__(self, *options):
-        self.world = World(build(parse(list(options)), PLACE).config, AirModel(latency=0.03), seed=1)
+        self.world = VirtualWorld(build(parse(list(options)), PLACE).config, AirModel(latency=0.03), seed=1)
         self.bus = VirtualBus(self.world.robots["r0"].router)
         self.time = self.world.time
         self.devices = Devices(self.bus, "r0", lambda: self.time.now)

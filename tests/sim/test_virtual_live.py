@@ -17,22 +17,24 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 
 from laptop.view.server import application
-from laptop.view.virtual_feed import BEHIND_S, LAST_S, Live
+from laptop.view.virtual_feed import BEHIND_S, LAST_S, VirtualFeed
 from sim import options as arguments
-from sim.report import Outcome
+from sim.report import RunOutcome
 from sim.scenario import build
-from sim.virtual.run import PLACE, Run
+from sim.virtual.run import PLACE, VirtualRun
 from swarm.errors import ConfigError
 
 
 @contextmanager
-def watched(*words: str, speed: float = math.inf) -> Iterator[tuple[Live, Run, list[Outcome], threading.Thread]]:
+def watched(
+    *words: str, speed: float = math.inf
+) -> Iterator[tuple[VirtualFeed, VirtualRun, list[RunOutcome], threading.Thread]]:
     """A run with its watcher, not begun; what it ends with."""
     options = arguments.parse([*words, "--virtual"])
     plan = build(options, PLACE)
-    run = Run(options, plan)
-    live = Live(run.world, plan.config, speed)
-    outcomes: list[Outcome] = []
+    run = VirtualRun(options, plan)
+    live = VirtualFeed(run.world, plan.config, speed)
+    outcomes: list[RunOutcome] = []
 
     def go() -> None:
         outcomes.append(run.go())
@@ -47,7 +49,7 @@ def watched(*words: str, speed: float = math.inf) -> Iterator[tuple[Live, Run, l
             thread.join()
 
 
-def newest(live: Live, robot: str, topic: str) -> dict[str, object]:
+def newest(live: VirtualFeed, robot: str, topic: str) -> dict[str, object]:
     with live.lock:
         return dict(live.picture.newest(robot, topic) or {})
 
@@ -70,7 +72,7 @@ def test_it_shows_what_a_simulation_in_real_time_shows() -> None:
 def test_the_values_of_an_app_are_those_of_an_unwatched_run() -> None:
     words = ("consensus", "--robots", "3", "--iterations", "40")
     options = arguments.parse([*words, "--virtual"])
-    alone = Run(options, build(options, PLACE)).go()
+    alone = VirtualRun(options, build(options, PLACE)).go()
     with watched(*words) as (_, _, outcomes, thread):
         thread.start()
         thread.join()

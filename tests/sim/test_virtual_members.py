@@ -9,7 +9,7 @@ import pytest
 
 from sim.options import parse
 from sim.scenario import build
-from sim.virtual.run import PLACE, Run, simulate
+from sim.virtual.run import PLACE, VirtualRun, simulate
 from swarm.errors import ConfigError
 from swarm.messages import SetAppEpoch
 from swarm.messages.keys import key
@@ -130,7 +130,7 @@ def test_a_fault_stops_nobody_else_where_robots_may_be_dropped(tmp_path):
 
 def test_an_operator_sends_a_robot_away_and_lets_it_come_back():
     options = parse([*LOOP, "--virtual", "--seconds", "12"])
-    run = Run(options, build(options, PLACE), rows=True)
+    run = VirtualRun(options, build(options, PLACE), rows=True)
     world, epochs = run.world, []
 
     def order(ticket, drop=(), add=()):

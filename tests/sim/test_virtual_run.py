@@ -8,7 +8,7 @@ from sim.options import parse
 from sim.report import summary
 from sim.scenario import build
 from sim.virtual.run import PLACE, simulate
-from sim.virtual.run import Run as Virtual
+from sim.virtual.run import VirtualRun as Virtual
 from swarm.messages import SetAppParameters, read
 from swarm.recording.run import Run
 

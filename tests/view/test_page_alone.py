@@ -22,7 +22,7 @@ from test_server import Bus  # noqa: E402
 
 from laptop.view import server  # noqa: E402
 from laptop.view.control import Control  # noqa: E402
-from laptop.view.feed import Simulation  # noqa: E402
+from laptop.view.feed import SimulationFeed  # noqa: E402
 from laptop.view.simulated_actions import SimulatedActions  # noqa: E402
 from swarm.config import parse  # noqa: E402
 from swarm.messages import topics  # noqa: E402
@@ -35,7 +35,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(240), pytest.mark.filterwarn
 class Server:
     """The page's server, in a thread of ours."""
 
-    def __init__(self, feed: Simulation, port: int) -> None:
+    def __init__(self, feed: SimulationFeed, port: int) -> None:
         self.address = ""
         self._feed, self._port = feed, port
         self._ready = threading.Event()
@@ -61,11 +61,11 @@ class Server:
 
 
 @pytest.fixture
-def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Simulation]:
+def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulationFeed]:
     monkeypatch.setattr(server.secrets, "token_urlsafe", lambda _: "a-token")
     directory = tmp_path / "run"
     with claim(directory):
-        feed = Simulation(directory)
+        feed = SimulationFeed(directory)
         feed.buses = {name: Bus() for name in ("r0", "r1", "r2")}  # type: ignore[misc]
         feed.config = parse(CONFIG, Path("swarm.toml"))
         yield feed
@@ -88,7 +88,7 @@ def page(browser: Any) -> Iterator[tuple[Any, list[str]]]:
 
 
 def test_a_stop_that_is_pressed_while_the_server_is_away_goes_out_when_it_is_back(
-    feed: Simulation, port: int, page: tuple[Any, list[str]]
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
 ) -> None:
     shown, problems = page
     first = Server(feed, port)
@@ -112,7 +112,7 @@ ODD = [5, None, "x", [], [5], [{}], {}, {"a": {}}, [[[]]], 1e300, -1, True, "\x1
 
 
 def test_nothing_that_a_robot_says_breaks_the_page_or_hides_its_stop(
-    feed: Simulation, port: int, page: tuple[Any, list[str]]
+    feed: SimulationFeed, port: int, page: tuple[Any, list[str]]
 ) -> None:
     """r1 puts something odd into each field of each key in turn; r0 goes on to be shown."""
     shown, problems = page

@@ -17,7 +17,7 @@ from test_server import Bus, said, talk
 
 from laptop.view import server
 from laptop.view.control import Control
-from laptop.view.feed import Simulation
+from laptop.view.feed import SimulationFeed
 from laptop.view.questions import MAX_WAITING, Questions
 from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
@@ -29,16 +29,16 @@ LIVE = "/live?token=a-token"
 
 
 @pytest.fixture
-def feed(tmp_path: Path) -> Iterator[Simulation]:
+def feed(tmp_path: Path) -> Iterator[SimulationFeed]:
     directory = tmp_path / "run"
     with claim(directory):
-        feed = Simulation(directory)
+        feed = SimulationFeed(directory)
         feed.buses = {"r0": Bus(), "r1": Bus()}  # type: ignore[dict-item]
         yield feed
         feed.close()
 
 
-def stops(feed: Simulation) -> list[int]:
+def stops(feed: SimulationFeed) -> list[int]:
     """How many stops each robot's bus was given."""
     return [sum(isinstance(message, Stop) for _, message in bus.published) for bus in feed.buses.values()]  # type: ignore[attr-defined]
 
@@ -50,7 +50,7 @@ async def until(condition: Any) -> None:
 
 
 def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
-    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on = threading.Event()
     monkeypatch.setattr("laptop.view.simulated_actions.app_requests.give", lambda *_: go_on.wait(60.0) and "done")
@@ -71,7 +71,7 @@ def test_stop_overtakes_acts_that_hang_on_this_page_and_on_others(
 
 
 def test_stop_of_a_page_that_reads_nothing_is_given_behind_a_flood_of_questions(
-    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "RATE", 500.0)
     for t in range(100):
@@ -88,7 +88,7 @@ def test_stop_of_a_page_that_reads_nothing_is_given_behind_a_flood_of_questions(
 
 
 def test_a_later_stop_holds_though_the_end_of_the_one_before_is_confirmed_meanwhile(
-    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     control = Control(feed, SimulatedActions(feed))
     control.do({"act": "arm"})
@@ -117,7 +117,7 @@ class Narrow(Bus):
         super().publish(key, message)
 
 
-def test_a_parameter_that_the_way_does_not_take_ends_no_stop(feed: Simulation) -> None:
+def test_a_parameter_that_the_way_does_not_take_ends_no_stop(feed: SimulationFeed) -> None:
     feed.buses = {"r0": Narrow(), "r1": Narrow()}  # type: ignore[dict-item]
     control = Control(feed, SimulatedActions(feed))
     with pytest.raises(LocalError, match="too large"):
@@ -129,7 +129,7 @@ def test_a_parameter_that_the_way_does_not_take_ends_no_stop(feed: Simulation) -
 
 
 def test_stop_is_repeated_by_the_server_though_something_else_fails_there(
-    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failed = []
 
@@ -204,7 +204,7 @@ def test_whatever_a_page_asks_is_answered(asked: object) -> None:
         "1" * 4000,
     ],
 )
-def test_no_json_ends_the_socket_of_a_page(feed: Simulation, text: str) -> None:
+def test_no_json_ends_the_socket_of_a_page(feed: SimulationFeed, text: str) -> None:
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect(LIVE)
         await socket.send_str(text)

@@ -17,7 +17,7 @@ from aiohttp.test_utils import TestClient, TestServer
 from laptop.cli import main
 from laptop.view import server
 from laptop.view.control import ANSWER_S, Control
-from laptop.view.feed import Simulation
+from laptop.view.feed import SimulationFeed
 from laptop.view.server import application
 from laptop.view.simulated_actions import SimulatedActions
 from swarm.errors import LocalError
@@ -47,13 +47,13 @@ class Bus:
 def feed(tmp_path: Path):
     directory = tmp_path / "run"
     with claim(directory):
-        feed = Simulation(directory)
+        feed = SimulationFeed(directory)
         feed.buses = {"r0": Bus(), "r1": Bus()}
         yield feed
         feed.close()
 
 
-def talk(feed: Simulation, act: Any, *, allowed: bool = False) -> None:
+def talk(feed: SimulationFeed, act: Any, *, allowed: bool = False) -> None:
     """Run `act(client)` against a server of the feed."""
 
     async def main() -> None:
@@ -75,7 +75,7 @@ async def said(socket: Any, name: str) -> Any:
             return message[name]
 
 
-def test_the_page_needs_the_token_and_loads_nothing_from_elsewhere(feed: Simulation) -> None:
+def test_the_page_needs_the_token_and_loads_nothing_from_elsewhere(feed: SimulationFeed) -> None:
     async def act(client: TestClient) -> None:
         for query in ({}, {"token": "another"}):
             assert (await client.get("/", params=query)).status == 403
@@ -92,7 +92,7 @@ def test_the_page_needs_the_token_and_loads_nothing_from_elsewhere(feed: Simulat
 
 
 @pytest.mark.parametrize("headers", [{"Origin": "http://evil.example"}, {"Host": "evil.example"}, {"Origin": "null"}])
-def test_other_origins_are_refused(feed: Simulation, headers: dict[str, str]) -> None:
+def test_other_origins_are_refused(feed: SimulationFeed, headers: dict[str, str]) -> None:
     async def act(client: TestClient) -> None:
         assert (await client.get("/", params={"token": TOKEN}, headers=headers)).status == 403
         with pytest.raises(WSServerHandshakeError, match="403"):
@@ -102,7 +102,7 @@ def test_other_origins_are_refused(feed: Simulation, headers: dict[str, str]) ->
 
 
 def test_a_page_gets_all_first_and_then_what_changes_and_two_of_them_do_not_disturb_each_other(
-    feed: Simulation,
+    feed: SimulationFeed,
 ) -> None:
     status = encode(Status(1.0, "mesh", "ready", "", 1, 0.0, {}))
     feed.picture.take("r0", "swarm/r0/mesh/status", status, 0.0)
@@ -124,7 +124,7 @@ def test_a_page_gets_all_first_and_then_what_changes_and_two_of_them_do_not_dist
     talk(feed, act)
 
 
-def test_a_page_may_ask_for_the_history_of_a_key(feed: Simulation) -> None:
+def test_a_page_may_ask_for_the_history_of_a_key(feed: SimulationFeed) -> None:
     for t in range(3):
         feed.picture.take("r0", "swarm/r0/balancer/state", encode({"tilt": 0.1 * t}), float(t))
 
@@ -138,7 +138,7 @@ def test_a_page_may_ask_for_the_history_of_a_key(feed: Simulation) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", "1", "null", '{"history": 3}', '{"do": 3}', "{}", '"' + "x" * 100 + '"'])
-def test_what_is_no_question_is_refused_and_the_page_lives_on(feed: Simulation, text: str) -> None:
+def test_what_is_no_question_is_refused_and_the_page_lives_on(feed: SimulationFeed, text: str) -> None:
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
         await socket.send_str(text)
@@ -148,7 +148,7 @@ def test_what_is_no_question_is_refused_and_the_page_lives_on(feed: Simulation, 
     talk(feed, act, allowed=True)
 
 
-def test_without_control_every_act_is_refused(feed: Simulation) -> None:
+def test_without_control_every_act_is_refused(feed: SimulationFeed) -> None:
     async def act(client: TestClient) -> None:
         socket = await client.ws_connect("/live?token=" + TOKEN)
         for name in ("stop", "arm", "press", "push", "lay", "kill", "cut", "set", "start", "end"):
@@ -159,7 +159,7 @@ def test_without_control_every_act_is_refused(feed: Simulation) -> None:
     talk(feed, act)
 
 
-def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulation) -> None:
+def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: SimulationFeed) -> None:
     control = Control(feed, SimulatedActions(feed))
     control.do({"act": "stop"})
     feed.picture.put("r0", "mesh/stopped", {"stopped": True}, 0.0)
@@ -195,12 +195,12 @@ def test_a_stop_is_given_again_until_every_robot_has_confirmed_it(feed: Simulati
         ("stop", "expected an act"),
     ],
 )
-def test_bad_acts_are_refused_in_words(feed: Simulation, act: object, said: str) -> None:
+def test_bad_acts_are_refused_in_words(feed: SimulationFeed, act: object, said: str) -> None:
     with pytest.raises(LocalError, match=said):
         Control(feed, SimulatedActions(feed)).do(act)
 
 
-def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
+def test_a_parameter_is_set_on_all_robots_or_on_one(feed: SimulationFeed) -> None:
     control = Control(feed, SimulatedActions(feed))
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5})
     control.do({"act": "set", "app": "x", "name": "gain", "value": 0.5, "robot": "r1"})
@@ -210,7 +210,7 @@ def test_a_parameter_is_set_on_all_robots_or_on_one(feed: Simulation) -> None:
     assert message.parameters == {"gain": 0.5}
 
 
-def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: Simulation) -> None:
+def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_parameters(feed: SimulationFeed) -> None:
     control, asked = Control(feed, SimulatedActions(feed)), {"act": "set", "app": "x", "name": "gain", "value": 0.5}
     feed.config = SimpleNamespace(names=("r0", "r1", "r2"))
     assert control.do(asked) == "x: gain=0.5 asked of r0 r1, not of r2: they are not reached"
@@ -222,7 +222,7 @@ def test_of_robots_that_are_not_reached_it_is_said_that_they_keep_their_paramete
 
 
 def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
-    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
     monkeypatch.setattr("laptop.view.control.clock.now", lambda: now[0])
@@ -243,10 +243,10 @@ def test_an_app_is_asked_again_until_it_answers_or_for_so_long(
 
 def test_without_a_simulation_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(LocalError, match="no simulation is running"):
-        Simulation(tmp_path)
+        SimulationFeed(tmp_path)
 
 
-def test_a_number_that_is_none_is_told_as_text(feed: Simulation) -> None:
+def test_a_number_that_is_none_is_told_as_text(feed: SimulationFeed) -> None:
     """NaN is no JSON: a browser would refuse the whole step."""
     for number in (math.nan, math.inf):
         payload = msgpack.packb({"x": number, "y": 1.0, "links": [{"peer": number, "state": number}]})
@@ -269,7 +269,7 @@ def test_a_number_that_is_none_is_told_as_text(feed: Simulation) -> None:
 
 
 def test_a_page_that_sleeps_costs_no_memory_and_is_up_to_date_when_it_returns(
-    feed: Simulation, monkeypatch: pytest.MonkeyPatch
+    feed: SimulationFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "RATE", 500.0)
     steps, size = 300, 400_000  # 120 MB, if they were kept

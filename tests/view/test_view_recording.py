@@ -12,7 +12,7 @@ pytest.importorskip("aiohttp", reason="the lab extra is not installed")
 from aiohttp.test_utils import TestClient, TestServer
 from virtual_run import recorded
 
-from laptop.view.recording import Recording
+from laptop.view.recording import ViewedRecording
 from laptop.view.server import application
 from swarm.errors import RecordingError
 
@@ -25,8 +25,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recording(run: Path) -> Recording:
-    return Recording(run)
+def recording(run: Path) -> ViewedRecording:
+    return ViewedRecording(run)
 
 
 def shown(page: dict[str, Any], step: dict[str, Any]) -> dict[str, Any]:
@@ -39,7 +39,9 @@ def shown(page: dict[str, Any], step: dict[str, Any]) -> dict[str, Any]:
 
 
 @given(st.lists(st.floats(-1.0, 4.0), max_size=8), st.floats(-1.0, 4.0))
-def test_an_instant_looks_the_same_wherever_one_comes_from(recording: Recording, way: list[float], end: float) -> None:
+def test_an_instant_looks_the_same_wherever_one_comes_from(
+    recording: ViewedRecording, way: list[float], end: float
+) -> None:
     page: dict[str, Any] = {}
     since = None
     for t in (*way, end):
@@ -48,7 +50,7 @@ def test_an_instant_looks_the_same_wherever_one_comes_from(recording: Recording,
     assert page == shown({}, recording.step(None, end))
 
 
-def test_the_values_are_those_of_the_run(recording: Recording) -> None:
+def test_the_values_are_those_of_the_run(recording: ViewedRecording) -> None:
     page = shown({}, recording.step(None, recording.last))
     assert {robot: topics["app/consensus/state"]["k"] for robot, topics in page.items()} == {
         "r0": 60,
@@ -65,17 +67,17 @@ def test_a_torn_file_shows_what_is_whole_and_names_the_rest(run: Path, tmp_path:
     whole = next(run.glob("*.mcap")).read_bytes()
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole[: len(whole) * 2 // 3])
-    recording = Recording(tmp_path)
+    recording = ViewedRecording(tmp_path)
     assert any("cut off" in text for text in recording.damage)
     assert 0 < shown({}, recording.step(None, 1e9))["r0"]["app/consensus/state"]["k"] <= 60
 
 
 def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no recording"):
-        Recording(tmp_path)
+        ViewedRecording(tmp_path)
 
 
-def test_a_page_asks_for_instants_and_anything_else_is_refused(recording: Recording) -> None:
+def test_a_page_asks_for_instants_and_anything_else_is_refused(recording: ViewedRecording) -> None:
     async def main() -> None:
         async with TestClient(TestServer(application(recording, None, "token"), host="127.0.0.1")) as client:
             socket = await client.ws_connect("/live?token=token")

@@ -3,7 +3,7 @@
 import argparse
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import CommandError, Host, HostError
 
 HELP = "run a shell command on every robot, over ssh"
@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     _, robots, ssh = everyone.chosen(args)
     command = " ".join(args.command)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         try:
             await ssh.follow(host, command, tell)
         except CommandError as error:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.install import check_name, install, read_files, read_release
 from laptop.fleet.ssh import Host
 
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     releases = [read_release(path) for path in args.releases]
     files = read_files(config.path, args.key)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         if not args.rename:
             await check_name(ssh, host)
         said, sent = await install(ssh, host, releases, files, tell)

@@ -13,7 +13,7 @@ from typing import Any
 
 from laptop.fleet import everyone, remote
 from laptop.fleet.core import doctor, steps
-from laptop.fleet.core.checkup import Finding, Robot
+from laptop.fleet.core.checkup import ExaminedRobot, Finding
 from laptop.fleet.core.wish import FIRMWARE_PACKAGE, KERNEL_PACKAGE, PACKAGES
 from laptop.fleet.provision import Rig
 from laptop.fleet.ssh import Host, HostError, Ssh
@@ -84,14 +84,14 @@ def text(
 # -- simulated robots ------------------------------------------------------------------------------------------------
 
 
-def _simulated(directory: Path, only: Sequence[str] | None) -> dict[str, Robot]:
+def _simulated(directory: Path, only: Sequence[str] | None) -> dict[str, ExaminedRobot]:
     from swarm.onboard.listen import listen
 
     config = load(directory / CONFIG)
     there = buses.chosen(robots(directory), only or ())
     said = listen(there)
     return {
-        name: Robot(
+        name: ExaminedRobot(
             name, config, None, said[name], disk=_free(there[name]), key=_key(config), addresses=_addresses(config)
         )
         for name in there
@@ -123,10 +123,10 @@ def _addresses(config: Config) -> dict[str, str]:
 # -- real ones -------------------------------------------------------------------------------------------------------
 
 
-def _real(args: argparse.Namespace, rig: Rig) -> tuple[dict[str, Robot], dict[str, str]]:
+def _real(args: argparse.Namespace, rig: Rig) -> tuple[dict[str, ExaminedRobot], dict[str, str]]:
     config, wanted, ssh = everyone.chosen(args, addressed=False)
     digest = hashlib.sha256(config.path.read_bytes()).hexdigest()
-    common = Robot("", config, None, None, digest=digest, addresses=_addresses(config))
+    common = ExaminedRobot("", config, None, None, digest=digest, addresses=_addresses(config))
     outcomes, found = everyone.gather(
         wanted, lambda host: _ask(ssh, host, replace(common, name=host.robot), rig), args.timeout
     )
@@ -134,7 +134,7 @@ def _real(args: argparse.Namespace, rig: Rig) -> tuple[dict[str, Robot], dict[st
     return {name: found[name] for name in config.names if name in found and name not in problems}, problems
 
 
-async def _ask(ssh: Ssh, host: Host, robot: Robot, rig: Rig) -> Robot:
+async def _ask(ssh: Ssh, host: Host, robot: ExaminedRobot, rig: Rig) -> ExaminedRobot:
     """All that can be found out about one robot; raises `HostError` where it cannot be reached."""
     request = {
         **steps.LOOK,

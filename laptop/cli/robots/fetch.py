@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
-from laptop.fleet.fetch import Fetch
+from laptop.fleet.everyone import ReportProgress
+from laptop.fleet.fetch import RecordingFetch
 from laptop.fleet.ssh import Host, HostError
 from swarm.errors import LocalError
 
@@ -29,8 +29,8 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise LocalError(f"{args.into}: {error.strerror}") from None
 
-    async def job(host: Host, tell: Tell) -> str:
-        fetch = Fetch(ssh, host, args.into, tell)
+    async def job(host: Host, tell: ReportProgress) -> str:
+        fetch = RecordingFetch(ssh, host, args.into, tell)
         got = await fetch.recordings(args.runs)
         if got.strange:
             tell(f"left there, with a name that is none of ours: {', '.join(map(repr, got.strange[:5]))}")

@@ -6,7 +6,7 @@ Each robot's Pi is connected to its Balboa by a USB cable, and flashes it itself
 import argparse
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host, HostError
 from services.balancer import flash
 
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     data, firmware = flash.read_firmware(args.firmware)
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         command = f"sudo -n env SWARM_ROBOT={host.robot} /opt/swarm/current/bin/swarm flash - --here"
         try:
             await ssh.follow(host, command + " --force" * args.force, tell, feed=[data])

@@ -3,7 +3,7 @@
 import argparse
 
 from laptop.fleet import everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from laptop.fleet.units import unit
 from swarm.errors import LocalError
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     if args.follow:
         command, args.timeout = command + " --follow", FOREVER_S
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         return f"{await ssh.follow(host, command, tell)} lines"
 
     return everyone.run(args, robots, job)

@@ -7,7 +7,7 @@ import time
 
 from laptop.fleet import everyone
 from laptop.fleet.core.pairing import check, edges, with_addresses
-from laptop.fleet.everyone import Outcome, Tell
+from laptop.fleet.everyone import ReportProgress, RobotOutcome
 from laptop.fleet.pair import Pairing, look
 from swarm.config import Config, parse
 from swarm.errors import ConfigError, LocalError
@@ -34,7 +34,8 @@ def run(args: argparse.Namespace) -> int:
     found, looks = everyone.gather(robots, lambda host: look(ssh, host), args.timeout)
     wrong = check(config, {name: answer["address"] for name, answer in looks.items()})
     outcomes = [
-        Outcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each for each in found
+        RobotOutcome(each.robot, False, wrong[each.robot], each.seconds) if each.robot in wrong else each
+        for each in found
     ]
     good = {name: answer for name, answer in looks.items() if name not in wrong}
     if not args.check:
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(each.ok for each in outcomes) and not any(links.values()) else 1
 
 
-def _tell(quiet: bool) -> Tell:
+def _tell(quiet: bool) -> ReportProgress:
     def tell(text: str) -> None:
         if not quiet:
             write_lines([text])

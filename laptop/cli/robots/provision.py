@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from laptop.fleet import bundle, everyone
-from laptop.fleet.core.wish import Wish, wish
-from laptop.fleet.everyone import Tell
+from laptop.fleet.core.wish import DesiredRobot, wish
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.install import install, read_files, read_release
 from laptop.fleet.provision import Provisioning, Rig
 from laptop.fleet.ssh import Host, Ssh
@@ -43,11 +43,11 @@ def run(args: argparse.Namespace, rig: Rig | None = None, architecture: str = "a
     unaddressed = _unaddressed(config)
     wifi = _wifi(args)
 
-    def asked(host: Host) -> Wish:
+    def asked(host: Host) -> DesiredRobot:
         whole = wish(config, host.robot, host.address, time.time(), key=args.key is not None, wifi=wifi)
         return replace(whole, architecture=architecture)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         robot = Provisioning(ssh, host, asked(host), packages, tell, rig or Rig())
         if args.check:
             return await robot.check()

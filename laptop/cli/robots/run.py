@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from laptop.fleet import apps, everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from swarm.app import run_options
 from swarm.errors import LocalError
@@ -42,9 +42,9 @@ def run(args: argparse.Namespace) -> int:
         if wrong := apps.differences(found, config):
             raise LocalError(f"{wrong} (or --force)")
     arguments = [] if args.no_record else ["--record"]
-    start = apps.Start(name, source, arguments=[*arguments, *run_options.of(args).arguments], settings=args.settings)
+    start = apps.AppStart(name, source, arguments=[*arguments, *run_options.of(args).arguments], settings=args.settings)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         return await start.on(ssh, host)
 
     return everyone.run(args, robots, job)

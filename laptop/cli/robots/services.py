@@ -3,7 +3,7 @@
 import argparse
 
 from laptop.fleet import apps, everyone
-from laptop.fleet.everyone import Tell
+from laptop.fleet.everyone import ReportProgress
 from laptop.fleet.ssh import Host
 from laptop.fleet.units import units
 
@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     names = units(args.services)
     _, robots, ssh = everyone.chosen(args)
 
-    async def job(host: Host, tell: Tell) -> str:
+    async def job(host: Host, tell: ReportProgress) -> str:
         return await apps.systemctl(ssh, host, args.action, names)
 
     return everyone.run(args, robots, job)

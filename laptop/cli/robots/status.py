@@ -11,7 +11,7 @@ from typing import Any
 
 from laptop.fleet import everyone
 from laptop.fleet.collect import RUNS
-from laptop.fleet.everyone import Outcome
+from laptop.fleet.everyone import RobotOutcome
 from laptop.fleet.ssh import Host, Ssh
 from laptop.fleet.units import SERVICES
 from swarm.errors import PayloadError
@@ -33,7 +33,7 @@ _BYTES = re.compile(r"[0-9]{1,18}")
 
 
 @frozen
-class Row:
+class StatusRow:
     """What one robot says of itself; None where it says nothing."""
 
     release: str
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         time.sleep(WATCH_EVERY_S)
 
 
-async def _look(ssh: Ssh, host: Host) -> Row:
+async def _look(ssh: Ssh, host: Host) -> StatusRow:
     return parse(host.robot, await ssh.check(host, question(host.robot)))
 
 
@@ -98,7 +98,7 @@ def question(robot: str) -> str:
     )
 
 
-def parse(robot: str, text: str) -> Row:
+def parse(robot: str, text: str) -> StatusRow:
     """The answer of a robot. What it does not say, or its release says in another way than this one, stays empty."""
     parts = {part.partition("\n")[0]: part.partition("\n")[2] for part in text.split(_MARK)[1:]}
     newest: dict[str, Any] = {}
@@ -137,7 +137,7 @@ def parse(robot: str, text: str) -> Row:
         if key.startswith("app/") and value.keys() >= {"phase", "k"}
     }
     # What is there has the types of its message; fields may be missing.
-    return Row(
+    return StatusRow(
         release=parts.get("release", "").strip().rpartition("/")[2],
         firmware=f"{atmega['layout']}.{atmega['revision']}" if atmega.keys() >= {"layout", "revision"} else None,
         failed=sorted(failed),
@@ -159,7 +159,7 @@ def _time(seconds: float) -> str:
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
 
 
-def table(outcomes: list[Outcome], rows: dict[str, Row], budget: float) -> list[str]:
+def table(outcomes: list[RobotOutcome], rows: dict[str, StatusRow], budget: float) -> list[str]:
     """For a terminal; `budget`: bytes that recordings may take."""
     cells: list[tuple[str, ...]] = [
         ("robot", "services", "battery", "body", "links", "pose", "apps", "recordings", "release", "firmware")

@@ -14,7 +14,7 @@ from swarm.process.terminal import bar
 
 if TYPE_CHECKING:
     from laptop.view.film import Film
-    from laptop.view.recording import Recording
+    from laptop.view.recording import ViewedRecording
 
 HELP = "make a film of a recorded run"
 
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         from laptop.view import chromium, film, server
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm film needs {error.name}: pip install 'balboa-swarm[lab]'") from None
-    from laptop.view.recording import Recording
+    from laptop.view.recording import ViewedRecording
 
     # What is missing is said before the recording is read, which may take a while.
     film.encoder()
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         raise LocalError(f"{args.film}: expected a name that ends in .mp4")
     if not args.film.absolute().parent.is_dir():
         raise LocalError(f"{args.film.absolute().parent}: no such folder")
-    feed = Recording(args.recording)
+    feed = ViewedRecording(args.recording)
     for damage in feed.damage:
         sys.stderr.write(f"swarm: {damage}\n")
     plan = _plan(args, feed)
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _plan(args: argparse.Namespace, feed: "Recording") -> "Film":
+def _plan(args: argparse.Namespace, feed: "ViewedRecording") -> "Film":
     """The film that is wanted; `LocalError` where it cannot be."""
     from laptop.view.film import Film
 

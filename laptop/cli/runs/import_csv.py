@@ -9,7 +9,7 @@ from swarm.messages import AppState
 from swarm.onboard.arguments import add_json, show
 from swarm.recording import folder, thesis_csv
 from swarm.recording.reader import SUFFIX
-from swarm.recording.virtual_file import PlainRecording
+from swarm.recording.virtual_file import DirectRecording
 
 HELP = "make a recorded run of a folder of the thesis' CSV files"
 
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     app = min(kinds.values())
     info = folder.describe(app, int.from_bytes(digest[:8], "big"), 0, digest)
     folder.begin(output, info, {})
-    recording = PlainRecording(output / f"{app}{SUFFIX}", info, clock=UNIX)
+    recording = DirectRecording(output / f"{app}{SUFFIX}", info, clock=UNIX)
     try:
         topics = {name: _topic(name) for name in texts}
         recording.metadata(FILES, {str(name): topic for name, topic in topics.items()})
@@ -62,7 +62,7 @@ def _topic(name: PurePosixPath) -> str:
     return f"swarm/{thesis_csv.robot_of(name)}/thesis/{'.'.join(name.with_suffix('').parts)}"
 
 
-def _put(recording: PlainRecording, name: PurePosixPath, kind: str, text: str, topic: str) -> None:
+def _put(recording: DirectRecording, name: PurePosixPath, kind: str, text: str, topic: str) -> None:
     """One file: every line as it is, and what it says."""
     prefix = f"swarm/{thesis_csv.robot_of(name)}/app/{kind}"
     # Several experiments in one folder, and files that are of no robot, are told apart as channels are.

@@ -14,7 +14,7 @@ from swarm.errors import LocalError
 from swarm.onboard.arguments import number
 from swarm.process.paths import bus_endpoint
 from swarm.process.simulations import claim, default_run_dir
-from swarm.recording.reader import Sample
+from swarm.recording.reader import RecordedSample
 from swarm.recording.restore import published
 from swarm.recording.run import Run
 
@@ -76,7 +76,7 @@ def _bus(args: argparse.Namespace) -> Iterator[Bus]:
         yield stack.enter_context(Bus.of(directory))
 
 
-def _play(bus: Bus, samples: Iterator[Sample], speed: float) -> int:
+def _play(bus: Bus, samples: Iterator[RecordedSample], speed: float) -> int:
     """Publish each when its time has come; how many there were."""
     began: float | None = None
     count = 0

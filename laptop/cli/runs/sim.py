@@ -13,8 +13,8 @@ from pathlib import Path
 from sim import options as arguments
 from sim import report, scenario
 from sim.options import Options
-from sim.report import Outcome
-from sim.run import Run
+from sim.report import RunOutcome
+from sim.run import ProcessRun
 from sim.scenario import Scenario
 from swarm.errors import LocalError
 from swarm.process import log, service
@@ -55,7 +55,7 @@ def _virtual(options: Options) -> int:
     plan = scenario.build(options, virtual.PLACE)
     for note in plan.notes:
         sys.stderr.write(note + "\n")
-    run = virtual.Run(options, plan)
+    run = virtual.VirtualRun(options, plan)
     tell = partial(_tell, options, plan, options.record or Path())
     if options.view:
         from laptop.view import virtual_page  # the server is heavy, and of the extra `lab`
@@ -67,12 +67,12 @@ def _virtual(options: Options) -> int:
 def _run(options: Options, run_dir: Path) -> int:
     _clear(run_dir)
     plan = scenario.build(options, run_dir)
-    with Run(options, plan, run_dir, sys.stderr) as run:
+    with ProcessRun(options, plan, run_dir, sys.stderr) as run:
         outcome = run.watch()
     return _tell(options, plan, options.record or run_dir / "records", outcome)
 
 
-def _tell(options: Options, plan: Scenario, records: Path, outcome: Outcome) -> int:
+def _tell(options: Options, plan: Scenario, records: Path, outcome: RunOutcome) -> int:
     found = report.summary(outcome)
     print(report.table(found, outcome))
     if options.plot is not None and plan.app is not None:

@@ -79,7 +79,7 @@ def main() -> int:
         return _limits(args, points, rest, engine)
     jobs = jobs_of(args.app, points, args.seeds, rest, args.within)
     began = time.monotonic()
-    progress = Progress(sys.stderr, len(jobs))
+    progress = _Progress(sys.stderr, len(jobs))
     with engine as run:
         found = run(jobs, progress.done)
     progress.close()
@@ -104,7 +104,7 @@ def _limits(
         raise ConfigError(f"--limit {args.limit}: expected NAME=LOW,HIGH") from None
     if not low < high:
         raise ConfigError(f"--limit {args.limit}: {low:g} is not below {high:g}")
-    progress = Progress(sys.stderr, None)
+    progress = _Progress(sys.stderr, None)
     with engine as run:
         brackets = search(args.app, points, args.seeds, rest, args.within, name, (low, high), run, progress.done)
     progress.close()
@@ -115,7 +115,7 @@ def _limits(
     return 0
 
 
-class Progress:
+class _Progress:
     """How many runs are done: one line that is drawn over and over on a terminal; nothing elsewhere."""
 
     def __init__(self, stream: TextIO, total: int | None) -> None:

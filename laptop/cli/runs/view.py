@@ -53,13 +53,13 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise LocalError(f"swarm view needs {error.name}: pip install 'balboa-swarm[lab]'") from None
     from laptop.view.control import Control
-    from laptop.view.feed import Simulation
-    from laptop.view.recording import Recording
+    from laptop.view.feed import SimulationFeed
+    from laptop.view.recording import ViewedRecording
     from laptop.view.remote_actions import RemoteActions
     from laptop.view.robots import Robots
     from laptop.view.simulated_actions import SimulatedActions
 
-    feed: Simulation | Robots | Recording
+    feed: SimulationFeed | Robots | ViewedRecording
     control = None
     if (args.config or args.ssh_config) and not args.robots:
         raise LocalError("--config and --ssh-config are for real robots: name one with --robots")
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if args.recording is not None:
         if args.control:
             raise LocalError("--control: there is nothing to control in a recording")
-        feed = Recording(args.recording)
+        feed = ViewedRecording(args.recording)
         for damage in feed.damage:
             print(f"swarm: {damage}", file=sys.stderr)
     elif args.robots:
@@ -78,11 +78,11 @@ def run(args: argparse.Namespace) -> int:
         feed = Robots(config, hosts(config, args.robots), ssh)
         control = Control(feed, RemoteActions(feed, ssh) if args.control else None)
     else:
-        feed = Simulation((args.run_dir or default_run_dir()).absolute())
+        feed = SimulationFeed((args.run_dir or default_run_dir()).absolute())
         control = Control(feed, SimulatedActions(feed) if args.control else None)
 
     at = None
-    if isinstance(feed, Recording):
+    if isinstance(feed, ViewedRecording):
         at = feed.last if args.at is None else min(max(args.at, feed.first), feed.last)
 
     async def main() -> None:
@@ -105,6 +105,6 @@ def run(args: argparse.Namespace) -> int:
     finally:
         if control is not None:
             control.close()
-        if not isinstance(feed, Recording):
+        if not isinstance(feed, ViewedRecording):
             feed.close()
     return 0

@@ -1,9 +1,9 @@
 """Steps that look whether a machine can be a robot at all, before anything on it is changed."""
 
-from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, Facts, Verdict, Wish, change, failed, ok
+from laptop.fleet.core.wish import BOARDS, MIN_FREE, SUITES, DesiredRobot, Facts, Verdict, change, failed, ok
 
 
-def board(facts: Facts, wish: Wish) -> Verdict:
+def board(facts: Facts, wish: DesiredRobot) -> Verdict:
     """A board we know, and the one that swarm.toml says."""
     model = facts["model"]
     found = next((name for begin, name in BOARDS.items() if model.startswith(begin)), None)
@@ -14,7 +14,7 @@ def board(facts: Facts, wish: Wish) -> Verdict:
     return ok(model)
 
 
-def system(facts: Facts, wish: Wish) -> Verdict:
+def system(facts: Facts, wish: DesiredRobot) -> Verdict:
     """64 bit Raspberry Pi OS, Bookworm or Trixie, with the Python of it."""
     name, architecture = facts["os"].get("VERSION_CODENAME", ""), facts["architecture"]
     advice = "flash Raspberry Pi OS Lite (64 bit), Bookworm or Trixie"
@@ -27,7 +27,7 @@ def system(facts: Facts, wish: Wish) -> Verdict:
     return ok(f"{name} {architecture}, Python {facts['python']}")
 
 
-def disk(facts: Facts, wish: Wish) -> Verdict:
+def disk(facts: Facts, wish: DesiredRobot) -> Verdict:
     """Room for packages and releases."""
     need = dict(MIN_FREE)
     if wish.bundle is not None:
@@ -41,7 +41,7 @@ def disk(facts: Facts, wish: Wish) -> Verdict:
     return ok(f"{(facts['free'].get('/') or 0) / 1e6:.0f} MB left")
 
 
-def key(facts: Facts, wish: Wish) -> Verdict:
+def key(facts: Facts, wish: DesiredRobot) -> Verdict:
     """The swarm's key: there, or brought."""
     if not wish.secure:
         return ok("none: swarm.toml says insecure")
@@ -50,7 +50,7 @@ def key(facts: Facts, wish: Wish) -> Verdict:
     return failed("it has no key of the swarm, and none was given: --key FILE (swarm key new makes one)")
 
 
-def address(facts: Facts, wish: Wish) -> Verdict:
+def address(facts: Facts, wish: DesiredRobot) -> Verdict:
     """Whether ssh still reaches it once it has its name."""
     host = wish.address.rpartition("@")[2]
     if host.endswith(".local") and host != f"{wish.robot}.local" and facts["hostname"] != wish.robot:
@@ -62,7 +62,7 @@ CLOCK_S = 30.0
 """Off by more than this, logs and recordings cannot be read beside each other."""
 
 
-def clock(facts: Facts, wish: Wish) -> Verdict:
+def clock(facts: Facts, wish: DesiredRobot) -> Verdict:
     """The wall clock: a Pi has none of its own, and robots have no NTP."""
     off = facts["time"] - wish.now
     if abs(off) <= CLOCK_S:

@@ -1,6 +1,6 @@
 """Checks of a robot's devices and radio, by what its services say of them."""
 
-from laptop.fleet.core.checkup import SIMULATED, Check, Finding, Robot, bad, ok, skipped, warning
+from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
 
 WHO_AM_I = 0x69
 """LSM6DS33; hardware datasheet, register 0x0F."""
@@ -8,7 +8,7 @@ LAYOUT = 1
 """Of the ATmega's firmware (firmware/layout.h, VERSION)."""
 
 
-def devices(robot: Robot) -> Finding:
+def devices(robot: ExaminedRobot) -> Finding:
     """IMU and ATmega answer."""
     fault = robot.said("balancer/fault")
     if fault.get("name") in ("bus", "device"):
@@ -41,7 +41,7 @@ def _scanned(found: dict[str, object]) -> Finding:
     return ok("both answer")
 
 
-def firmware(robot: Robot) -> Finding:
+def firmware(robot: ExaminedRobot) -> Finding:
     """The ATmega runs our firmware."""
     said = robot.said("balancer/firmware")
     scanned = None if robot.system is None else (robot.system["devices"] or {}).get("atmega")
@@ -56,7 +56,7 @@ def firmware(robot: Robot) -> Finding:
     return ok(f"layout {layout}, revision {revision}")
 
 
-def module(robot: Robot) -> Finding:
+def module(robot: ExaminedRobot) -> Finding:
     """The DWM1001 answers."""
     status = robot.said("dwm/status")
     if not status:
@@ -66,7 +66,7 @@ def module(robot: Robot) -> Finding:
     return ok("it answers")
 
 
-def ranges(robot: Robot) -> Finding:
+def ranges(robot: ExaminedRobot) -> Finding:
     """Three anchors in sight."""
     if not robot.config.anchors:
         return skipped("swarm.toml has no anchors")
@@ -80,7 +80,7 @@ def ranges(robot: Robot) -> Finding:
     return ok(f"{' '.join(seen)}")
 
 
-def adapter(robot: Robot) -> Finding:
+def adapter(robot: ExaminedRobot) -> Finding:
     """The Bluetooth adapter is there, and it is the one that swarm.toml names."""
     if robot.config.robot(robot.name).link is not None:
         return skipped("its links are not Bluetooth's")
@@ -101,7 +101,7 @@ def adapter(robot: Robot) -> Finding:
     return ok(said)
 
 
-def pairing(robot: Robot) -> Finding:
+def pairing(robot: ExaminedRobot) -> Finding:
     """All neighbours are paired and trusted."""
     its = robot.facts["pairing"]
     if its is None or robot.config.robot(robot.name).link is not None:
@@ -125,7 +125,7 @@ def pairing(robot: Robot) -> Finding:
     return warning(f"{text}: they take no call of it", "swarm pair")
 
 
-def links(robot: Robot) -> Finding:
+def links(robot: ExaminedRobot) -> Finding:
     """The mesh has all of its links, and each name is that of one robot."""
     if clashes := robot.said("mesh/links").get("clashes"):
         return bad(
@@ -147,7 +147,7 @@ def links(robot: Robot) -> Finding:
     return ok(f"{len(rows)} up")
 
 
-def body(robot: Robot) -> Finding:
+def body(robot: ExaminedRobot) -> Finding:
     """The balancer has no fault."""
     state, fault = robot.said("balancer/state"), robot.said("balancer/fault")
     if not state:
@@ -158,7 +158,7 @@ def body(robot: Robot) -> Finding:
     return ok(str(state.get("mode")))
 
 
-def battery(robot: Robot) -> Finding:
+def battery(robot: ExaminedRobot) -> Finding:
     """The batteries last."""
     volts = robot.said("balancer/battery").get("voltage", robot.said("balancer/state").get("battery"))
     if volts is None:
@@ -173,7 +173,7 @@ def battery(robot: Robot) -> Finding:
     return ok(text)
 
 
-def time(robot: Robot) -> Finding:
+def time(robot: ExaminedRobot) -> Finding:
     """The swarm's common time is known."""
     said = robot.said("mesh/clock")
     if not said:

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 from laptop.fleet.core import steps
-from laptop.fleet.core.checkup import SIMULATED, Check, Finding, Robot, bad, ok, skipped, warning
-from laptop.fleet.core.wish import Step, Wish, wish
+from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, bad, ok, skipped, warning
+from laptop.fleet.core.wish import DesiredRobot, ProvisioningStep, wish
 
 LOW_DISK = 200_000_000
 LOW_MEMORY = 40_000_000
@@ -17,15 +17,15 @@ RESTARTS = 3
 PROVISION = "swarm provision {robot}"
 
 
-def _wish(robot: Robot) -> Wish:
+def _wish(robot: ExaminedRobot) -> DesiredRobot:
     address = robot.config.robot(robot.name).host or robot.name
     return wish(robot.config, robot.name, address, robot.now, key=False, wifi=None)
 
 
-def _step(step: Step) -> Callable[[Robot], Finding]:
+def _step(step: ProvisioningStep) -> Callable[[ExaminedRobot], Finding]:
     """A step of provisioning as a check: the same judgement."""
 
-    def judge(robot: Robot) -> Finding:
+    def judge(robot: ExaminedRobot) -> Finding:
         verdict = step.judge(robot.facts, _wish(robot))
         if verdict.state == "ok":
             return ok(verdict.text)
@@ -36,7 +36,7 @@ def _step(step: Step) -> Callable[[Robot], Finding]:
     return judge
 
 
-def disk(robot: Robot) -> Finding:
+def disk(robot: ExaminedRobot) -> Finding:
     """Room for recordings and logs."""
     free = robot.disk if robot.system is None else robot.system["free"].get("/")
     if free is None:
@@ -47,7 +47,7 @@ def disk(robot: Robot) -> Finding:
     return ok(text)
 
 
-def memory(robot: Robot) -> Finding:
+def memory(robot: ExaminedRobot) -> Finding:
     """Memory for one more app."""
     free = robot.facts["memory"]
     if free is None:
@@ -64,7 +64,7 @@ _NOW = {0: "too little voltage", 1: "slowed down", 2: "throttled", 3: "at its li
 """Bits of get_throttled; 16 bits higher: since it was switched on."""
 
 
-def heat(robot: Robot) -> Finding:
+def heat(robot: ExaminedRobot) -> Finding:
     """Neither hot nor short of voltage."""
     celsius, flags = robot.facts["temperature"], robot.facts["throttled"] or 0
     text = "no temperature" if celsius is None else f"{celsius:.0f} degrees"
@@ -79,7 +79,7 @@ def heat(robot: Robot) -> Finding:
     return ok(text)
 
 
-def services(robot: Robot) -> Finding:
+def services(robot: ExaminedRobot) -> Finding:
     """All services run, and none starts again and again."""
     if robot.system is None:
         if robot.bus is None or not robot.bus.get("bus"):
@@ -106,7 +106,7 @@ def services(robot: Robot) -> Finding:
     return ok("all run")
 
 
-def release(robot: Robot) -> Finding:
+def release(robot: ExaminedRobot) -> Finding:
     """A release is installed."""
     current = robot.facts["current"]
     if not current:
@@ -114,7 +114,7 @@ def release(robot: Robot) -> Finding:
     return ok(str(current))
 
 
-def config(robot: Robot) -> Finding:
+def config(robot: ExaminedRobot) -> Finding:
     """The robot's swarm.toml is ours, and it knows who it is."""
     if robot.facts["config"] is None:
         return bad("it has no /etc/swarm/swarm.toml", "swarm deploy")
@@ -125,7 +125,7 @@ def config(robot: Robot) -> Finding:
     return ok("the same as here")
 
 
-def key(robot: Robot) -> Finding:
+def key(robot: ExaminedRobot) -> Finding:
     """The key is the mesh's alone."""
     if robot.config.mesh.key_file is None:
         return skipped("swarm.toml says insecure: links need none")

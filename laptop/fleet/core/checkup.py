@@ -13,7 +13,7 @@ class SimulatedError(Exception):
 
 
 @frozen
-class Robot:
+class ExaminedRobot:
     """All that was found out about one robot. What could not be asked is None."""
 
     name: str
@@ -64,7 +64,7 @@ class Check:
     name: str
     question: str
     """The checklist's line: what is so on a robot that is well."""
-    judge: Callable[[Robot], Finding]
+    judge: Callable[[ExaminedRobot], Finding]
 
 
 def ok(text: str) -> Finding:

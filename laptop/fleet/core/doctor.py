@@ -4,17 +4,17 @@ from collections.abc import Callable, Sequence
 
 from laptop.fleet.core import checks_robot, checks_system
 from laptop.fleet.core.answers import MISUNDERSTOOD, misunderstood
-from laptop.fleet.core.checkup import SIMULATED, Check, Finding, Robot, SimulatedError, bad
+from laptop.fleet.core.checkup import SIMULATED, Check, ExaminedRobot, Finding, SimulatedError, bad
 
 CHECKS: tuple[Check, ...] = (*checks_system.CHECKS, *checks_robot.CHECKS)
 
 
-def examine(robot: Robot) -> dict[str, Finding]:
+def examine(robot: ExaminedRobot) -> dict[str, Finding]:
     """What each check says of a robot, by name."""
     return {check.name: _judged(check, robot) for check in CHECKS}
 
 
-def _judged(check: Check, robot: Robot) -> Finding:
+def _judged(check: Check, robot: ExaminedRobot) -> Finding:
     try:
         return check.judge(robot)
     except SimulatedError:
@@ -23,9 +23,9 @@ def _judged(check: Check, robot: Robot) -> Finding:
         return bad(misunderstood(error), "the same release on all robots? swarm deploy")
 
 
-def compare(robots: Sequence[Robot]) -> list[str]:
+def compare(robots: Sequence[ExaminedRobot]) -> list[str]:
     """What must be the same on all robots of a swarm, and is not."""
-    asked: dict[str, Callable[[Robot], str | None]] = {
+    asked: dict[str, Callable[[ExaminedRobot], str | None]] = {
         "releases (swarm deploy the same to all)": _release,
         "firmware (swarm flash the same to all)": _firmware,
     }
@@ -39,23 +39,23 @@ def compare(robots: Sequence[Robot]) -> list[str]:
     return [*lines, *_keys(robots)]
 
 
-def _compared(value: Callable[[Robot], str | None], robot: Robot) -> str | None:
+def _compared(value: Callable[[ExaminedRobot], str | None], robot: ExaminedRobot) -> str | None:
     try:
         return value(robot)
     except MISUNDERSTOOD:
         return None  # a check of the robot alone says so
 
 
-def _release(robot: Robot) -> str | None:
+def _release(robot: ExaminedRobot) -> str | None:
     return None if robot.system is None else robot.system["current"] or None
 
 
-def _firmware(robot: Robot) -> str | None:
+def _firmware(robot: ExaminedRobot) -> str | None:
     said = robot.said("balancer/firmware")
     return f"revision {said['revision']}" if "revision" in said else None
 
 
-def _keys(robots: Sequence[Robot]) -> list[str]:
+def _keys(robots: Sequence[ExaminedRobot]) -> list[str]:
     """Robots that have no key in common, and so no link. While a key is replaced a file holds two of them."""
     ids = {
         robot.name: frozenset(map(str, robot.key["ids"]))

@@ -5,9 +5,9 @@ from laptop.fleet.core.wish import (
     FIRMWARE_PACKAGE,
     KERNEL_PACKAGE,
     MIN_KERNEL,
+    DesiredRobot,
     Facts,
     Verdict,
-    Wish,
     change,
     failed,
     ok,
@@ -22,7 +22,7 @@ files of bluez-firmware that they must lead to."""
 SYNAPTICS = "/lib/firmware/synaptics"
 
 
-def packages(facts: Facts, wish: Wish) -> Verdict:
+def packages(facts: Facts, wish: DesiredRobot) -> Verdict:
     """Debian's packages, from the bundle: a robot has no internet."""
     missing = wanted_packages(facts, wish)
     if not missing and not facts["broken"]:
@@ -45,7 +45,7 @@ def packages(facts: Facts, wish: Wish) -> Verdict:
     )
 
 
-def wanted_packages(facts: Facts, wish: Wish) -> list[str]:
+def wanted_packages(facts: Facts, wish: DesiredRobot) -> list[str]:
     """Packages that the robot lacks: the ones of all robots, the radio's firmware, a newer kernel."""
     missing = [name for name in wish.packages if name not in facts["packages"]]
     if _firmware_missing(facts, wish) and FIRMWARE_PACKAGE not in facts["packages"] and _offers(wish, FIRMWARE_PACKAGE):
@@ -55,7 +55,7 @@ def wanted_packages(facts: Facts, wish: Wish) -> list[str]:
     return missing
 
 
-def _offers(wish: Wish, package: str) -> bool:
+def _offers(wish: DesiredRobot, package: str) -> bool:
     return wish.bundle is not None and package in wish.bundle.names
 
 
@@ -82,7 +82,7 @@ def apt_get(*words: str) -> list[str]:
     return ["apt-get", "--quiet", "--no-install-recommends", *settings, *words]
 
 
-def kernel(facts: Facts, wish: Wish) -> Verdict:
+def kernel(facts: Facts, wish: DesiredRobot) -> Verdict:
     """A kernel whose RFCOMM bears a call into nothing."""
     least = ".".join(map(str, MIN_KERNEL))
     if texts.kernel_version(facts["kernel"]) >= MIN_KERNEL:
@@ -100,7 +100,7 @@ def kernel(facts: Facts, wish: Wish) -> Verdict:
     )
 
 
-def radio(facts: Facts, wish: Wish) -> Verdict:
+def radio(facts: Facts, wish: DesiredRobot) -> Verdict:
     """The Zero 2 W's Bluetooth firmware under the names that its kernel asks for."""
     if wish.board != "zero2w" or not wish.bluetooth:
         return ok("nothing to do on this board" if wish.bluetooth else "no Bluetooth links")
@@ -117,7 +117,7 @@ def radio(facts: Facts, wish: Wish) -> Verdict:
     return failed(f"there is no {SYNAPTICS}/{next(iter(FIRMWARE.values()))}: a bundle with {FIRMWARE_PACKAGE}")
 
 
-def _firmware_missing(facts: Facts, wish: Wish) -> bool:
+def _firmware_missing(facts: Facts, wish: DesiredRobot) -> bool:
     if wish.board != "zero2w" or not wish.bluetooth:
         return False
     return bool(_unlinked(facts)) or all(facts["links"][path] is None for path in FIRMWARE)

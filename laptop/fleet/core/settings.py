@@ -1,7 +1,7 @@
 """Steps about settings: files of the system, each edited so that what others wrote in it stays."""
 
 from laptop.fleet.core import texts
-from laptop.fleet.core.wish import I2C_HZ, Change, Facts, Verdict, Wish, change, failed, ok
+from laptop.fleet.core.wish import I2C_HZ, Change, DesiredRobot, Facts, Verdict, change, failed, ok
 
 CONFIG_TXT = ("/boot/firmware/config.txt", "/boot/config.txt")
 CMDLINE = ("/boot/firmware/cmdline.txt", "/boot/cmdline.txt")
@@ -36,7 +36,7 @@ def _edited(path: str, before: str, after: str, what: str) -> Verdict:
     return change(what, {"do": "write", "path": path, "text": after, "mode": "0755"}, reboot=True)
 
 
-def boot(facts: Facts, wish: Wish) -> Verdict:
+def boot(facts: Facts, wish: DesiredRobot) -> Verdict:
     """config.txt: I2C on at its speed, and the UART where the DWM1001 is wired to it."""
     found = _first(facts, CONFIG_TXT)
     if found is None:
@@ -48,7 +48,7 @@ def boot(facts: Facts, wish: Wish) -> Verdict:
     return _edited(*found, texts.with_block(found[1], lines), what)
 
 
-def cmdline(facts: Facts, wish: Wish) -> Verdict:
+def cmdline(facts: Facts, wish: DesiredRobot) -> Verdict:
     """cmdline.txt: limits of memory in force, a core for the balancer, and nobody else at the DWM1001's UART."""
     found = _first(facts, CMDLINE)
     if found is None:
@@ -61,14 +61,14 @@ def cmdline(facts: Facts, wish: Wish) -> Verdict:
     return _edited(*found, texts.with_words(found[1], ["cgroup_enable=memory", "isolcpus=3"], remove), what)
 
 
-def i2c(facts: Facts, wish: Wish) -> Verdict:
+def i2c(facts: Facts, wish: DesiredRobot) -> Verdict:
     """/dev/i2c-1: the module behind it is loaded on boot."""
     what = "i2c-dev is loaded on boot"
     verdict = _file(facts, MODULES, "i2c-dev\n", what)
     return change(what, *verdict.changes, reboot=True) if verdict.changes else verdict
 
 
-def bluetooth(facts: Facts, wish: Wish) -> Verdict:
+def bluetooth(facts: Facts, wish: DesiredRobot) -> Verdict:
     """bluetoothd on boot, the adapter powered, the radio not blocked."""
     if not wish.bluetooth:
         return ok("no Bluetooth links")
@@ -96,7 +96,7 @@ LIMITS_TEXT = """# Balboa Swarm: who is in this group may run the balancer by ha
 """
 
 
-def realtime(facts: Facts, wish: Wish) -> Verdict:
+def realtime(facts: Facts, wish: DesiredRobot) -> Verdict:
     """Real-time priority and locked memory for members of the group swarm; services have theirs by their units."""
     return _file(facts, LIMITS, LIMITS_TEXT, "priority 40 and locked memory for the group swarm")
 
@@ -107,7 +107,7 @@ wifi.powersave = 2
 """
 
 
-def network(facts: Facts, wish: Wish) -> Verdict:
+def network(facts: Facts, wish: DesiredRobot) -> Verdict:
     """Wi-Fi that does not sleep, and the network to join where one was given."""
     verdicts = [_file(facts, NETWORK_CONF, NETWORK_TEXT, "Wi-Fi does not sleep")]
     if wish.wifi is not None:
@@ -140,7 +140,7 @@ manage_etc_hosts: false
 """
 
 
-def name(facts: Facts, wish: Wish) -> Verdict:
+def name(facts: Facts, wish: DesiredRobot) -> Verdict:
     """The host's name is the robot's: what others, logs and the prompt call it."""
     changes: list[Change] = []
     if facts["hostname"] != wish.robot or (facts["files"].get(HOSTNAME) or "").strip() != wish.robot:

@@ -6,7 +6,7 @@ while any step that comes before packages (`FIRST`) cannot be helped.
 """
 
 from laptop.fleet.core import before, packages, settings
-from laptop.fleet.core.wish import MIN_FREE, Step
+from laptop.fleet.core.wish import MIN_FREE, ProvisioningStep
 
 LOOK = {
     "files": [*settings.FILES],
@@ -22,25 +22,25 @@ LOOK = {
 """The request for the facts that the steps need."""
 
 FIRST = (
-    Step("board", before.board),
-    Step("system", before.system),
-    Step("disk", before.disk),
-    Step("key", before.key),
-    Step("address", before.address),
-    Step("clock", before.clock),
-    Step("packages", packages.packages),
-    Step("kernel", packages.kernel),
+    ProvisioningStep("board", before.board),
+    ProvisioningStep("system", before.system),
+    ProvisioningStep("disk", before.disk),
+    ProvisioningStep("key", before.key),
+    ProvisioningStep("address", before.address),
+    ProvisioningStep("clock", before.clock),
+    ProvisioningStep("packages", packages.packages),
+    ProvisioningStep("kernel", packages.kernel),
 )
 """All of these are judged before anything is changed."""
 
 THEN = (
-    Step("boot", settings.boot),
-    Step("cmdline", settings.cmdline),
-    Step("i2c", settings.i2c),
-    Step("radio", packages.radio),
-    Step("bluetooth", settings.bluetooth),
-    Step("realtime", settings.realtime),
-    Step("network", settings.network),
-    Step("name", settings.name),
+    ProvisioningStep("boot", settings.boot),
+    ProvisioningStep("cmdline", settings.cmdline),
+    ProvisioningStep("i2c", settings.i2c),
+    ProvisioningStep("radio", packages.radio),
+    ProvisioningStep("bluetooth", settings.bluetooth),
+    ProvisioningStep("realtime", settings.realtime),
+    ProvisioningStep("network", settings.network),
+    ProvisioningStep("name", settings.name),
 )
 """These are judged when the packages are there."""

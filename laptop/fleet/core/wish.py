@@ -43,7 +43,7 @@ class Packages:
 
 
 @frozen
-class Wish:
+class DesiredRobot:
     """What is asked for one robot."""
 
     robot: str
@@ -69,12 +69,14 @@ class Wish:
     """None = no bundle for this robot's Debian."""
 
 
-def wish(config: Config, robot: str, address: str, now: float, *, key: bool, wifi: tuple[str, str] | None) -> Wish:
+def wish(
+    config: Config, robot: str, address: str, now: float, *, key: bool, wifi: tuple[str, str] | None
+) -> DesiredRobot:
     """What swarm.toml asks of a robot."""
     entry = config.robot(robot)
     kind, _, port = config.dwm.source.partition(":")
     own = kind == "serial" and port in ("/dev/serial0", "/dev/ttyAMA0", "/dev/ttyS0")
-    return Wish(
+    return DesiredRobot(
         robot=robot,
         board=entry.board,
         address=address,
@@ -121,8 +123,8 @@ def change(text: str, *changes: Change, reboot: bool = False) -> Verdict:
 
 
 @frozen
-class Step:
+class ProvisioningStep:
     """One idea."""
 
     name: str
-    judge: Callable[[Facts, Wish], Verdict]
+    judge: Callable[[Facts, DesiredRobot], Verdict]

@@ -15,7 +15,7 @@ DUTY = 0.5
 """Share of a period for which it is on."""
 
 
-class Edge(NamedTuple):
+class LedEdge(NamedTuple):
     """A change of the LED."""
 
     t: float
@@ -28,13 +28,13 @@ def on_grid(frequency: float) -> float:
     return max(1, round(frequency * GRID_PER_HZ)) / GRID_PER_HZ
 
 
-def edges(frequency: float, begin: float, end: float) -> Iterator[Edge]:
+def edges(frequency: float, begin: float, end: float) -> Iterator[LedEdge]:
     """Changes in [begin, end) of mesh time, in order; `frequency` in Hz."""
     k = math.floor(begin * frequency)
     while (on := k / frequency) < end:
         if on >= begin:
-            yield Edge(on, on=True)
+            yield LedEdge(on, on=True)
         off = (k + DUTY) / frequency
         if begin <= off < end:
-            yield Edge(off, on=False)
+            yield LedEdge(off, on=False)
         k += 1

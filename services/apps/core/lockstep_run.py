@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from services.apps.core.terms import Program, Terms
 from swarm.core import epoch_actions, lockstep
-from swarm.core.epoch_actions import EpochRequest, Keep, Switch
-from swarm.core.epoch_notes import Epoch, Kept
+from swarm.core.epoch_actions import EpochRequest, SaveEpochs, SwitchEpoch
+from swarm.core.epoch_notes import Epoch, SavedEpochs
 from swarm.core.epoch_roster import FRESH
 from swarm.core.epochs import Epochs
 from swarm.core.graph import Graph
@@ -36,7 +36,7 @@ class Renew:
     epoch: Epoch
 
 
-class State(NamedTuple):
+class RunState(NamedTuple):
     """What the app was at one iteration."""
 
     k: int
@@ -83,7 +83,7 @@ class LockstepRun:
         graph: Graph,
         incarnation: int,
         program: Program,
-        kept: Kept | None = None,
+        kept: SavedEpochs | None = None,
         vote_lost: int = 0,
     ) -> None:
         """`names`: all robots there may be; `begin`: the epoch of a run of which nothing was `kept`; `graph`: its
@@ -110,7 +110,7 @@ class LockstepRun:
         self._lockstep: Lockstep | None = None
         self._channel = self._channel_of(self.epochs.epoch)
         self._graph = graph if self.epochs.number == begin.number else self.epochs.epoch.graph
-        self._history: deque[State] = deque()
+        self._history: deque[RunState] = deque()
         self._began_at = 0.0
         self._progress_at = 0.0
         self._heard: dict[str, float] = {}
@@ -172,7 +172,7 @@ class LockstepRun:
                 if snapshot.epoch == saved[-1].epoch:
                     computed_at, self._began_at = _STAMP.unpack_from(snapshot.private)
                     private = snapshot.private[_STAMP.size :]
-                    self._history.append(State(snapshot.k, snapshot.value, private, computed_at))
+                    self._history.append(RunState(snapshot.k, snapshot.value, private, computed_at))
             if saved[-1].epoch == epoch.number and self.epochs.member:
                 self._resume(saved[-1], epoch, now)
             else:
@@ -222,7 +222,7 @@ class LockstepRun:
             own += count
             last = self._stopping.over(count)
         self._progress_at = self.computed_at = now
-        self._history.append(State(todo.k + 1, own, private, now))
+        self._history.append(RunState(todo.k + 1, own, private, now))
         core.computed(own, self._stamp(private), now, last=last)
         self.epochs.k = core.k
 
@@ -313,10 +313,10 @@ class LockstepRun:
             if type(action) is Save and self._first_save:
                 # Not before there is a state: a robot of which this is all there is knows that it has lost its own.
                 self._first_save = False
-                found.append(Keep(self.epochs.kept))
+                found.append(SaveEpochs(self.epochs.kept))
         for news in self.epochs.actions():
             found.append(news)
-            if isinstance(news, Switch):
+            if isinstance(news, SwitchEpoch):
                 found.append(Renew(news.epoch))
         return found
 
@@ -352,7 +352,7 @@ class LockstepRun:
     def _channel_of(self, epoch: Epoch) -> Channel:
         return Channel(self.terms.run, epoch.number, self.epochs.birth, self.terms.schema)
 
-    def _before(self, epoch: Epoch) -> State | None:
+    def _before(self, epoch: Epoch) -> RunState | None:
         """The state with which this robot goes over to an epoch: that of its first iteration, or the newest one."""
         if self._me in epoch.carried and self._channel.epoch == epoch.before:
             for state in self._history:
@@ -360,7 +360,7 @@ class LockstepRun:
                     return self._plain(state)
         return self._plain(self._history[-1]) if self._history else None
 
-    def _plain(self, state: State) -> State:
+    def _plain(self, state: RunState) -> RunState:
         return state._replace(own=state.own[: self._program.size])
 
     def _lockstep_of(self, epoch: Epoch) -> Lockstep:
@@ -380,7 +380,7 @@ class LockstepRun:
         self._progress_at = self.computed_at = now
         self._heard.clear()
         # So far back the slowest robot of the epoch can be.
-        self._history = deque([State(epoch.k, own, private, now)], maxlen=self._graph.span + 2)
+        self._history = deque([RunState(epoch.k, own, private, now)], maxlen=self._graph.span + 2)
         self.lost = False
         self.waiting = ()
         if self.phase == "done":

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from services.apps.core.avoidance import Barrier, Point, allowed_speed, way_round
 
 
-class Pose(NamedTuple):
+class UnicyclePose(NamedTuple):
     """Where a robot is: m, rad counter-clockwise from x."""
 
     x: float
@@ -15,7 +15,7 @@ class Pose(NamedTuple):
     heading: float
 
 
-class Limits(NamedTuple):
+class UnicycleLimits(NamedTuple):
     """What is asked of a robot at most; less than it can, which keeps its balance quiet."""
 
     speed: float = 0.2
@@ -26,7 +26,9 @@ class Limits(NamedTuple):
     """rad/s for each rad between heading and wished direction."""
 
 
-def drive(pose: Pose, wish: Point, others: Sequence[Point], barrier: Barrier, limits: Limits) -> tuple[float, float]:
+def drive(
+    pose: UnicyclePose, wish: Point, others: Sequence[Point], barrier: Barrier, limits: UnicycleLimits
+) -> tuple[float, float]:
     """Speed (m/s) and turn rate (rad/s) towards the wished velocity (m/s), past `others` and safe from them.
 
     It drives backwards rather than turn by more than 90 degrees.

@@ -54,10 +54,10 @@ class Moving(Localization):
         rate = 1.0 / self._period if self._period > 0.0 else 0.0
         return {**self.report((found.x, found.y), found.found), "vx": rate * found.vx, "vy": rate * found.vy}
 
-    def _solved(self) -> track.Motion:
+    def _solved(self) -> track.TargetMotion:
         robots = len(self.robot.swarm)
         found = track.solve(self.q, robots, self.sigma_velocity, self._velocity)
-        return found or track.Motion(0.0, 0.0, 0.0, 0.0, UNKNOWN)
+        return found or track.TargetMotion(0.0, 0.0, 0.0, 0.0, UNKNOWN)
 
     def _new(self) -> track.Information:
         sequence = self.robot.measurement.sequence

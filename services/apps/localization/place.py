@@ -5,14 +5,14 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from services.apps.localization import ranges
-from services.apps.localization.ranges import Estimate, Statistics
+from services.apps.localization.ranges import Statistics, TargetEstimate
 from swarm import SyncApp, float32, parameter
 from swarm.messages.codec import Value
 
 STANDS = 1e-4
 """m an iteration: a place that moves by less has converged."""
 
-UNKNOWN = Estimate(0.0, 0.0, None, 0, (0.0, 0.0, 0.0))
+UNKNOWN = TargetEstimate(0.0, 0.0, None, 0, (0.0, 0.0, 0.0))
 """Before the first measurement, which makes the first state."""
 
 
@@ -45,7 +45,7 @@ class Localization(SyncApp):
         """What the measurement of this step says."""
         return ranges.statistics(*self.seen(), self.sigma())
 
-    def report(self, place: tuple[float, float], found: Estimate) -> Mapping[str, Value]:
+    def report(self, place: tuple[float, float], found: TargetEstimate) -> Mapping[str, Value]:
         """`place`: the target about the origin, m; `found`: what the ranges of all say about it.
 
         Where two places fit, the other one is that which lies farther from `place`.
@@ -113,6 +113,6 @@ class Judged(Localization):
         self._q, self._entered = tuple(q), tuple(entered)
         self.part = q[(i + 1) % len(q)]
 
-    def judged(self) -> Estimate:
+    def judged(self) -> TargetEstimate:
         """What the ranges of all say, as far as it has come here."""
         return ranges.solve(self._q, len(self.robot.swarm)) or UNKNOWN

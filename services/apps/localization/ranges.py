@@ -38,7 +38,7 @@ _BISECTIONS = 200  # at most; it ends when floats do, after some 60
 
 
 @frozen
-class Estimate:
+class TargetEstimate:
     """Where the target is, as far as the ranges tell."""
 
     x: float
@@ -82,7 +82,7 @@ def statistics(distance: float, x: float, y: float, sigma: float) -> Statistics:
     )
 
 
-def solve(s: Statistics, robots: int) -> Estimate | None:
+def solve(s: Statistics, robots: int) -> TargetEstimate | None:
     """The place that fits best. `s` is the mean over `robots` robots; None where no range came in yet."""
     m11, m12, m13, m22, m23, w, v1, v2, v3 = s
     if w <= 0.0:
@@ -101,7 +101,7 @@ def solve(s: Statistics, robots: int) -> Estimate | None:
     along, across = cos * r1 + sin * r2, cos * r2 - sin * r1
     if math.sqrt(max(big, 0.0) / (4 * w)) < SMALLEST_SPREAD:
         half = max(v3 / w, 0.0) / 2
-        return Estimate(cx, cy, None, 1, (half, 0.0, half))
+        return TargetEstimate(cx, cy, None, 1, (half, 0.0, half))
     if math.sqrt(small / (4 * w)) < SMALLEST_SPREAD:
         small, across = 0.0, 0.0  # in line but for rounding: nothing tells the two sides apart
     problem = _Problem(big, small, along, across, w, v3)
@@ -121,7 +121,7 @@ def solve(s: Statistics, robots: int) -> Estimate | None:
         return cx + cos * u - sin * h, cy + sin * u + cos * h
 
     x, y = back(u, h)
-    return Estimate(x, y, None if other is None else back(*other), 3 if small > 0.0 else 2, covariance)
+    return TargetEstimate(x, y, None if other is None else back(*other), 3 if small > 0.0 else 2, covariance)
 
 
 def _turned(uu: float, uh: float, hh: float, cos: float, sin: float) -> tuple[float, float, float]:

@@ -21,7 +21,7 @@ from math import fsum
 from operator import mul
 
 from services.apps.localization import ranges
-from services.apps.localization.ranges import Estimate
+from services.apps.localization.ranges import TargetEstimate
 from swarm.frozen import frozen
 
 SIZE = 7
@@ -41,7 +41,7 @@ _SMALLEST_STEP = 1e-7  # m
 
 
 @frozen
-class Motion:
+class TargetMotion:
     """Where the target is and where it goes."""
 
     x: float
@@ -50,7 +50,7 @@ class Motion:
     vx: float
     """m an iteration."""
     vy: float
-    found: Estimate
+    found: TargetEstimate
     """What the ranges say of the place, given that velocity: uncertainty, ambiguity."""
 
 
@@ -72,7 +72,7 @@ def predict(information: Information, keep: float) -> Information:
     return (*(keep * columns[j][i] for i, j in TRIANGLE), *(keep * value for value in vector))
 
 
-def solve(information: Information, robots: int, slow: float, guess: tuple[float, float]) -> Motion | None:
+def solve(information: Information, robots: int, slow: float, guess: tuple[float, float]) -> TargetMotion | None:
     """The place and velocity that fit best. `information` is the mean over `robots` robots.
 
     `slow`: standard deviation of a velocity component before anything is known, m an iteration; `guess`: a velocity to
@@ -93,7 +93,7 @@ def solve(information: Information, robots: int, slow: float, guess: tuple[float
     first, second = _solved(hessian, [1.0, 0.0, 0.0, 0.0]), _solved(hessian, [0.0, 1.0, 0.0, 0.0])
     if first is not None and second is not None:
         found = replace(found, covariance=(first[0] / robots, first[1] / robots, second[1] / robots))
-    return Motion(x, y, vx, vy, found)
+    return TargetMotion(x, y, vx, vy, found)
 
 
 def _moved(a: list[float]) -> list[float]:

@@ -27,7 +27,7 @@ ERASE_S = 10.0
 _DONE = b"\r"
 
 
-class Exchange(NamedTuple):
+class BootloaderExchange(NamedTuple):
     """What is sent, and how many bytes must come back within how many seconds."""
 
     request: bytes
@@ -35,20 +35,20 @@ class Exchange(NamedTuple):
     patience_s: float = ANSWER_S
 
 
-Conversation = Generator[Exchange, bytes, str]
+Conversation = Generator[BootloaderExchange, bytes, str]
 """Yields what is to be exchanged, is sent the answer, and returns the bootloader's own name."""
 
 
 def flash(image: Image, progress: Callable[[float], None]) -> Conversation:
     """Write and read back an image; `progress` is told which share is done. Raises `RemoteError`: then the bootloader
     still runs, and it can be done again."""
-    name = (yield Exchange(b"S", 7)).decode("ascii", "replace")
+    name = (yield BootloaderExchange(b"S", 7)).decode("ascii", "replace")
     if not name.isprintable():
         raise RemoteError(f"no bootloader answers, but {name!r}")
-    signature = (yield Exchange(b"s", 3))[::-1]
+    signature = (yield BootloaderExchange(b"s", 3))[::-1]
     if signature != SIGNATURE:
         raise RemoteError(f"the bootloader is of {chip(signature)}, a Balboa 32U4 has an {chip(SIGNATURE)}")
-    if (size := (yield Exchange(b"b", 3))) != b"Y" + PAGE.to_bytes(2):
+    if (size := (yield BootloaderExchange(b"b", 3))) != b"Y" + PAGE.to_bytes(2):
         raise RemoteError(f"the bootloader takes no blocks of {PAGE} bytes (it says {size.hex(' ')})")
     yield from _confirmed(b"P", "programming mode")
     yield from _confirmed(b"e", "erasing", ERASE_S)
@@ -69,21 +69,21 @@ def flash(image: Image, progress: Callable[[float], None]) -> Conversation:
     return name
 
 
-def _confirmed(request: bytes, what: str, patience_s: float = ANSWER_S) -> Generator[Exchange, bytes, None]:
-    answer = yield Exchange(request, 1, patience_s)
+def _confirmed(request: bytes, what: str, patience_s: float = ANSWER_S) -> Generator[BootloaderExchange, bytes, None]:
+    answer = yield BootloaderExchange(request, 1, patience_s)
     if answer != _DONE:
         raise RemoteError(f"the bootloader refuses: {what} ({answer!r})")
 
 
-def _at(address: int) -> Generator[Exchange, bytes, None]:
+def _at(address: int) -> Generator[BootloaderExchange, bytes, None]:
     yield from _confirmed(b"A" + (address // 2).to_bytes(2), f"address {address:#06x}")  # it counts words
 
 
-def _write(address: int, data: bytes) -> Generator[Exchange, bytes, None]:
+def _write(address: int, data: bytes) -> Generator[BootloaderExchange, bytes, None]:
     yield from _at(address)
     yield from _confirmed(b"B" + len(data).to_bytes(2) + b"F" + data, f"writing at {address:#06x}")
 
 
-def _is(address: int, data: bytes) -> Generator[Exchange, bytes, bool]:
+def _is(address: int, data: bytes) -> Generator[BootloaderExchange, bytes, bool]:
     yield from _at(address)
-    return (yield Exchange(b"g" + len(data).to_bytes(2) + b"F", len(data))) == data
+    return (yield BootloaderExchange(b"g" + len(data).to_bytes(2) + b"F", len(data))) == data

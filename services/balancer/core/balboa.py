@@ -89,7 +89,7 @@ PROGRESS_SIZE = _PROGRESS.size
 """Bytes from UWB_STATE into the UWB block, to its age: what a reader of reports, tunes and answers waits for."""
 
 
-class Motion(NamedTuple):
+class MotionBlock(NamedTuple):
     """What is read in every tick."""
 
     left: int
@@ -122,7 +122,7 @@ class Housekeeping(NamedTuple):
     """Transfers that we left in the middle, wrapping at 256."""
 
 
-class Progress(NamedTuple):
+class UwbProgress(NamedTuple):
     """Whether there is something new."""
 
     uwb_state: int
@@ -171,10 +171,10 @@ def encode_leds(red: bool, yellow: bool, green: bool) -> bytes:
     return bytes((red, yellow, green))
 
 
-def decode_motion(data: bytes) -> Motion:
+def decode_motion(data: bytes) -> MotionBlock:
     """The bytes from ENCODERS to STATUS. Raises `RemoteError` on a short block."""
     left, right, buttons, status = _unpack(_MOTION, data, "encoders")
-    return Motion(left, right, buttons & 7, bool(status & STOPPED_BY_WATCHDOG))
+    return MotionBlock(left, right, buttons & 7, bool(status & STOPPED_BY_WATCHDOG))
 
 
 def encoder_step(old: int, new: int) -> int:
@@ -200,9 +200,9 @@ def decode_housekeeping(data: bytes) -> Housekeeping:
     )
 
 
-def decode_progress(data: bytes) -> Progress:
+def decode_progress(data: bytes) -> UwbProgress:
     """The bytes from UWB_STATE on. Raises `RemoteError` on a short block."""
-    return Progress(*_unpack(_PROGRESS, data, "progress"))
+    return UwbProgress(*_unpack(_PROGRESS, data, "progress"))
 
 
 def describe_reset(cause: int) -> str:

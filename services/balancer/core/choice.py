@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from services.balancer.core.body import BodyModel
 from services.balancer.core.controller import Controller
-from services.balancer.core.drive import Drive, Limits
+from services.balancer.core.drive import Drive, DriveLimits
 from services.balancer.core.feedback import StateFeedback
 from services.balancer.core.pololu import POLOLU, THESIS, Pololu
 from services.balancer.core.regulator import Regulator
@@ -19,5 +19,5 @@ REGULATORS: dict[str, Callable[[BodyModel], Regulator]] = {
 
 def make_controller(body: BodyModel, trim: float, settings: Balancing) -> Controller:
     """With its regulator and its limits; `trim` in rad. Raises `LocalError` for a body that cannot be balanced."""
-    limits = Limits(settings.max_speed, settings.max_turn_rate, settings.acceleration, settings.turn_acceleration)
+    limits = DriveLimits(settings.max_speed, settings.max_turn_rate, settings.acceleration, settings.turn_acceleration)
     return Controller(REGULATORS[settings.controller](body), Drive(body, limits), trim)

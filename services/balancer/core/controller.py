@@ -14,12 +14,12 @@ from collections.abc import Mapping
 
 from services.balancer.core import faults
 from services.balancer.core.drive import Drive, check_command
-from services.balancer.core.estimator import Estimate
-from services.balancer.core.faults import Fault
+from services.balancer.core.estimator import BodyEstimate
+from services.balancer.core.faults import MotorFault
 from services.balancer.core.lie_down import LieDown
-from services.balancer.core.parameters import Parameter, Parameters
+from services.balancer.core.parameters import BalancerParameter, BalancerParameters
 from services.balancer.core.regulator import DUTY_LIMIT, Deviation, Regulator, limited
-from services.balancer.core.stand_up import StandUp
+from services.balancer.core.stand_up import StandUpAttempt
 from swarm.errors import LocalError
 
 STARTING = "starting"
@@ -57,22 +57,22 @@ class Controller:
         self._regulator = regulator
         self._drive = drive
         limits = drive.limits
-        self._parameters = Parameters(
+        self._parameters = BalancerParameters(
             {
-                "trim": Parameter(trim, -0.5, 0.5),
-                "heading_gain": Parameter(drive.heading_gain, 0.0, 1.0),
-                "max_speed": Parameter(limits.speed, 0.0, limits.speed),
-                "max_turn_rate": Parameter(limits.turn_rate, 0.0, limits.turn_rate),
-                "acceleration": Parameter(limits.acceleration, 0.05, limits.acceleration),
-                "turn_acceleration": Parameter(limits.turn_acceleration, 0.5, limits.turn_acceleration),
+                "trim": BalancerParameter(trim, -0.5, 0.5),
+                "heading_gain": BalancerParameter(drive.heading_gain, 0.0, 1.0),
+                "max_speed": BalancerParameter(limits.speed, 0.0, limits.speed),
+                "max_turn_rate": BalancerParameter(limits.turn_rate, 0.0, limits.turn_rate),
+                "acceleration": BalancerParameter(limits.acceleration, 0.05, limits.acceleration),
+                "turn_acceleration": BalancerParameter(limits.turn_acceleration, 0.5, limits.turn_acceleration),
                 **regulator.parameters,
             }
         )
         self.mode = IDLE
-        self.fault: Fault | None = None
-        self._stand_up: StandUp | None = None
+        self.fault: MotorFault | None = None
+        self._stand_up: StandUpAttempt | None = None
         self._lie_down: LieDown | None = None
-        self._then: Fault | None = None
+        self._then: MotorFault | None = None
         self._since = 0.0
         self._count = 0
         self._full_power_s = 0.0
@@ -108,7 +108,7 @@ class Controller:
         elif mode == "stand":
             self.fault = None
             if self.mode not in (STANDING_UP, BALANCING):
-                self.mode, self._stand_up = STANDING_UP, StandUp(self.configured_trim, now)
+                self.mode, self._stand_up = STANDING_UP, StandUpAttempt(self.configured_trim, now)
         elif mode == "lie":
             if self.mode not in (BALANCING, LYING_DOWN):
                 raise LocalError(f"mode lie: only a balancing robot can lie down, this one is {self.mode}")
@@ -116,7 +116,7 @@ class Controller:
         else:
             self.check(mode)
 
-    def lie_down(self, now: float, fault: Fault) -> None:
+    def lie_down(self, now: float, fault: MotorFault) -> None:
         """Lie down if it stands, and be in fault at the end."""
         if self.mode == BALANCING:
             self._lie(now, fault)
@@ -125,7 +125,7 @@ class Controller:
         else:
             self.fail(fault)
 
-    def fail(self, fault: Fault) -> bool:
+    def fail(self, fault: MotorFault) -> bool:
         """Motors off until the next command. The first reason stays: what follows it is mostly its consequence.
 
         True where this is the first.
@@ -157,13 +157,13 @@ class Controller:
         if "trim" in values:
             self._trim = values["trim"]
 
-    def step(self, estimate: Estimate) -> tuple[float, float]:
+    def step(self, estimate: BodyEstimate) -> tuple[float, float]:
         """Duties of the left and right motor for this tick."""
         if not math.isfinite(sum(estimate)):  # one that is not spoils the sum
-            self.fail(Fault(faults.ESTIMATE, "the estimate is not a number"))
+            self.fail(MotorFault(faults.ESTIMATE, "the estimate is not a number"))
         self._stuck = self._stuck + 1 if estimate.dt <= 0.0 else 0
         if self._stuck >= STUCK_TICKS:
-            self.fail(Fault(faults.CLOCK, f"the clock has not advanced for {self._stuck} ticks"))
+            self.fail(MotorFault(faults.CLOCK, f"the clock has not advanced for {self._stuck} ticks"))
         if estimate.t < self._last:
             self._clock_went_back()
         self._last = estimate.t
@@ -185,14 +185,14 @@ class Controller:
     def _clock_went_back(self) -> None:
         """Balancing bears it; but what ends at a time (a command, a swing) might go on for as long as it went back."""
         if self.mode in (STANDING_UP, LYING_DOWN):
-            self.fail(Fault(faults.CLOCK, f"the clock went back while {self.mode.replace('_', ' ')}"))
+            self.fail(MotorFault(faults.CLOCK, f"the clock went back while {self.mode.replace('_', ' ')}"))
         self._drive.halt()
 
-    def _standing_up(self, estimate: Estimate) -> float:
+    def _standing_up(self, estimate: BodyEstimate) -> float:
         assert self._stand_up is not None  # of this mode
         duty = self._stand_up.step(estimate)
         if self._stand_up.failure:
-            self.fail(Fault(faults.CANNOT_STAND, self._stand_up.failure))
+            self.fail(MotorFault(faults.CANNOT_STAND, self._stand_up.failure))
         elif self._stand_up.caught:
             self.mode = BALANCING
             self._since = estimate.t
@@ -202,12 +202,12 @@ class Controller:
             self._regulator.reset(self._stand_up.last_duty, estimate.tilt - self._trim)
         return duty
 
-    def _lie(self, now: float, then: Fault | None) -> None:
+    def _lie(self, now: float, then: MotorFault | None) -> None:
         if self.mode != LYING_DOWN:
             self.mode, self._lie_down = LYING_DOWN, LieDown(now)
         self._then = then
 
-    def _lying_down(self, estimate: Estimate) -> float:
+    def _lying_down(self, estimate: BodyEstimate) -> float:
         assert self._lie_down is not None  # of this mode
         duty = self._lie_down.step(estimate)
         if self._lie_down.done:
@@ -216,7 +216,7 @@ class Controller:
                 self.fail(self._then)
         return duty
 
-    def _balance(self, estimate: Estimate) -> float:
+    def _balance(self, estimate: BodyEstimate) -> float:
         tilt = estimate.tilt - self._trim
         self._count = self._count + 1 if abs(tilt) > FALLEN else 0
         if self._count >= FALLEN_TICKS:
@@ -233,17 +233,17 @@ class Controller:
         else:
             self._full_power_s += estimate.dt
             if self._full_power_s > FULL_POWER_S:
-                self.fail(Fault(faults.LIFTED, "full power for too long: are the wheels in the air?"))
+                self.fail(MotorFault(faults.LIFTED, "full power for too long: are the wheels in the air?"))
         return duty
 
     def _fallen(self, now: float) -> None:
         attempt = self._stand_up
         if attempt is None or not attempt.swung or now - self._since >= PROVEN_S:
-            self.fail(Fault(faults.FELL, "fell"))
+            self.fail(MotorFault(faults.FELL, "fell"))
             return
         attempt.try_again(now)
         if attempt.failure:
-            self.fail(Fault(faults.CANNOT_STAND, attempt.failure))
+            self.fail(MotorFault(faults.CANNOT_STAND, attempt.failure))
         else:
             self.mode = STANDING_UP
 

@@ -27,7 +27,7 @@ TURN_LIMIT = 0.25
 """Duty: beside the 0.75 of balancing no motor gets more than all."""
 
 
-class Limits(NamedTuple):
+class DriveLimits(NamedTuple):
     """Of driving."""
 
     speed: float
@@ -51,7 +51,7 @@ def check_command(speed: float, turn_rate: float, seconds: float) -> None:
 class Drive:
     """The moving set-point."""
 
-    def __init__(self, body: BodyModel, limits: Limits) -> None:
+    def __init__(self, body: BodyModel, limits: DriveLimits) -> None:
         self.limits = limits
         """May be replaced at any time."""
         self.heading_gain = HEADING_GAIN

@@ -25,7 +25,7 @@ LOST_TRACK_S = 0.5
 """After a gap this long the integral is worthless: tilt is taken from gravity anew."""
 
 
-class Estimate(NamedTuple):
+class BodyEstimate(NamedTuple):
     """The state of the body at one tick."""
 
     t: float
@@ -87,7 +87,7 @@ class Estimator:
         """Samples were missed (a bus failure): begin anew from gravity and the next counters; keep the way."""
         self._last = None
 
-    def update(self, reading: imu.Reading, counters: tuple[int, int], now: float) -> Estimate:
+    def update(self, reading: imu.ImuReading, counters: tuple[int, int], now: float) -> BodyEstimate:
         """Take one sample. Raises `RemoteError` when the counters jumped (the ATmega was reset); the next is good."""
         rate = reading.pitch_rate - self.gyro_zero.pitch
         if self._last is None or now - self._last > LOST_TRACK_S:
@@ -111,7 +111,7 @@ class Estimator:
         self._heading.update(self._turn_rate, (steps_m[1] - steps_m[0]) / self._track, sum(steps_m) / 2, dt)
         return self._estimate(now, dt)
 
-    def _begin(self, reading: imu.Reading, rate: float, counters: tuple[int, int], now: float) -> Estimate:
+    def _begin(self, reading: imu.ImuReading, rate: float, counters: tuple[int, int], now: float) -> BodyEstimate:
         tilt = imu.gravity_tilt(reading)
         self._tilt_origin += tilt - self._tilt
         self._tilt, self._rate, self._counters, self._last = tilt, rate, counters, now
@@ -119,7 +119,7 @@ class Estimator:
         self._way, self._speed, self._last_speed = estimate.way, 0.0, 0.0
         return estimate._replace(speed=0.0)
 
-    def _integrate(self, reading: imu.Reading, rate: float, dt: float) -> None:
+    def _integrate(self, reading: imu.ImuReading, rate: float, dt: float) -> None:
         tilt = self._tilt + dt * (rate + self._rate) / 2
         self._rate = rate
         force = math.hypot(reading.up, reading.back)
@@ -145,14 +145,14 @@ class Estimator:
         per_count = self._radians_per_count
         return self._radius * (left * per_count + body_turn), self._radius * (right * per_count + body_turn)
 
-    def _estimate(self, now: float, dt: float) -> Estimate:
+    def _estimate(self, now: float, dt: float) -> BodyEstimate:
         left, right = self._left_and_right()
         way = (left + right) / 2
         if dt > 0.0:
             self._speed += ((way - self._way) / dt - self._speed) * dt / (SPEED_TIME_S + dt)
         self._way = way
         heading = self._heading
-        return Estimate(
+        return BodyEstimate(
             now,
             dt,
             self._tilt,

@@ -28,7 +28,7 @@ RECOVERY = {
 }
 
 
-class Fault(NamedTuple):
+class MotorFault(NamedTuple):
     """Why the motors are off."""
 
     name: str

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from services.balancer.core import lqr
 from services.balancer.core.body import BodyModel
-from services.balancer.core.parameters import Parameter, around
+from services.balancer.core.parameters import BalancerParameter, around
 from services.balancer.core.regulator import DUTY_LIMIT, Demand, Deviation, limited
 
 GAINS = ("k_way", "k_speed", "k_tilt", "k_tilt_rate", "k_last")
@@ -19,7 +19,7 @@ class StateFeedback:
 
     def __init__(self, body: BodyModel) -> None:
         self._gains = lqr.gains(body)
-        self.parameters: Mapping[str, Parameter] = {
+        self.parameters: Mapping[str, BalancerParameter] = {
             name: around(gain) for name, gain in zip(GAINS, self._gains, strict=True)
         }
         self._duty_per_speed, self._tilt_per_acceleration, self._duty_per_acceleration = lqr.feed_forward(body)

@@ -7,7 +7,7 @@ are at rest and say something else.
 import math
 from typing import NamedTuple
 
-from services.balancer.core.imu import Reading
+from services.balancer.core.imu import ImuReading
 
 SETTLE_S = 1.0
 """The sensor's filters need this long after it was set up."""
@@ -43,7 +43,7 @@ class GyroZero:
         self.restarts = 0
         """How often the robot was moved meanwhile."""
 
-    def add(self, reading: Reading, now: float) -> Zero | None:
+    def add(self, reading: ImuReading, now: float) -> Zero | None:
         """Take a sample; returns the zero once it is known."""
         if self._start is None:
             self._start = now

@@ -10,7 +10,7 @@ TELL_S = 1.0
 _LOOK = read(balboa.BUTTONS, balboa.HOUSEKEEPING_SIZE)
 
 
-class Health:
+class BoardHealth:
     """A slack task: reads the housekeeping twice a second."""
 
     def __init__(self, now: float) -> None:

@@ -51,7 +51,7 @@ class Rates(NamedTuple):
     """Specific force, m/s^2."""
 
 
-class Reading(NamedTuple):
+class ImuReading(NamedTuple):
     """One sample of both sensors, of the axes the balancer uses."""
 
     pitch_rate: float
@@ -81,7 +81,7 @@ def check_setup(registers: bytes) -> None:
         )
 
 
-def decode(block: bytes) -> Reading:
+def decode(block: bytes) -> ImuReading:
     """Turn a block read into SI units.
 
     Raises `RemoteError` on a short block, and on one whose acceleration is exactly zero on all axes: that is no free
@@ -92,7 +92,7 @@ def decode(block: bytes) -> Reading:
     up_rate, rate, back_rate, up, side, back = _WORDS.unpack(block)
     if up == side == back == 0:
         raise RemoteError("IMU: no data, it was reset")
-    return Reading(
+    return ImuReading(
         rate * GYRO_SCALE,
         up * ACCELERATION_SCALE,
         back * ACCELERATION_SCALE,
@@ -110,7 +110,7 @@ def decode_all(block: bytes) -> Rates:
     )
 
 
-def gravity_tilt(reading: Reading, tilt: float = 0.0, acceleration: float = 0.0) -> float:
+def gravity_tilt(reading: ImuReading, tilt: float = 0.0, acceleration: float = 0.0) -> float:
     """Tilt from upright by gravity, rad.
 
     The sensor feels gravity and its own acceleration alike: while the wheels accelerate the body, give what is known of

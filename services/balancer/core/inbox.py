@@ -11,7 +11,7 @@ ROOM_BYTES = 256 * 1024
 """Bytes that all waiting payloads may have together."""
 
 
-class Waiting(NamedTuple):
+class WaitingCommand(NamedTuple):
     """A command as it came from the bus."""
 
     name: str
@@ -28,7 +28,7 @@ class Inbox:
         """`newest_only`: the key of which a new command replaces the one that waits."""
         self._newest_only = newest_only
         self._number = 0
-        self._waiting: dict[int, Waiting] = {}
+        self._waiting: dict[int, WaitingCommand] = {}
         """In the order in which they came."""
         self._numbers: dict[str, list[int]] = {}
         """Of the commands that wait, by key."""
@@ -39,7 +39,7 @@ class Inbox:
         """Whether there is something to take, or a loss to tell of."""
         return bool(self._waiting or self._dropped)
 
-    def put(self, command: Waiting) -> None:
+    def put(self, command: WaitingCommand) -> None:
         """Keep a command, or count it as dropped where there is no room for it."""
         numbers = self._numbers.setdefault(command.name, [])
         if numbers and command.name == self._newest_only:
@@ -52,9 +52,9 @@ class Inbox:
         self._bytes += len(command.payload)
         numbers.append(self._number)
 
-    def take(self, most: int) -> list[Waiting]:
+    def take(self, most: int) -> list[WaitingCommand]:
         """The `most` commands that have waited longest, or fewer, the oldest first."""
-        taken: list[Waiting] = []
+        taken: list[WaitingCommand] = []
         while self._waiting and len(taken) < most:
             command = self._waiting.pop(next(iter(self._waiting)))
             self._numbers[command.name].pop(0)

@@ -60,7 +60,7 @@ def _own(mode: str, now: float) -> Shown:
     return False, mode in (STARTING, STANDING_UP, LYING_DOWN), mode == BALANCING
 
 
-class Order(NamedTuple):
+class LedOrder(NamedTuple):
     """What an app wants shown, and from when until when, s."""
 
     leds: Shown
@@ -68,15 +68,15 @@ class Order(NamedTuple):
     until: float
 
 
-class Claim:
+class LedClaim:
     """The app's orders: the one in force, and those whose time is to come."""
 
     def __init__(self) -> None:
-        self._current: Order | None = None
-        self._coming: list[Order] = []
+        self._current: LedOrder | None = None
+        self._coming: list[LedOrder] = []
         """By time."""
 
-    def take(self, order: Order, now: float) -> bool:
+    def take(self, order: LedOrder, now: float) -> bool:
         """From `order.at` on this one holds, whatever was said of that time before. False where too many wait."""
         before = [other for other in self._coming if other.at < order.at]
         if order.at <= now:
@@ -88,7 +88,7 @@ class Claim:
         self._coming = before
         return True
 
-    def order(self, leds: Shown, seconds: float, now: float, at: float | None) -> Order:
+    def order(self, leds: Shown, seconds: float, now: float, at: float | None) -> LedOrder:
         """Take an order from the time `at` on, or at once, and return it.
 
         Raises `LocalError` for a wrong time, or where too many orders wait for theirs.
@@ -98,7 +98,7 @@ class Claim:
         if at is not None and not at <= now + LONGEST_AHEAD_S:
             raise LocalError(f"leds: at: expected at most {LONGEST_AHEAD_S:g} s from now on, got {at - now:.6g}")
         begin = now if at is None else at
-        order = Order(leds, begin, begin + seconds)
+        order = LedOrder(leds, begin, begin + seconds)
         if not self.take(order, now):
             raise LocalError(f"leds: {MOST_AHEAD} orders wait for their time already")
         return order

@@ -6,7 +6,7 @@ touches the floor at 5 to 8 rad/s in place of 12 to 16 with the motors off, with
 
 import math
 
-from services.balancer.core.estimator import Estimate
+from services.balancer.core.estimator import BodyEstimate
 from services.balancer.core.posture import lies
 
 TIP_DUTY = -0.4
@@ -31,7 +31,7 @@ class LieDown:
         self.done = False
         """Whether it is over, motors off."""
 
-    def step(self, estimate: Estimate) -> float:
+    def step(self, estimate: BodyEstimate) -> float:
         """Duty of both motors for this tick; look at `done` afterwards."""
         passed = estimate.t - self._since
         self._down |= abs(estimate.tilt) > DOWN or passed > LONGEST_S

@@ -27,7 +27,7 @@ what somebody asked before us, when it does not acknowledge."""
 _STATE = read(balboa.MAILBOX_STATE, 4)
 
 
-class State(enum.IntEnum):
+class MailboxState(enum.IntEnum):
     """MAILBOX_STATE."""
 
     EMPTY = 0
@@ -38,9 +38,9 @@ class State(enum.IntEnum):
 
 
 PROBLEMS = {
-    State.EMPTY: "the ATmega was reset meanwhile",
-    State.SILENT: "the module does not answer",
-    State.BROKEN: "what came is no answer: is the module in shell mode?",
+    MailboxState.EMPTY: "the ATmega was reset meanwhile",
+    MailboxState.SILENT: "the module does not answer",
+    MailboxState.BROKEN: "what came is no answer: is the module in shell mode?",
 }
 
 
@@ -73,7 +73,7 @@ class Mailbox:
         self._failures = 0
         self._answer = bytearray()
         self._length = 0
-        self._state = State.EMPTY
+        self._state = MailboxState.EMPTY
 
     @property
     def active(self) -> bool:
@@ -141,12 +141,12 @@ class Mailbox:
     def _waited(self, data: bytes, now: float) -> None:
         self._look_at = now + WAIT_S
         try:
-            self._state = State(data[0])
+            self._state = MailboxState(data[0])
         except ValueError:
             raise RemoteError(f"ATmega: MAILBOX_STATE is {data[0]}, there is none") from None
-        if self._state == State.BUSY:
+        if self._state == MailboxState.BUSY:
             return
-        if data[1] != self._token and self._state != State.EMPTY:
+        if data[1] != self._token and self._state != MailboxState.EMPTY:
             self._end(now, "another answer is in the mailbox: does somebody else use the ATmega?")
             return
         self._length = min(int.from_bytes(data[2:], "little"), 10 * balboa.WINDOW_SIZE)

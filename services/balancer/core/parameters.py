@@ -7,7 +7,7 @@ from typing import NamedTuple
 from swarm.errors import LocalError
 
 
-class Parameter(NamedTuple):
+class BalancerParameter(NamedTuple):
     """One of them."""
 
     value: float
@@ -16,10 +16,10 @@ class Parameter(NamedTuple):
     high: float
 
 
-class Parameters:
+class BalancerParameters:
     """The values in force."""
 
-    def __init__(self, table: Mapping[str, Parameter]) -> None:
+    def __init__(self, table: Mapping[str, BalancerParameter]) -> None:
         self._table = dict(table)
         self.values = {name: parameter.value for name, parameter in table.items()}
 
@@ -34,7 +34,7 @@ class Parameters:
         self.values.update(values)
 
 
-def around(value: float, factor: float = 3.0) -> Parameter:
+def around(value: float, factor: float = 3.0) -> BalancerParameter:
     """A gain that may be changed to a `factor` less or more, its sign kept."""
     low, high = sorted((value / factor, value * factor))
-    return Parameter(value, low, high)
+    return BalancerParameter(value, low, high)

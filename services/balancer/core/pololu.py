@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from services.balancer.core.body import BodyModel
 from services.balancer.core.lqr import PERIOD_S
-from services.balancer.core.parameters import Parameter
+from services.balancer.core.parameters import BalancerParameter
 from services.balancer.core.regulator import Demand, Deviation, limited
 
 
@@ -50,11 +50,11 @@ class Pololu:
     tilt_per_way = 0.0
 
     def __init__(self, body: BodyModel, constants: Constants) -> None:
-        self.parameters: Mapping[str, Parameter] = {
-            "angle_rate_ratio": Parameter(constants.angle_rate_ratio, 50.0, 400.0),
-            "angle_response": Parameter(constants.angle_response, 2.0, 30.0),
-            "distance_response": Parameter(constants.distance_response, 0.0, 300.0),
-            "speed_response": Parameter(constants.speed_response, 500.0, 9000.0),
+        self.parameters: Mapping[str, BalancerParameter] = {
+            "angle_rate_ratio": BalancerParameter(constants.angle_rate_ratio, 50.0, 400.0),
+            "angle_response": BalancerParameter(constants.angle_response, 2.0, 30.0),
+            "distance_response": BalancerParameter(constants.distance_response, 0.0, 300.0),
+            "speed_response": BalancerParameter(constants.speed_response, 500.0, 9000.0),
         }
         self._limit = constants.limit
         self._radius = body.wheel_radius

@@ -2,7 +2,7 @@
 
 import math
 
-from services.balancer.core.estimator import Estimate
+from services.balancer.core.estimator import BodyEstimate
 
 UPRIGHT = math.radians(20)
 """Held within this angle it can be caught and balanced."""
@@ -28,7 +28,7 @@ def lies(tilt: float, tilt_rate: float = 0.0) -> bool:
     return LYING[0] < abs(tilt) < LYING[1] and abs(tilt_rate) < LYING_RATE
 
 
-def at_rest(estimate: Estimate) -> bool:
+def at_rest(estimate: BodyEstimate) -> bool:
     """Whether neither body nor wheels move: lying, or standing in a hand that is steady."""
     return (
         abs(estimate.tilt_rate) < REST_RATE and abs(estimate.speed) < REST_SPEED and abs(estimate.turn_rate) < REST_RATE

@@ -7,7 +7,7 @@ Heading is none of theirs: the difference between the motors is added afterwards
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
-from services.balancer.core.parameters import Parameter
+from services.balancer.core.parameters import BalancerParameter
 
 DUTY_LIMIT = 0.75
 """300 of 400, Pololu's limit for the sake of the motors."""
@@ -43,7 +43,7 @@ STANDSTILL = Demand(0.0, 0.0)
 class Regulator(Protocol):
     """A balancing controller."""
 
-    parameters: Mapping[str, Parameter]
+    parameters: Mapping[str, BalancerParameter]
     """What may be changed while it runs, with the values it begins with."""
 
     @property

@@ -8,7 +8,7 @@ look --held upright--------------------------> caught
 
 import math
 
-from services.balancer.core.estimator import Estimate
+from services.balancer.core.estimator import BodyEstimate
 from services.balancer.core.posture import UPRIGHT, lies
 from services.balancer.core.regulator import DUTY_LIMIT
 
@@ -25,7 +25,7 @@ PATIENCE_S = 10.0
 """How long it looks for a position it can stand up from."""
 
 
-class StandUp:
+class StandUpAttempt:
     """One order to stand up, with all its tries."""
 
     def __init__(self, trim: float, now: float) -> None:
@@ -52,7 +52,7 @@ class StandUp:
         """Commanded when it was caught: balancing goes on from there."""
         return math.copysign(DUTY_LIMIT, self._power) if self.swung else 0.0
 
-    def step(self, estimate: Estimate) -> float:
+    def step(self, estimate: BodyEstimate) -> float:
         """Duty of both motors for this tick; look at `caught` and `failure` afterwards."""
         now, tilt = estimate.t, estimate.tilt - self._trim
         if self._phase == "look":
@@ -81,7 +81,7 @@ class StandUp:
         self._since = self._phase_since = now
         self._count = 0
 
-    def _looking(self, estimate: Estimate, tilt: float) -> float:
+    def _looking(self, estimate: BodyEstimate, tilt: float) -> float:
         now = estimate.t
         self._count = self._count + 1 if abs(tilt) < UPRIGHT else 0
         if self._count >= UPRIGHT_TICKS:

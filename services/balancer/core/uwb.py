@@ -38,7 +38,7 @@ _SLICES = tuple(read(balboa.UWB + at, min(LONGEST, balboa.UWB_SIZE - at)) for at
 _LOOK = read(balboa.UWB_STATE, balboa.PROGRESS_SIZE)
 
 
-class State(enum.IntEnum):
+class UwbState(enum.IntEnum):
     """UWB_STATE: what became of the last poll."""
 
     SILENT = 0
@@ -56,7 +56,7 @@ def check(block: bytes) -> int:
     return sequence if sequence == _HEAD.unpack_from(block)[0] else 0
 
 
-def decode(block: bytes, t: float, progress: balboa.Progress, bad: int, sequence: int, lost: int) -> Uwb:
+def decode(block: bytes, t: float, progress: balboa.UwbProgress, bad: int, sequence: int, lost: int) -> Uwb:
     """The message of a block that `check` accepted, selected at `t`; `bad`, `sequence` and `lost` go into it.
 
     Raises `RemoteError` where the block says what the firmware lets no report say.
@@ -85,7 +85,7 @@ def _percent(value: int) -> int:
 
 def _name(state: int) -> str:
     try:
-        return State(state).name.lower()
+        return UwbState(state).name.lower()
     except ValueError:
         raise RemoteError(f"ATmega: UWB_STATE is {state}, there is none") from None
 
@@ -97,7 +97,7 @@ class UwbReader:
     """
 
     def __init__(self, now: float) -> None:
-        self.progress: balboa.Progress | None = None
+        self.progress: balboa.UwbProgress | None = None
         self.news: Uwb | None = None
         """What is to be told; whoever takes it sets None."""
         self._look_at = now
@@ -145,7 +145,7 @@ class UwbReader:
         """The ATmega was reset or was away."""
         self._slice, self._seen, self._last_bad, self._bad, self._torn = -1, 0, 0, 0, 0
 
-    def _looked(self, progress: balboa.Progress, now: float) -> None:
+    def _looked(self, progress: balboa.UwbProgress, now: float) -> None:
         self._look_at = now + LOOK_S
         if progress.uwb_sequence == 0 and self._seen:
             self.restart()

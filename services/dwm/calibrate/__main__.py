@@ -7,13 +7,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from services.dwm.calibrate import making, plots
-from services.dwm.calibrate.making import Data
+from services.dwm.calibrate.making import CalibrationData
 from services.dwm.calibrate.session import Hearing, hold
 from services.dwm.core import calibration_file, fitting
 from services.dwm.core.calibration_file import CalibrationFile
 from services.dwm.core.filters import Place
 from services.dwm.core.guide import QUARTERS, SAMPLES, Guide, grid
-from services.dwm.core.samples import Point, Sample, groups, of_recording
+from services.dwm.core.samples import Point, RangeSample, groups, of_recording
 from services.dwm.localizer import calibration_path, load_calibration
 from swarm import clock
 from swarm import config as configuration
@@ -51,7 +51,7 @@ def main() -> int:
 
 def guided(options: argparse.Namespace, config: Config, robot: str) -> int:
     """`distance` and `position`: a session, a fit, the file."""
-    data = Data.of(_session(options, config, robot, _places(options, config)), _modules(options, config))
+    data = CalibrationData.of(_session(options, config, robot, _places(options, config)), _modules(options, config))
     return _make(options, config, robot, data, (options.command,))
 
 
@@ -61,7 +61,7 @@ def fit(options: argparse.Namespace, config: Config, robot: str) -> int:
     if options.thesis:
         print(making.thesis_text(found))
         return 0
-    data = Data.of(found, _modules(options, config))
+    data = CalibrationData.of(found, _modules(options, config))
     wanted = [name for name, there in (("distance", data.groups), ("position", data.spots)) if there]
     return _make(options, config, robot, data, (options.only,) if options.only else tuple(wanted) or ("distance",))
 
@@ -75,7 +75,7 @@ def check(options: argparse.Namespace, config: Config, robot: str) -> int:
         found = making.read(options.samples)
     else:
         found = _session(options, config, robot, _places(options, config))
-    lines, good = making.verdict(models, file, Data.of(found, _modules(options, config)))
+    lines, good = making.verdict(models, file, CalibrationData.of(found, _modules(options, config)))
     print("\n".join(lines))
     return 0 if good else 1
 
@@ -107,7 +107,9 @@ def offset(options: argparse.Namespace, config: Config, robot: str) -> int:
     return 0
 
 
-def _make(options: argparse.Namespace, config: Config, robot: str, data: Data, parts: tuple[str, ...]) -> int:
+def _make(
+    options: argparse.Namespace, config: Config, robot: str, data: CalibrationData, parts: tuple[str, ...]
+) -> int:
     """Fit, tell, draw, write."""
     made = datetime.now(UTC).isoformat(timespec="seconds")
     file = CalibrationFile("", "", ())
@@ -134,7 +136,7 @@ def _make(options: argparse.Namespace, config: Config, robot: str, data: Data, p
     return 0
 
 
-def _session(options: argparse.Namespace, config: Config, robot: str, places: list[Place]) -> list[Sample]:
+def _session(options: argparse.Namespace, config: Config, robot: str, places: list[Place]) -> list[RangeSample]:
     guide = Guide(places, QUARTERS[: options.orientations], options.count)
     module = config.dwm.target or (config.anchors[0].address if config.anchors else "")
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")

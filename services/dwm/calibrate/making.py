@@ -9,7 +9,7 @@ from services.dwm.core import calibration_file, fitting, samples, thesis
 from services.dwm.core.calibration import Calibration
 from services.dwm.core.calibration_file import CalibrationFile, Evidence
 from services.dwm.core.filters import mean
-from services.dwm.core.samples import Group, Point, Sample, Spot
+from services.dwm.core.samples import Point, RangeSample, SampleGroup, Spot
 from swarm.config.types import Anchor
 from swarm.errors import LocalError, RecordingError
 from swarm.files import atomic_write, make_folder
@@ -20,25 +20,25 @@ SLACK = 0.01
 
 
 @frozen
-class Data:
+class CalibrationData:
     """Samples, and what can be compared with the truth."""
 
-    samples: tuple[Sample, ...]
-    groups: tuple[Group, ...]
+    samples: tuple[RangeSample, ...]
+    groups: tuple[SampleGroup, ...]
     spots: tuple[Spot, ...]
 
     @classmethod
-    def of(cls, found: Sequence[Sample], modules: Mapping[str, Point]) -> "Data":
+    def of(cls, found: Sequence[RangeSample], modules: Mapping[str, Point]) -> "CalibrationData":
         """`modules`: places of those whose ranges count."""
         return cls(tuple(found), tuple(samples.groups(found, modules)), tuple(samples.spots(found)))
 
 
-def read(path: Path) -> list[Sample]:
+def read(path: Path) -> list[RangeSample]:
     """The samples of a file, or of all `*.csv` of a folder. Places of different files are different places."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
     if not files:
         raise RecordingError(f"{path}: holds no *.csv")
-    found: list[Sample] = []
+    found: list[RangeSample] = []
     for file in files:
         try:
             text = file.read_text("utf-8", "replace")
@@ -49,7 +49,7 @@ def read(path: Path) -> list[Sample]:
     return found
 
 
-def distance_part(data: Data, made: str) -> tuple[CalibrationFile, fitting.Fit]:
+def distance_part(data: CalibrationData, made: str) -> tuple[CalibrationFile, fitting.FittedRanges]:
     """A file with the ranges' model alone, without robot and layout yet."""
     if not data.groups:
         raise LocalError(
@@ -62,7 +62,7 @@ def distance_part(data: Data, made: str) -> tuple[CalibrationFile, fitting.Fit]:
     return CalibrationFile("", "", (), distance=part), fit
 
 
-def position_part(data: Data, made: str) -> tuple[CalibrationFile, fitting.PlaceFitted]:
+def position_part(data: CalibrationData, made: str) -> tuple[CalibrationFile, fitting.PlaceFitted]:
     """A file with the places' model alone, without robot and layout yet."""
     fit = fitting.fit_places(data.spots)
     evidence = _evidence(fit.name, made, data, len(data.spots), fit.left_out, fit.nested)
@@ -102,7 +102,7 @@ def fit_text(what: str, name: str, left_out: Mapping[str, float], nested: float,
     return "\n".join(lines)
 
 
-def thesis_text(found: Sequence[Sample]) -> str:
+def thesis_text(found: Sequence[RangeSample]) -> str:
     """The thesis' figures from these samples, which must be its own."""
     d, p = thesis.distances(found), thesis.positions(found)
     ((a, b), (c, e)), (u, v) = p.model.matrix, p.model.offset
@@ -123,7 +123,7 @@ def thesis_text(found: Sequence[Sample]) -> str:
     )
 
 
-def verdict(models: Calibration, file: CalibrationFile | None, data: Data) -> tuple[list[str], bool]:
+def verdict(models: Calibration, file: CalibrationFile | None, data: CalibrationData) -> tuple[list[str], bool]:
     """What fresh samples say of the models in use, and whether they may stay."""
     lines: list[str] = []
     good = True
@@ -157,7 +157,9 @@ def _judge(lines: list[str], what: str, errors: Sequence[float], nested: float |
     return rms <= limit
 
 
-def _evidence(name: str, made: str, data: Data, places: int, left_out: Mapping[str, float], nested: float) -> Evidence:
+def _evidence(
+    name: str, made: str, data: CalibrationData, places: int, left_out: Mapping[str, float], nested: float
+) -> Evidence:
     return Evidence(name, made, places, len(data.samples), samples.digest(data.samples), left_out, nested, ())
 
 

@@ -4,7 +4,7 @@ from math import hypot
 from pathlib import Path
 from typing import Any
 
-from services.dwm.calibrate.making import Data
+from services.dwm.calibrate.making import CalibrationData
 from services.dwm.core.calibration import RangeModel, position
 from services.dwm.core.filters import inliers, inlying_places
 from services.dwm.core.fitting import error_of, place_error
@@ -14,7 +14,7 @@ from swarm.errors import LocalError
 _RAW, _FILTERED, _MODEL, _TRUTH, _OUTLIER = "0.7", "black", "#d55e00", "#0072b2", "#cc3311"
 
 
-def draw(data: Data, ranges: RangeModel | None, places: Affine | None, path: Path) -> None:
+def draw(data: CalibrationData, ranges: RangeModel | None, places: Affine | None, path: Path) -> None:
     """Write the picture of what was fitted; raises `LocalError` where matplotlib is missing."""
     try:
         import matplotlib as mpl
@@ -37,7 +37,7 @@ def draw(data: Data, ranges: RangeModel | None, places: Affine | None, path: Pat
     plt.close(figure)
 
 
-def _ranges(axes: Any, data: Data, model: RangeModel) -> None:
+def _ranges(axes: Any, data: CalibrationData, model: RangeModel) -> None:
     """Figure 2.10: reported minus true distance, so that both panels of the original are one."""
     for group in data.groups:
         kept = set(inliers(group.values))
@@ -56,14 +56,14 @@ def _ranges(axes: Any, data: Data, model: RangeModel) -> None:
     axes.legend()
 
 
-def _range_distribution(axes: Any, data: Data, model: RangeModel) -> None:
+def _range_distribution(axes: Any, data: CalibrationData, model: RangeModel) -> None:
     """Figure 2.11."""
     raw = [abs(value - g.true) for g in data.groups for value in g.values]
     calibrated = [abs(error_of(model, g, value)) for g in data.groups for value in g.values]
     _cumulative(axes, {"raw": raw, "calibrated": calibrated}, "range error (cm)")
 
 
-def _map(axes: Any, data: Data, model: Affine) -> None:
+def _map(axes: Any, data: CalibrationData, model: Affine) -> None:
     """Figures 2.12 and 2.13: where the places come out, and what error is left."""
     for spot in data.spots:
         kept = set(inlying_places(spot.values))
@@ -81,7 +81,7 @@ def _map(axes: Any, data: Data, model: Affine) -> None:
     axes.set_ylabel("y (m); numbers: error in cm (part of the uncalibrated)")
 
 
-def _place_distribution(axes: Any, data: Data, model: Affine) -> None:
+def _place_distribution(axes: Any, data: CalibrationData, model: Affine) -> None:
     """Figure 2.14."""
     raw = [hypot(x - s.x, y - s.y) for s in data.spots for x, y in s.values]
     calibrated = [place_error(model, s, value) for s in data.spots for value in s.values]

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO
 
-from services.dwm.core.guide import Guide, Press
+from services.dwm.core.guide import Guide, GuideButton
 from services.dwm.core.samples import HEADER, write
 from swarm.bus.zenoh_bus import Bus
 from swarm.errors import BusError, LocalError, PayloadError
@@ -24,8 +24,8 @@ from swarm.messages import Buttons, Pose, Ranges, read
 from swarm.messages.keys import key
 
 KEYS = {
-    " ": Press.START, "\n": Press.START, "\r": Press.START, "s": Press.START,
-    "n": Press.NEXT, "r": Press.REDO, "q": Press.QUIT, "\x04": Press.QUIT,
+    " ": GuideButton.START, "\n": GuideButton.START, "\r": GuideButton.START, "s": GuideButton.START,
+    "n": GuideButton.NEXT, "r": GuideButton.REDO, "q": GuideButton.QUIT, "\x04": GuideButton.QUIT,
 }  # fmt: skip
 """What a key means; of a line from a pipe the first letter counts, an empty one starts."""
 
@@ -83,13 +83,13 @@ class Presses:
     def __init__(self) -> None:
         self._last: tuple[int, int, int] | None = None
 
-    def take(self, message: Buttons) -> list[Press]:
+    def take(self, message: Buttons) -> list[GuideButton]:
         """What was pressed since the message before."""
         counts = (message.presses_a, message.presses_b, message.presses_c)
         last, self._last = self._last, counts
         if last is None or any(new < old for new, old in zip(counts, last, strict=True)):
             return []  # the first message, or the balancer began anew
-        meanings = (Press.START, Press.NEXT, Press.REDO)
+        meanings = (GuideButton.START, GuideButton.NEXT, GuideButton.REDO)
         return [what for what, new, old in zip(meanings, counts, last, strict=True) for _ in range(new - old)]
 
 
@@ -115,7 +115,7 @@ class Keyboard:
         finally:
             termios.tcsetattr(self._stream, termios.TCSADRAIN, saved)
 
-    def pressed(self, wait: float, *, waiting: bool) -> Press | None:
+    def pressed(self, wait: float, *, waiting: bool) -> GuideButton | None:
         """What was pressed within `wait` s. A pipe is only read while the guide is `waiting`; its end means quit."""
         if not self._is_terminal and not waiting:
             return None
@@ -130,7 +130,7 @@ class Keyboard:
             return next((KEYS[letter] for letter in text.lower() if letter in KEYS), None)
         line, end, rest = self._rest.partition(b"\n")
         if not end:
-            return Press.QUIT if self._ended else None
+            return GuideButton.QUIT if self._ended else None
         self._rest = rest
         return KEYS.get((line.decode(errors="replace").strip().lower() + "\n")[0])
 

@@ -1,6 +1,6 @@
 """What the balancer tells of a DWM1001 that is wired to the ATmega32U4 (`balancer/uwb`), as a poller would tell it."""
 
-from services.dwm.core.poller import Health, Report
+from services.dwm.core.poller import ModuleHealth, ModuleReport
 from services.dwm.core.tlv import ERRORS, AnchorRange, Location, Position
 from swarm.messages import Uwb, UwbRange
 
@@ -26,21 +26,21 @@ class Block:
         self._told: str | None = None
         self._state, self._times = "", 0
 
-    def receive(self, block: Uwb, now: float) -> list[Report | Health]:
+    def receive(self, block: Uwb, now: float) -> list[ModuleReport | ModuleHealth]:
         """A message of the balancer."""
         self._heard = now
         self._times = self._times + 1 if block.state == self._state else 1
         self._state = block.state
-        events: list[Report | Health] = []
+        events: list[ModuleReport | ModuleHealth] = []
         reason = self._trouble(block)
         if reason is not None:
             events += self._tell(reason)
         if block.sequence not in (0, self._sequence):
-            events.append(Report(location(block), max(0.0, now - block.t) + block.age))
+            events.append(ModuleReport(location(block), max(0.0, now - block.t) + block.age))
         self._sequence = block.sequence
         return events
 
-    def handle_timer(self, now: float) -> list[Report | Health]:
+    def handle_timer(self, now: float) -> list[ModuleReport | ModuleHealth]:
         """Notice silence; call it at least once a second."""
         return self._tell(_NOBODY) if now - self._heard > PATIENCE else []
 
@@ -54,11 +54,11 @@ class Block:
             return f"the module refuses the ATmega's loc_get: {ERRORS.get(block.error, f'error {block.error}')}"
         return _TROUBLES.get(block.state)
 
-    def _tell(self, reason: str) -> list[Report | Health]:
+    def _tell(self, reason: str) -> list[ModuleReport | ModuleHealth]:
         if reason == self._told:
             return []
         self._told = reason
-        return [Health(not reason, reason)]
+        return [ModuleHealth(not reason, reason)]
 
 
 def location(block: Uwb) -> Location:

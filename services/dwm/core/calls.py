@@ -9,8 +9,8 @@ import struct
 from services.dwm.core.tlv import (
     LOC_GET,
     POSITION_PART,
-    Call,
-    Part,
+    AnswerPart,
+    ModuleCall,
     Position,
     decode_position,
     encode_part,
@@ -100,12 +100,12 @@ class ModuleStatus:
     """Belongs to a network: an initiator is there."""
 
 
-def pos_set(place: Position) -> Call[None]:
+def pos_set(place: Position) -> ModuleCall[None]:
     """Where an anchor is; kept in flash. Raises `LocalError` for what the fields do not hold."""
     return _command("pos_set", encode_part(POS_SET, encode_position(place)))
 
 
-def upd_rate_set(rate: UpdateRate) -> Call[None]:
+def upd_rate_set(rate: UpdateRate) -> ModuleCall[None]:
     """How often a tag measures; kept in flash, in force at once."""
     for period in (rate.moving, rate.still):
         if not 1 <= period <= SLOWEST:
@@ -113,7 +113,7 @@ def upd_rate_set(rate: UpdateRate) -> Call[None]:
     return _command("upd_rate_set", encode_part(RATE_SET, _RATES.pack(rate.moving, rate.still)))
 
 
-def cfg_set(settings: Settings) -> Call[None]:
+def cfg_set(settings: Settings) -> ModuleCall[None]:
     """Make the module a tag or an anchor; in force after `RESET`."""
     first = _common(settings)
     if settings.anchor:
@@ -192,8 +192,8 @@ def _common(settings: Settings) -> int:
     )
 
 
-def _command(name: str, request: bytes) -> Call[None]:
-    return Call(name, request, (), lambda _: None)
+def _command(name: str, request: bytes) -> ModuleCall[None]:
+    return ModuleCall(name, request, (), lambda _: None)
 
 
 def _version(parts: list[tuple[int, bytes]]) -> Version:
@@ -209,26 +209,31 @@ def _status(parts: list[tuple[int, bytes]]) -> ModuleStatus:
     return ModuleStatus(bool(flags & 1), bool(flags & 2))
 
 
-POS_GET = Call("pos_get", b"\x02\x00", (POSITION_PART,), lambda parts: decode_position(parts[0][1]))
+POS_GET = ModuleCall("pos_get", b"\x02\x00", (POSITION_PART,), lambda parts: decode_position(parts[0][1]))
 """Where an anchor was set up to be; of a tag, where it is."""
 
-UPD_RATE_GET = Call("upd_rate_get", b"\x04\x00", (Part({UPDATE_RATE: (4,)}),), lambda parts: decode_rate(parts[0][1]))
+UPD_RATE_GET = ModuleCall(
+    "upd_rate_get", b"\x04\x00", (AnswerPart({UPDATE_RATE: (4,)}),), lambda parts: decode_rate(parts[0][1])
+)
 
-CFG_GET = Call("cfg_get", b"\x08\x00", (Part({CONFIG: (2,)}),), lambda parts: decode_settings(parts[0][1]))
+CFG_GET = ModuleCall("cfg_get", b"\x08\x00", (AnswerPart({CONFIG: (2,)}),), lambda parts: decode_settings(parts[0][1]))
 
 RESET = _command("reset", b"\x14\x00")
 """It answers, and is away for about a second."""
 
-VER_GET = Call(
-    "ver_get", b"\x15\x00", (Part({FIRMWARE: (4,)}), Part({CONFIG_VERSION: (4,)}), Part({HARDWARE: (4,)})), _version
+VER_GET = ModuleCall(
+    "ver_get",
+    b"\x15\x00",
+    (AnswerPart({FIRMWARE: (4,)}), AnswerPart({CONFIG_VERSION: (4,)}), AnswerPart({HARDWARE: (4,)})),
+    _version,
 )
 
-NODE_ID_GET = Call(
-    "node_id_get", b"\x30\x00", (Part({NODE_ID: (8,)}),), lambda parts: int.from_bytes(parts[0][1], "little")
+NODE_ID_GET = ModuleCall(
+    "node_id_get", b"\x30\x00", (AnswerPart({NODE_ID: (8,)}),), lambda parts: int.from_bytes(parts[0][1], "little")
 )
 """The 64-bit id, DECA...; its low 16 bits are the short address."""
 
-STATUS_GET = Call("status_get", b"\x32\x00", (Part({STATUS: (1, 2)}),), _status)
+STATUS_GET = ModuleCall("status_get", b"\x32\x00", (AnswerPart({STATUS: (1, 2)}),), _status)
 
 _WITHOUT_VALUE = {
     call.request: call for call in (POS_GET, UPD_RATE_GET, CFG_GET, LOC_GET, RESET, VER_GET, NODE_ID_GET, STATUS_GET)
@@ -237,7 +242,7 @@ _WITH_VALUE = {POS_SET: ("pos_set", 13), RATE_SET: ("upd_rate_set", 4), TAG_SET:
                ANCHOR_SET: ("cfg_anchor_set", 2)}  # fmt: skip
 
 
-def call_of(request: bytes) -> Call[object]:
+def call_of(request: bytes) -> ModuleCall[object]:
     """The call that these bytes ask for, to read its answer. Raises `FrameError` for any other (factory reset, keys,
     sleep): a robot must not lose its module by a command that came over the bus."""
     known = _WITHOUT_VALUE.get(request)

@@ -60,7 +60,7 @@ _ADVICE = {
 
 
 @frozen
-class Finding:
+class ModuleFinding:
     """One thing that is wrong."""
 
     code: str
@@ -73,63 +73,71 @@ class Finding:
     """False where localization works all the same."""
 
 
-def of_trouble(trouble: Trouble) -> Finding:
+def of_trouble(trouble: Trouble) -> ModuleFinding:
     """The module gives no proper answer."""
     codes = {"silent": "no-module", "garbled": "garbled", "shell": "shell-mode", "layout": "layout"}
-    return Finding(codes.get(trouble.kind, trouble.kind), trouble.reason, _ADVICE[trouble.kind])
+    return ModuleFinding(codes.get(trouble.kind, trouble.kind), trouble.reason, _ADVICE[trouble.kind])
 
 
-def of_version(version: Version) -> list[Finding]:
+def of_version(version: Version) -> list[ModuleFinding]:
     """The module's firmware."""
     if version.firmware[:2] == FIRMWARE:
         return []
-    return [Finding("firmware", f"its firmware is {version.text}, 1.3 is spoken here", _ADVICE["layout"], fatal=False)]
+    return [
+        ModuleFinding("firmware", f"its firmware is {version.text}, 1.3 is spoken here", _ADVICE["layout"], fatal=False)
+    ]
 
 
-def of_settings(settings: Settings, rate: UpdateRate, status: ModuleStatus, *, anchor: bool) -> list[Finding]:
+def of_settings(settings: Settings, rate: UpdateRate, status: ModuleStatus, *, anchor: bool) -> list[ModuleFinding]:
     """How the module is set up, against what it shall be: an `anchor` or a tag."""
     found = []
     configure = "`swarm dwm configure`"
     if settings.anchor != anchor:
         is_, shall = ("an anchor", "a tag") if settings.anchor else ("a tag", "an anchor")
-        found.append(Finding("role", f"it is {is_} and shall be {shall}", configure))
+        found.append(ModuleFinding("role", f"it is {is_} and shall be {shall}", configure))
     if settings.uwb != UWB_ACTIVE:
-        found.append(Finding("uwb-off", f"its radio is {('off', 'passive')[settings.uwb == 1]}", configure))
+        found.append(ModuleFinding("uwb-off", f"its radio is {('off', 'passive')[settings.uwb == 1]}", configure))
     if settings.anchor:
         if not status.joined:
             found.append(_no_network())
         return found
     if rate.moving > 1:
-        found.append(Finding("slow", f"it measures every {rate.moving * RATE_UNIT:g} s", configure))
+        found.append(ModuleFinding("slow", f"it measures every {rate.moving * RATE_UNIT:g} s", configure))
     if settings.stationary and rate.still > rate.moving:
         period = rate.still * RATE_UNIT
-        found.append(Finding("still", f"standing still, as balanced, it measures every {period:g} s only", configure))
+        found.append(
+            ModuleFinding("still", f"standing still, as balanced, it measures every {period:g} s only", configure)
+        )
     if settings.low_power:
-        found.append(Finding("low-power", "it sleeps between measurements and misses requests", configure))
+        found.append(ModuleFinding("low-power", "it sleeps between measurements and misses requests", configure))
     if not settings.engine:
-        found.append(Finding("no-engine", "its location engine is off: ranges, but no place", configure, fatal=False))
+        found.append(
+            ModuleFinding("no-engine", "its location engine is off: ranges, but no place", configure, fatal=False)
+        )
     if not status.joined:
         found.append(_no_network())
     return found
 
 
-def _no_network() -> Finding:
-    return Finding(
+def _no_network() -> ModuleFinding:
+    return ModuleFinding(
         "no-network",
         "it belongs to no network",
         "one anchor in reach must be initiator: `swarm dwm configure --anchor --initiator`; one network id for all",
     )
 
 
-def of_anchors(anchors: Sequence[Anchor]) -> list[Finding]:
+def of_anchors(anchors: Sequence[Anchor]) -> list[ModuleFinding]:
     """The anchors as swarm.toml has them."""
     if not anchors:
-        return [Finding("no-anchors", "swarm.toml lists no [[anchors]]", "`swarm dwm anchors --auto`, or a ruler")]
+        return [
+            ModuleFinding("no-anchors", "swarm.toml lists no [[anchors]]", "`swarm dwm anchors --auto`, or a ruler")
+        ]
     if len(anchors) < ENOUGH:
         text = f"swarm.toml lists {len(anchors)} anchors, a place needs {ENOUGH}"
-        return [Finding("few-anchors", text, "put up more anchors")]
+        return [ModuleFinding("few-anchors", text, "put up more anchors")]
     if (problem := degenerate([(a.x, a.y, a.z) for a in anchors])) is not None:
-        return [Finding("collinear", f"swarm.toml: {problem}", "move one anchor well off the line of the others")]
+        return [ModuleFinding("collinear", f"swarm.toml: {problem}", "move one anchor well off the line of the others")]
     return []
 
 
@@ -138,7 +146,7 @@ def of_answers(
     anchors: Sequence[Anchor],
     known: Mapping[str, str],
     own: str | None = None,
-) -> list[Finding]:
+) -> list[ModuleFinding]:
     """A few seconds of a tag's answers, against swarm.toml; it may move meanwhile.
 
     `known`: what other modules are (robots, target), by address; `own`: the tag's address.
@@ -158,7 +166,7 @@ def of_standing(
     anchors: Sequence[Anchor],
     height: float = 0.0,
     calibrate: Callable[[str, float], float] = lambda _, distance: distance,
-) -> list[Finding]:
+) -> list[ModuleFinding]:
     """The same of a tag that stands at `height` (m): what the distances say of the anchors.
 
     `calibrate(anchor, measured)` gives the distance, m.
@@ -174,7 +182,7 @@ def of_standing(
     for address in sorted(split):
         low, high = (median(half) for half in _halves(ranges[address]))
         found.append(
-            Finding(
+            ModuleFinding(
                 "duplicate-address",
                 f"ranges to {address} are at {low:.2f} m and at {high:.2f} m in turn: two modules of one address?",
                 "read the addresses by `swarm dwm info --port ...` on each module and take one away",
@@ -184,7 +192,7 @@ def of_standing(
     return found + _misplaced({a: d for a, d in medians.items() if a not in split}, placed, height)
 
 
-class Watch:
+class DiagnosisWatch:
     """Holds a running service's reports against swarm.toml, every few seconds; tells what is new."""
 
     PERIOD = 5.0
@@ -197,7 +205,7 @@ class Watch:
         self._locations: list[Location] = []
         self._told: set[tuple[str, str]] = set()
 
-    def report(self, location: Location, now: float) -> list[Finding]:
+    def report(self, location: Location, now: float) -> list[ModuleFinding]:
         """Take an answer; the findings that were not there the last time."""
         self._locations.append(location)
         if now < self._due:
@@ -209,7 +217,7 @@ class Watch:
         return new
 
 
-def _of_single_answers(locations: Sequence[Location], own: str | None) -> list[Finding]:
+def _of_single_answers(locations: Sequence[Location], own: str | None) -> list[ModuleFinding]:
     found = []
     twice: set[str] = set()
     far: dict[str, float] = {}
@@ -221,47 +229,47 @@ def _of_single_answers(locations: Sequence[Location], own: str | None) -> list[F
             twice.add(own)
     for address in sorted(twice):
         text = f"{address} is there twice" + (", and is the address of this module" if address == own else "")
-        found.append(Finding("duplicate-address", text, "take one of the two modules away, or reset its address"))
+        found.append(ModuleFinding("duplicate-address", text, "take one of the two modules away, or reset its address"))
     for address, distance in sorted(far.items()):
         text = f"{distance:.1f} m to {address}: no UWB reaches so far"
-        found.append(Finding("impossible-range", text, "power that anchor anew; replace it if it goes on"))
+        found.append(ModuleFinding("impossible-range", text, "power that anchor anew; replace it if it goes on"))
     return found
 
 
-def _seen(locations: Sequence[Location], placed: Mapping[str, Anchor], known: Mapping[str, str]) -> list[Finding]:
+def _seen(locations: Sequence[Location], placed: Mapping[str, Anchor], known: Mapping[str, str]) -> list[ModuleFinding]:
     """Which anchors the answers hold, and whether the module makes a place of them."""
     times = Counter(item.anchor for location in locations for item in {r.anchor: r for r in location.ranges}.values())
     often = {address for address, count in times.items() if count >= FEW * len(locations)}
     found = []
     for address in sorted(times.keys() - placed.keys() - known.keys()):
         text = f"{address} gives ranges and is not in swarm.toml"
-        found.append(Finding("unknown-anchor", text, "add it to [[anchors]], or to a robot as uwb", fatal=False))
+        found.append(ModuleFinding("unknown-anchor", text, "add it to [[anchors]], or to a robot as uwb", fatal=False))
     for address in sorted(placed.keys() - times.keys()):
         text = f"anchor {address} of swarm.toml gives no range"
         remedy = "is it powered, an anchor (`swarm dwm configure --anchor`), in reach? A tag ranges to four at most"
-        found.append(Finding("missing-anchor", text, remedy, fatal=False))
+        found.append(ModuleFinding("missing-anchor", text, remedy, fatal=False))
     good = often & placed.keys()
     if not times:
         remedy = "are anchors powered, is one of them the initiator, is the network id the same for all?"
-        return [*found, Finding("no-ranges", "no anchor gives any range", remedy)]
+        return [*found, ModuleFinding("no-ranges", "no anchor gives any range", remedy)]
     if len(good) < ENOUGH:
         text = f"{len(good)} anchors give ranges ({', '.join(sorted(good)) or 'none'}), a place needs {ENOUGH}"
         others = sorted(often - placed.keys())
         if others and len(often) >= AT_ONCE:
             text += f"; a tag ranges to {AT_ONCE} modules, and {', '.join(others)} take {len(others)} of these places"
-        return [*found, Finding("few-anchors", text, "put up more anchors, or bring them into sight")]
+        return [*found, ModuleFinding("few-anchors", text, "put up more anchors, or bring them into sight")]
     places = [(placed[a].x, placed[a].y, placed[a].z) for a in sorted(good)]
     if (problem := degenerate(places)) is not None:
         text = f"the anchors in sight ({', '.join(sorted(good))}): {problem}"
-        found.append(Finding("collinear", text, "move one anchor well off the line of the others"))
+        found.append(ModuleFinding("collinear", text, "move one anchor well off the line of the others"))
     if sum(location.position.quality > 0 for location in locations) < FEW * len(locations):
         text = "the module makes no place of its ranges (quality 0)"
         remedy = "set the anchors' places on them: `swarm dwm configure --anchor --port ...` on each"
-        found.append(Finding("no-fix", text, remedy, fatal=False))
+        found.append(ModuleFinding("no-fix", text, remedy, fatal=False))
     return found
 
 
-def _said_elsewhere(ranges: Sequence[AnchorRange], placed: Mapping[str, Anchor]) -> list[Finding]:
+def _said_elsewhere(ranges: Sequence[AnchorRange], placed: Mapping[str, Anchor]) -> list[ModuleFinding]:
     """Anchors that were set up to be elsewhere than swarm.toml has them."""
     found = []
     for item in ranges:
@@ -276,11 +284,11 @@ def _said_elsewhere(ranges: Sequence[AnchorRange], placed: Mapping[str, Anchor])
             remedy = (
                 "the module's own places are off: `swarm dwm configure --anchor --port ...` on it, or mend swarm.toml"
             )
-            found.append(Finding("anchor-setup", text, remedy, fatal=False))
+            found.append(ModuleFinding("anchor-setup", text, remedy, fatal=False))
     return found
 
 
-def _misplaced(medians: Mapping[str, float], placed: Mapping[str, Anchor], height: float) -> list[Finding]:
+def _misplaced(medians: Mapping[str, float], placed: Mapping[str, Anchor], height: float) -> list[ModuleFinding]:
     """Ranges that no place fits: an anchor was moved since, or is hidden."""
     found = []
     names = sorted(medians)
@@ -294,7 +302,9 @@ def _misplaced(medians: Mapping[str, float], placed: Mapping[str, Anchor], heigh
                     f"{medians[one]:.2f} m to {one} and {medians[other]:.2f} m to {other}, "
                     f"which are {apart:.2f} m apart in swarm.toml: impossible"
                 )
-                found.append(Finding("impossible-range", text, "is one of them elsewhere than swarm.toml has it?"))
+                found.append(
+                    ModuleFinding("impossible-range", text, "is one of them elsewhere than swarm.toml has it?")
+                )
     misfit = _misfit(names, medians, placed, height)
     if misfit is None or misfit <= MISFIT:
         return found
@@ -306,7 +316,7 @@ def _misplaced(medians: Mapping[str, float], placed: Mapping[str, Anchor], heigh
         if fitting:
             words = " or ".join(f"without {name} ({rest:.2f} m)" for rest, name in fitting)
             text += f"; one does {words}: moved, or hidden"
-    return [*found, Finding("anchor-moved", text, remedy)]
+    return [*found, ModuleFinding("anchor-moved", text, remedy)]
 
 
 def _misfit(

@@ -33,7 +33,7 @@ Point = tuple[float, float, float]
 
 
 @frozen
-class Noise:
+class EkfNoise:
     """What is assumed of motion and ranges; standard deviations."""
 
     along: float = 0.005
@@ -84,7 +84,7 @@ class Ekf:
         place: tuple[float, float],
         heading: float,
         heading_deviation: float,
-        noise: Noise,
+        noise: EkfNoise,
     ) -> None:
         size = BIAS + len(anchors)
         self._anchors = tuple(anchors)

@@ -3,7 +3,7 @@
 from typing import Generic, TypeVar
 
 from services.dwm.core import shell
-from services.dwm.core.tlv import Call, Decoder, LayoutError, Refusal
+from services.dwm.core.tlv import LayoutError, ModuleCall, Refusal, TlvDecoder
 from swarm.errors import FrameError
 from swarm.frozen import frozen
 
@@ -44,13 +44,13 @@ class Trouble:
     """What came instead."""
 
 
-class Exchange(Generic[T_co]):
+class ModuleExchange(Generic[T_co]):
     """Feed `receive` until it gives an outcome; call `expire` when the time is over."""
 
-    def __init__(self, call: Call[T_co]) -> None:
+    def __init__(self, call: ModuleCall[T_co]) -> None:
         self.call = call
         self.wrong_frames = 0
-        self._decoder = Decoder(call)
+        self._decoder = TlvDecoder(call)
         self._heard = bytearray()
         self._error: FrameError | None = None
 

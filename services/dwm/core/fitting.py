@@ -17,7 +17,7 @@ from statistics import stdev
 from services.dwm.core.calibration import RangeModel, position
 from services.dwm.core.filters import Place, mean
 from services.dwm.core.linear import SingularError, least_squares
-from services.dwm.core.samples import Group, Spot
+from services.dwm.core.samples import SampleGroup, Spot
 from swarm.config.types import Affine
 from swarm.errors import LocalError
 from swarm.frozen import frozen
@@ -37,13 +37,13 @@ _FEWEST_DISTANCES = 5
 """With fewer different distances only the linear model is tried."""
 _FEWEST_ORIENTATIONS = 3
 
-RangeFit = Callable[[Sequence[Group]], RangeModel]
-Folds = Callable[[Sequence[Group]], list[set[int]]]
+RangeFit = Callable[[Sequence[SampleGroup]], RangeModel]
+Folds = Callable[[Sequence[SampleGroup]], list[set[int]]]
 PlaceFit = Callable[[Sequence[Spot]], Affine]
 
 
 @frozen
-class Fit:
+class FittedRanges:
     """A model of ranges and what is known of its worth; errors are rms in m."""
 
     name: str
@@ -71,19 +71,19 @@ class PlaceFitted:
 # ---- ranges
 
 
-def fit_linear(groups: Sequence[Group]) -> RangeModel:
+def fit_linear(groups: Sequence[SampleGroup]) -> RangeModel:
     """distance = gain m + offset."""
     gain, offset = least_squares([[g.mean, 1.0] for g in groups], [g.true for g in groups])
     return RangeModel(gain, offset)
 
 
-def fit_logarithmic(groups: Sequence[Group]) -> RangeModel:
+def fit_logarithmic(groups: Sequence[SampleGroup]) -> RangeModel:
     """distance = m + offset + log ln m: two unknowns, as the linear model has."""
     log, offset = least_squares([[ln(max(g.mean, 0.01)), 1.0] for g in groups], [g.true - g.mean for g in groups])
     return RangeModel(1.0, offset, log, max(0.01, min(g.mean for g in groups)))
 
 
-def fit_curved(groups: Sequence[Group]) -> RangeModel:
+def fit_curved(groups: Sequence[SampleGroup]) -> RangeModel:
     """Between the two, nearer to the logarithmic one: where either errs, the other holds back."""
     line, curve = fit_linear(groups), fit_logarithmic(groups)
     return RangeModel(
@@ -97,7 +97,7 @@ def fit_curved(groups: Sequence[Group]) -> RangeModel:
 def with_antenna(fit: RangeFit) -> RangeFit:
     """The same with a cos(heading) + b sin(heading) fitted to what it leaves, place by place."""
 
-    def fitted(groups: Sequence[Group]) -> RangeModel:
+    def fitted(groups: Sequence[SampleGroup]) -> RangeModel:
         model = fit(groups)
         rows, right = [], []
         for place in sorted({g.place for g in groups}):
@@ -116,14 +116,14 @@ def with_antenna(fit: RangeFit) -> RangeFit:
     return fitted
 
 
-def error_of(model: RangeModel, group: Group, measured: float) -> float:
+def error_of(model: RangeModel, group: SampleGroup, measured: float) -> float:
     """Calibrated minus true distance, m."""
     a, b = model.antenna
     wave = 0.0 if group.heading is None else a * cos(group.heading) + b * sin(group.heading)
     return model.distance(measured) - wave - group.true
 
 
-def fit_ranges(groups: Sequence[Group]) -> Fit:
+def fit_ranges(groups: Sequence[SampleGroup]) -> FittedRanges:
     """Fit, compare and choose. Raises `LocalError` where the samples are too few to fit anything."""
     if len({g.place for g in groups}) < _FEWEST_PLACES:
         raise LocalError(f"ranges to modules of known place at fewer than {_FEWEST_PLACES} places")
@@ -135,10 +135,10 @@ def fit_ranges(groups: Sequence[Group]) -> Fit:
     left_out |= {other: _left_out(groups, other_fit) for other, other_fit in _range_models(groups).items()}
     nested = _left_out(groups, lambda seen: _choose_range(seen)[1](seen))
     residuals = tuple((g.true, error_of(model, g, g.mean)) for g in groups)
-    return Fit(name, model, left_out, nested, residuals)
+    return FittedRanges(name, model, left_out, nested, residuals)
 
 
-def robot_offset(model: RangeModel, groups: Sequence[Group]) -> float:
+def robot_offset(model: RangeModel, groups: Sequence[SampleGroup]) -> float:
     """By how much a robot's ranges are too long under `model`, m: the mean over places, each counting once.
 
     From one place alone it cannot be told from that place's own error (multipath, an anchor measured wrongly).
@@ -149,7 +149,7 @@ def robot_offset(model: RangeModel, groups: Sequence[Group]) -> float:
     return mean([mean(errors) for errors in places.values()])
 
 
-def _range_models(groups: Sequence[Group]) -> dict[str, RangeFit]:
+def _range_models(groups: Sequence[SampleGroup]) -> dict[str, RangeFit]:
     """What may be tried with these samples."""
     models: dict[str, RangeFit] = {"linear": fit_linear}
     if len(_by_distance(groups)) >= _FEWEST_DISTANCES:
@@ -159,7 +159,7 @@ def _range_models(groups: Sequence[Group]) -> dict[str, RangeFit]:
     return models
 
 
-def _choose_range(groups: Sequence[Group]) -> tuple[str, RangeFit]:
+def _choose_range(groups: Sequence[SampleGroup]) -> tuple[str, RangeFit]:
     models = _range_models(groups)
     name = "linear"
     if "curved" in models:
@@ -174,11 +174,11 @@ def _choose_range(groups: Sequence[Group]) -> tuple[str, RangeFit]:
     return name, models[name]
 
 
-def _by_place(groups: Sequence[Group]) -> list[set[int]]:
+def _by_place(groups: Sequence[SampleGroup]) -> list[set[int]]:
     return [{place} for place in sorted({g.place for g in groups})]
 
 
-def _by_distance(groups: Sequence[Group]) -> list[set[int]]:
+def _by_distance(groups: Sequence[SampleGroup]) -> list[set[int]]:
     """Places that are equally far from the module they range to; with several modules, from the nearest."""
     nearest: dict[int, float] = {}
     for g in groups:
@@ -193,7 +193,7 @@ def _by_distance(groups: Sequence[Group]) -> list[set[int]]:
     return shells
 
 
-def _wins(groups: Sequence[Group], fit: RangeFit, rival: RangeFit) -> bool:
+def _wins(groups: Sequence[SampleGroup], fit: RangeFit, rival: RangeFit) -> bool:
     """Whether the gain in squared error, place by place left out, exceeds its standard error."""
     ours, theirs = (_errors_left_out(groups, one, _by_place) for one in (fit, rival))
     if ours is None or theirs is None:
@@ -205,13 +205,13 @@ def _wins(groups: Sequence[Group], fit: RangeFit, rival: RangeFit) -> bool:
     return mean(gains) > stdev(gains) / sqrt(len(gains))
 
 
-def _left_out(groups: Sequence[Group], fit: RangeFit, folds: Folds | None = None) -> float:
+def _left_out(groups: Sequence[SampleGroup], fit: RangeFit, folds: Folds | None = None) -> float:
     """rms error at places left out of the fit; infinite where what is left determines no model."""
     errors = _errors_left_out(groups, fit, folds or _by_place)
     return inf if errors is None else _rms([error for of in errors for error in of])
 
 
-def _errors_left_out(groups: Sequence[Group], fit: RangeFit, folds: Folds) -> list[list[float]] | None:
+def _errors_left_out(groups: Sequence[SampleGroup], fit: RangeFit, folds: Folds) -> list[list[float]] | None:
     """Errors by what was left out."""
     errors = []
     for places in folds(groups):

@@ -9,7 +9,7 @@ from enum import Enum
 from math import degrees, pi, sqrt
 
 from services.dwm.core.filters import Place, inliers, mean
-from services.dwm.core.samples import Sample
+from services.dwm.core.samples import RangeSample
 from swarm.frozen import frozen
 
 QUARTERS = (0.0, pi / 2, pi, 3 * pi / 2)
@@ -22,7 +22,7 @@ SETTLE = 2
 """Reports left out after the start: what they tell may have been measured while the robot was being moved."""
 
 
-class Press(Enum):
+class GuideButton(Enum):
     """What the person wants."""
 
     START = "start"
@@ -36,7 +36,7 @@ class Press(Enum):
 
 
 @frozen
-class Stop:
+class GuideStop:
     """A place and an orientation to measure at."""
 
     place: int
@@ -51,14 +51,14 @@ class Guide:
     """One session; `samples` is what it has gathered."""
 
     def __init__(self, places: Sequence[Place], headings: Sequence[float] = QUARTERS, samples: int = SAMPLES) -> None:
-        self._stops = [Stop(k, x, y, heading) for k, (x, y) in enumerate(places) for heading in headings]
+        self._stops = [GuideStop(k, x, y, heading) for k, (x, y) in enumerate(places) for heading in headings]
         self._at = 0
         self._wanted = samples
         self._reports = 0
         self._settling = 0
         self._places = len(places)
         self.measuring = False
-        self.samples: list[Sample] = []
+        self.samples: list[RangeSample] = []
 
     @property
     def done(self) -> bool:
@@ -66,22 +66,22 @@ class Guide:
         return self._at >= len(self._stops)
 
     @property
-    def stop(self) -> Stop:
+    def stop(self) -> GuideStop:
         """Where the robot has to be; only while not done."""
         return self._stops[self._at]
 
-    def press(self, press: Press) -> None:
+    def press(self, press: GuideButton) -> None:
         """What the person wants; without effect once done."""
         if self.done:
             return
-        if press is Press.QUIT:
+        if press is GuideButton.QUIT:
             self.measuring, self._at = False, len(self._stops)
-        elif press is Press.START:
+        elif press is GuideButton.START:
             if self.measuring and self._reports:
                 self._advance(self._at + 1)
             else:
                 self.measuring, self._reports, self._settling = not self.measuring, 0, SETTLE
-        elif press is Press.NEXT:
+        elif press is GuideButton.NEXT:
             place = self.stop.place
             after = [i for i, stop in enumerate(self._stops) if stop.place > place]
             self._advance(after[0] if after else len(self._stops))
@@ -93,7 +93,7 @@ class Guide:
             self.samples = [sample for sample in self.samples if sample.place != place]
             self._advance(next(i for i, stop in enumerate(self._stops) if stop.place == place))
 
-    def report(self, t: float, ranges: Sequence[tuple[str, float]], place: Place | None) -> list[Sample]:
+    def report(self, t: float, ranges: Sequence[tuple[str, float]], place: Place | None) -> list[RangeSample]:
         """New ranges (address, m as reported) and the reported place of one report; gives the samples made of it."""
         if self.done or not self.measuring or not ranges:
             return []
@@ -102,7 +102,7 @@ class Guide:
             return []
         stop = self.stop
         x, y = place or (None, None)
-        new = [Sample(stop.place, stop.x, stop.y, stop.heading, t, name, value, x, y) for name, value in ranges]
+        new = [RangeSample(stop.place, stop.x, stop.y, stop.heading, t, name, value, x, y) for name, value in ranges]
         self.samples += new
         self._reports += 1
         if self._reports >= self._wanted:

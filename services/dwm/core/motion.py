@@ -13,7 +13,7 @@ _AHEAD = 0.1
 """s: the motion is continued at its last speed for at most so long."""
 
 
-class Node(NamedTuple):
+class OdometryNode(NamedTuple):
     """The robot in a frame of its own, which begins anywhere and drifts."""
 
     t: float
@@ -26,14 +26,14 @@ class Node(NamedTuple):
     """rad, forward positive."""
 
 
-class Motion:
+class DeadReckoning:
     """Dead reckoning from increments of way and heading."""
 
     def __init__(self, t: float) -> None:
-        self._nodes: deque[Node] = deque([Node(t, 0.0, 0.0, 0.0, 0.0)])
+        self._nodes: deque[OdometryNode] = deque([OdometryNode(t, 0.0, 0.0, 0.0, 0.0)])
 
     @property
-    def newest(self) -> Node:
+    def newest(self) -> OdometryNode:
         """Where the robot is."""
         return self._nodes[-1]
 
@@ -41,12 +41,14 @@ class Motion:
         """`distance` (m) and `turn` (rad) were made since the newest node; t must not go back."""
         last = self._nodes[-1]
         middle = last.heading + 0.5 * turn
-        node = Node(t, last.u + distance * cos(middle), last.v + distance * sin(middle), last.heading + turn, tilt)
+        node = OdometryNode(
+            t, last.u + distance * cos(middle), last.v + distance * sin(middle), last.heading + turn, tilt
+        )
         self._nodes.append(node)
         while len(self._nodes) > 2 and self._nodes[1].t < t - KEPT:
             self._nodes.popleft()
 
-    def at(self, t: float) -> Node:
+    def at(self, t: float) -> OdometryNode:
         """The robot at `t`: between nodes on a line, after the newest one on at its speed, before the first there."""
         nodes = self._nodes
         if t <= nodes[0].t or len(nodes) == 1:
@@ -59,7 +61,7 @@ class Motion:
             return second
         share = (min(t, second.t + _AHEAD) - first.t) / (second.t - first.t)
         u, v, heading, tilt = (a + share * (b - a) for a, b in zip(first[1:], second[1:], strict=True))
-        return Node(t, u, v, heading, tilt if share <= 1.0 else second.tilt)
+        return OdometryNode(t, u, v, heading, tilt if share <= 1.0 else second.tilt)
 
 
 class Increments:

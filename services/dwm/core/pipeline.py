@@ -7,10 +7,10 @@ from math import sqrt
 
 from services.dwm.core import calibration as models
 from services.dwm.core.calibration import Calibration, RangeModel
-from services.dwm.core.ekf import Noise
+from services.dwm.core.ekf import EkfNoise
 from services.dwm.core.filters import PlaceFilter, RangeFilter
 from services.dwm.core.multilateration import NoFix, multilaterate
-from services.dwm.core.ranges import FORGET, RangeBook, Track
+from services.dwm.core.ranges import FORGET, RangeBook, TrackedModule
 from services.dwm.core.tlv import Location, Position
 from services.dwm.core.tracker import Tracker
 from swarm.config.types import Anchor, Dwm
@@ -95,7 +95,7 @@ class Pipeline:
             smoothed[anchor] = (average, before)
         self._distances = smoothed
 
-    def _range(self, track: Track, now: float) -> Range:
+    def _range(self, track: TrackedModule, now: float) -> Range:
         item, age = track.item, now - track.measured
         return Range(
             anchor=item.anchor,
@@ -118,7 +118,9 @@ class Pipeline:
     def _multilaterated(self, ranges: Sequence[tuple[str, float]], now: float) -> Pose:
         """From ranges to configured anchors; smoothed as the module's own places are."""
         heard = [(self._anchors[name], distance) for name, distance in ranges if name in self._anchors]
-        fix = multilaterate([place for place, _ in heard], [d for _, d in heard], self._settings.height, Noise().range)
+        fix = multilaterate(
+            [place for place, _ in heard], [d for _, d in heard], self._settings.height, EkfNoise().range
+        )
         if isinstance(fix, NoFix):
             return Pose(now, self._sequence, *self._fix, None, 0, "multilateration")
         self._smooth_place(fix.x, fix.y, now)

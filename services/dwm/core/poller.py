@@ -6,8 +6,8 @@ Pure: the shell sends `to_send()`, feeds `receive()` and calls `handle_timer()` 
 from collections import Counter, deque
 
 from services.dwm.core import calls, shell
-from services.dwm.core.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT, Answer, Exchange, Trouble
-from services.dwm.core.tlv import LOC_GET, Call, Location
+from services.dwm.core.exchange import RESTART, SLOW_TIMEOUT, TIMEOUT, Answer, ModuleExchange, Trouble
+from services.dwm.core.tlv import LOC_GET, Location, ModuleCall
 from swarm.errors import FrameError
 from swarm.frozen import frozen
 
@@ -23,12 +23,12 @@ MAX_PAUSE = 2.0
 MAX_WAITING = 8
 """Requests of others that wait for the line."""
 
-_LEAVE = Call("leave the shell", shell.LEAVE, (), lambda _: None)
+_LEAVE = ModuleCall("leave the shell", shell.LEAVE, (), lambda _: None)
 """To a module that gives no answers: one in shell mode leaves it, any other says that it is no call."""
 
 
 @frozen
-class Report:
+class ModuleReport:
     """The module's answer."""
 
     location: Location
@@ -37,7 +37,7 @@ class Report:
 
 
 @frozen
-class Health:
+class ModuleHealth:
     """The module began to work, or ceased to; told on change only."""
 
     working: bool
@@ -64,13 +64,13 @@ class Poller:
         self._period = 1.0 / min(rate, MAX_RATE)
         self._pause = self._period
         self._due = now
-        self._exchange: Exchange[object] | None = None
+        self._exchange: ModuleExchange[object] | None = None
         self._answer_by = 0.0
         self._away_until = now
         self._ticket: str | None = None
-        self._waiting: deque[tuple[str, Call[object]]] = deque()
+        self._waiting: deque[tuple[str, ModuleCall[object]]] = deque()
         self._out = bytearray()
-        self._events: list[Report | Health | Answered] = []
+        self._events: list[ModuleReport | ModuleHealth | Answered] = []
         self._failures = 0
         self._leaving = 0
         """How often it shall still be told to leave its shell."""
@@ -120,13 +120,13 @@ class Poller:
         self._out.clear()
         return data
 
-    def events(self) -> list[Report | Health | Answered]:
+    def events(self) -> list[ModuleReport | ModuleHealth | Answered]:
         """What happened since the last call, in order."""
         events, self._events = self._events, []
         return events
 
     def _request(self, now: float) -> None:
-        call: Call[object]
+        call: ModuleCall[object]
         if self._waiting:
             self._ticket, call = self._waiting.popleft()
             self._answer_by = now + SLOW_TIMEOUT
@@ -138,10 +138,10 @@ class Poller:
             self._due += self._pause
             if self._due <= now:  # we were late: keep the distance instead of catching up
                 self._due = now + self._pause
-        self._exchange = Exchange(call)
+        self._exchange = ModuleExchange(call)
         self._out += call.request
 
-    def _finish(self, exchange: Exchange[object], outcome: Answer[object] | Trouble, now: float) -> None:
+    def _finish(self, exchange: ModuleExchange[object], outcome: Answer[object] | Trouble, now: float) -> None:
         self._exchange = None
         if self._ticket is not None:
             self._answered(exchange, outcome, now)
@@ -152,7 +152,7 @@ class Poller:
         else:
             self._failures, self._leaving = self._failures + 1, 0  # a late answer, taken for that to `_LEAVE`
 
-    def _answered(self, exchange: Exchange[object], outcome: Answer[object] | Trouble, now: float) -> None:
+    def _answered(self, exchange: ModuleExchange[object], outcome: Answer[object] | Trouble, now: float) -> None:
         assert self._ticket is not None
         problem = outcome.reason if isinstance(outcome, Trouble) and outcome.kind != "refused" else ""
         self._events.append(Answered(self._ticket, outcome.raw, problem))
@@ -162,11 +162,11 @@ class Poller:
 
     def _worked(self, location: Location) -> None:
         if self._trouble != "":
-            self._events.append(Health(True, ""))
+            self._events.append(ModuleHealth(True, ""))
         self._trouble, self._failures, self._pause = "", 0, self._period
-        self._events.append(Report(location))
+        self._events.append(ModuleReport(location))
 
-    def _failed(self, now: float, trouble: Trouble, asked: Call[object]) -> None:
+    def _failed(self, now: float, trouble: Trouble, asked: ModuleCall[object]) -> None:
         if asked is _LEAVE:
             # Only a module in its shell has to be told again.
             self._leaving = self._leaving - 1 if trouble.kind == "shell" else 0
@@ -183,4 +183,4 @@ class Poller:
         kind = trouble.reason if trouble.kind == "refused" else trouble.kind
         if self._failures >= FAILURES and kind != self._trouble:
             self._trouble = kind
-            self._events.append(Health(False, trouble.reason))
+            self._events.append(ModuleHealth(False, trouble.reason))

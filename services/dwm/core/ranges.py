@@ -28,7 +28,7 @@ MAX_MODULES = 64
 
 
 @dataclass(slots=True)
-class Track:
+class TrackedModule:
     """One module as it was seen last."""
 
     item: AnchorRange
@@ -51,7 +51,7 @@ class RangeBook:
         self.counters: Counter[str] = Counter()
         self.robots = robots
         self.stale_after = max(STALE, 2.5 / rate)
-        self.tracks: dict[str, Track] = {}
+        self.tracks: dict[str, TrackedModule] = {}
         self._last: Location | None = None
 
     def report(self, location: Location, now: float) -> bool:
@@ -71,7 +71,7 @@ class RangeBook:
                 self._sample(item, now)
         return True
 
-    def listed(self, now: float) -> list[Track]:
+    def listed(self, now: float) -> list[TrackedModule]:
         """The modules seen in the last seconds."""
         return [track for track in self.tracks.values() if now - track.measured <= FORGET]
 
@@ -79,7 +79,7 @@ class RangeBook:
         # Taken out and put in at the end: the first one is the longest unseen.
         track = self.tracks.pop(item.anchor, None)
         if track is None:
-            track = Track(item, now)
+            track = TrackedModule(item, now)
         else:
             track.same = track.same + 1 if item == track.item else 0
             track.item = item

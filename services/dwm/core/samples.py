@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from services.dwm.core.filters import Place, inliers, inlying_places, mean
 from swarm.errors import RecordingError
-from swarm.recording.thesis_ranges import Recording
+from swarm.recording.thesis_ranges import ThesisRecording
 
 HEADER = "place,x,y,heading,t,module,distance,px,py"
 
@@ -40,7 +40,7 @@ _MAX_RANGE = 1000.0
 Point = tuple[float, float, float]
 
 
-class Sample(NamedTuple):
+class RangeSample(NamedTuple):
     """One range of one report; lengths in m."""
 
     place: int
@@ -60,7 +60,7 @@ class Sample(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Group:
+class SampleGroup:
     """The ranges to one module at one place and, where it was told, in one orientation."""
 
     place: int
@@ -101,7 +101,7 @@ class Spot:
         return _centroid(self.values)
 
 
-def read(text: str, name: str) -> list[Sample]:
+def read(text: str, name: str) -> list[RangeSample]:
     """The samples of a file in either layout; `name` is for the messages. Raises `RecordingError`."""
     lines = text.splitlines()
     own = bool(lines) and lines[0].strip() == HEADER
@@ -111,24 +111,24 @@ def read(text: str, name: str) -> list[Sample]:
     return samples
 
 
-def write(sample: Sample) -> str:
+def write(sample: RangeSample) -> str:
     """A line of our layout, without its end."""
     return ",".join("" if value is None else str(value) for value in sample)
 
 
-def digest(samples: Sequence[Sample]) -> str:
+def digest(samples: Sequence[RangeSample]) -> str:
     """SHA-256 over the samples in our layout: says of a calibration what it was made from."""
     return hashlib.sha256("\n".join(map(write, samples)).encode()).hexdigest()
 
 
-def groups(samples: Sequence[Sample], modules: Mapping[str, Point]) -> list[Group]:
+def groups(samples: Sequence[RangeSample], modules: Mapping[str, Point]) -> list[SampleGroup]:
     """Ranges to modules whose places (x, y, z) are known, the robot's antenna at height 0, by place and orientation."""
-    found: dict[tuple[int, str, float | None], list[Sample]] = {}
+    found: dict[tuple[int, str, float | None], list[RangeSample]] = {}
     for sample in samples:
         if sample.module in modules:
             found.setdefault((sample.place, sample.module, sample.heading), []).append(sample)
     return [
-        Group(
+        SampleGroup(
             place,
             math.dist((of[0].x, of[0].y, 0.0), modules[module]),
             heading,
@@ -138,9 +138,9 @@ def groups(samples: Sequence[Sample], modules: Mapping[str, Point]) -> list[Grou
     ]
 
 
-def spots(samples: Sequence[Sample]) -> list[Spot]:
+def spots(samples: Sequence[RangeSample]) -> list[Spot]:
     """Positions by place, each report once."""
-    found: dict[int, dict[float, Sample]] = {}
+    found: dict[int, dict[float, RangeSample]] = {}
     for sample in samples:
         if sample.px is not None:
             found.setdefault(sample.place, {})[sample.t] = sample
@@ -152,15 +152,15 @@ def spots(samples: Sequence[Sample]) -> list[Spot]:
     return result
 
 
-def of_recording(recording: Recording, place: Place, module: str = TARGET) -> list[Sample]:
+def of_recording(recording: ThesisRecording, place: Place, module: str = TARGET) -> list[RangeSample]:
     """What a robot of a localization run measured to the target, called `module`, from its true place (x, y in m)."""
     return [
-        Sample(0, *place, None, t, module, row.distance, row.x, row.y)
+        RangeSample(0, *place, None, t, module, row.distance, row.x, row.y)
         for t, row in zip(recording.times, recording.rows, strict=True)
     ]
 
 
-def _read_own(lines: Sequence[str], name: str) -> list[Sample]:
+def _read_own(lines: Sequence[str], name: str) -> list[RangeSample]:
     samples = []
     for number, line in enumerate(lines[1:], 2):
         if line.strip():
@@ -171,18 +171,18 @@ def _read_own(lines: Sequence[str], name: str) -> list[Sample]:
     return samples
 
 
-def _own_sample(cells: Sequence[str]) -> Sample:
+def _own_sample(cells: Sequence[str]) -> RangeSample:
     _expect(len(cells) == 9, f"{len(cells)} columns, expected 9 ({HEADER})")
     _expect(cells[0].strip().isdigit(), f"the place {cells[0].strip()[:40]!r} is no number from 0")
     x, y, t, distance = (_number(cells[i]) for i in (1, 2, 4, 6))
     heading, px, py = (_number(cells[i]) if cells[i].strip() else None for i in (3, 7, 8))
     _expect(0 <= distance < _MAX_RANGE, f"a range of {distance:g} m")
     _expect((px is None) == (py is None), "px without py, or py without px")
-    return Sample(int(cells[0]), x, y, heading, t, cells[5].strip(), distance, px, py)
+    return RangeSample(int(cells[0]), x, y, heading, t, cells[5].strip(), distance, px, py)
 
 
-def _read_thesis(lines: Sequence[str], name: str) -> list[Sample]:
-    samples: list[Sample] = []
+def _read_thesis(lines: Sequence[str], name: str) -> list[RangeSample]:
+    samples: list[RangeSample] = []
     place = -1
     for number, line in enumerate(lines, 1):
         try:
@@ -201,7 +201,7 @@ def _read_thesis(lines: Sequence[str], name: str) -> list[Sample]:
             raise RecordingError(f"{name}:{number}: {error}") from None
         distance, px, py = (value / _MM for value in values)
         x, y = (value / 100 for value in THESIS_PLACES[place])
-        samples.append(Sample(place, x, y, None, float(number), TARGET, distance, px, py))
+        samples.append(RangeSample(place, x, y, None, float(number), TARGET, distance, px, py))
     return samples
 
 

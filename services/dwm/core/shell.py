@@ -46,7 +46,7 @@ _ENTRY = re.compile(r"(\w+)=(\S+)")
 
 
 @frozen
-class Info:
+class ShellInfo:
     """One line of `si`: `[000541.880 INF] uwb0: panid=xFD5C addr=xDECA9AABC0A2591A`."""
 
     uptime: float
@@ -58,10 +58,10 @@ class Info:
     """What it says as name=value."""
 
 
-Line = Location | Position | Info
+Line = Location | Position | ShellInfo
 
 
-class Reader:
+class ShellReader:
     """Takes the module's text apart, in pieces of any size. What is no data (prompt, echo, banner) is passed over.
 
     `prompts` counts what tells that the module is in shell mode indeed.
@@ -111,7 +111,7 @@ def _read(text: str) -> Line | None:
         return _les(text)
     if found := _LOG.fullmatch(text):
         time, _, topic, rest = found.groups()
-        return Info(float(time), topic, rest, dict(_ENTRY.findall(rest)))
+        return ShellInfo(float(time), topic, rest, dict(_ENTRY.findall(rest)))
     return None
 
 

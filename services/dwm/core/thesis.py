@@ -20,7 +20,7 @@ from services.dwm.core.filters import (
     recursive_average,
 )
 from services.dwm.core.linear import least_squares
-from services.dwm.core.samples import THESIS_PLACES, Sample
+from services.dwm.core.samples import THESIS_PLACES, RangeSample
 from swarm.config.types import Affine
 from swarm.frozen import frozen
 
@@ -70,7 +70,7 @@ class PositionFigures:
     processed_90: float
 
 
-def distances(samples: Sequence[Sample]) -> DistanceFigures:
+def distances(samples: Sequence[RangeSample]) -> DistanceFigures:
     """Eqs 2.4 and 2.8, table 2.3 and figure 2.11 from the samples of the thesis' calibration."""
     pools: dict[float, list[float]] = {}
     for sample in samples:
@@ -94,7 +94,7 @@ def distances(samples: Sequence[Sample]) -> DistanceFigures:
     )
 
 
-def positions(samples: Sequence[Sample]) -> PositionFigures:
+def positions(samples: Sequence[RangeSample]) -> PositionFigures:
     """Eq. 2.10, table 2.4 and figure 2.14 from the samples of the thesis' calibration."""
     raw: dict[int, list[Place]] = {}
     for sample in samples:

@@ -105,19 +105,19 @@ class Refusal:
 
 
 @frozen
-class Part:
+class AnswerPart:
     """One data part of an answer: the types it may be of, and the lengths each may have."""
 
     kinds: Mapping[int, Collection[int]]
 
 
 @frozen
-class Call(Generic[T_co]):
+class ModuleCall(Generic[T_co]):
     """A call of the module's API: what to send, and how its answer is laid out and read."""
 
     name: str
     request: bytes
-    parts: tuple[Part, ...]
+    parts: tuple[AnswerPart, ...]
     """Of its answer, after the status; none where the status is all."""
     read: Callable[[list[tuple[int, bytes]]], T_co]
     """Turns the parts' types and values into a result; raises `FrameError` where they cannot be true."""
@@ -168,14 +168,14 @@ def _anchor_ranges(records: bytes) -> Iterable[AnchorRange]:
 NOWHERE = Position(0.0, 0.0, 0.0, 0)
 """The place of a module that was not set up, or of which nothing is said."""
 
-POSITION_PART = Part({POSITION: (_POSITION.size,)})
+POSITION_PART = AnswerPart({POSITION: (_POSITION.size,)})
 
-LOC_GET = Call(
+LOC_GET = ModuleCall(
     "loc_get",
     b"\x0c\x00",
     (
         POSITION_PART,
-        Part(
+        AnswerPart(
             {
                 TAG_RANGES: range(1, 2 + _RECORD * MAX_RANGES, _RECORD),
                 ANCHOR_RANGES: range(1, 2 + _ANCHOR_RECORD.size * MAX_ANCHOR_RANGES, _ANCHOR_RECORD.size),
@@ -187,14 +187,14 @@ LOC_GET = Call(
 """Own position and the distances to all anchors in sight of a tag."""
 
 
-class Decoder(Generic[T_co]):
+class TlvDecoder(Generic[T_co]):
     """Takes the module's bytes apart as answers to one call, in pieces of any size, among any noise.
 
     A wrong frame costs itself and nothing after it: reading goes on at the next byte that can start an
     answer. An answer that was cut off is noticed when the head of the next one appears inside it.
     """
 
-    def __init__(self, call: Call[T_co]) -> None:
+    def __init__(self, call: ModuleCall[T_co]) -> None:
         self.skipped = 0
         """Bytes thrown away so far because no answer can start there."""
         self._call = call

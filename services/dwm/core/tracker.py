@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, exp, fsum, hypot, log, pi, sin
 
-from services.dwm.core.ekf import GATE, HEADING, Ekf, Innovation, Noise, Point, X, Y
-from services.dwm.core.motion import Motion, Node
+from services.dwm.core.ekf import GATE, HEADING, Ekf, EkfNoise, Innovation, Point, X, Y
+from services.dwm.core.motion import DeadReckoning, OdometryNode
 from services.dwm.core.multilateration import NoFix, multilaterate
 from swarm.frozen import frozen
 
@@ -47,7 +47,7 @@ _LOOSE = 0.005
 
 
 @frozen
-class Estimate:
+class PoseEstimate:
     """Where the robot is, and how well that is known."""
 
     t: float
@@ -80,7 +80,7 @@ class Tracker:
         latency: float = LATENCY,
         lever: float = 0.0,
         antenna: tuple[float, float] = (0.0, 0.0),
-        noise: Noise | None = None,
+        noise: EkfNoise | None = None,
     ) -> None:
         """`anchors`: (x, y, z) in m by address. `height`: of the antenna, m; `lever`: from the axle up to it, m.
 
@@ -92,11 +92,11 @@ class Tracker:
         self._latency = latency
         self._lever = lever
         self._antenna = antenna
-        self._noise = noise or Noise()
-        self._motion: Motion | None = None
+        self._noise = noise or EkfNoise()
+        self._motion: DeadReckoning | None = None
         self._filters: list[_Hypothesis] = []
         self._first: deque[Mapping[int, float]] = deque(maxlen=START_REPORTS)  # reports before there are filters
-        self._stood: Node | None = None  # where it stands; None once it has moved and hypotheses run
+        self._stood: OdometryNode | None = None  # where it stands; None once it has moved and hypotheses run
         self._known = False  # the heading
         self._rolled = 0.0  # m since hypotheses run
         self._doubt = 0.0
@@ -108,7 +108,7 @@ class Tracker:
     def odometry(self, t: float, distance: float, turn: float, tilt: float = 0.0) -> None:
         """The robot rolled `distance` (m) and turned by `turn` (rad) since the last call, and leans by `tilt`."""
         if self._motion is None:
-            self._motion = Motion(t)
+            self._motion = DeadReckoning(t)
             return
         dt = t - self._motion.newest.t
         if dt <= 0.0:
@@ -160,18 +160,18 @@ class Tracker:
             self._choose()
         return told
 
-    def estimate(self, now: float) -> Estimate | None:
+    def estimate(self, now: float) -> PoseEstimate | None:
         """The pose at `now`; None before there is one."""
         if self._motion is None or not self._filters:
             return None
         x, y, covariance = self._mixture()
         best = self._filters[0].ekf
         if not self._known:
-            return Estimate(now, x, y, covariance, None, None)
+            return PoseEstimate(now, x, y, covariance, None, None)
         dx, dy = self._way(best.state[HEADING], self._motion.newest, self._motion.at(now))
         turn = self._motion.at(now).heading - self._motion.newest.heading
         heading = (best.state[HEADING] + turn + pi) % (2 * pi) - pi
-        return Estimate(now, x + dx, y + dy, covariance, heading, best.covariance[HEADING][HEADING] ** 0.5)
+        return PoseEstimate(now, x + dx, y + dy, covariance, heading, best.covariance[HEADING][HEADING] ** 0.5)
 
     def _start(self, heard: Sequence[tuple[int, float]]) -> None:
         assert self._motion is not None
@@ -234,7 +234,7 @@ class Tracker:
         return told
 
     @staticmethod
-    def _way(heading: float, start: Node, end: Node) -> tuple[float, float]:
+    def _way(heading: float, start: OdometryNode, end: OdometryNode) -> tuple[float, float]:
         """From one node of the motion to another in the anchors' frame, the robot at `start` heading so."""
         c, s = cos(heading - start.heading), sin(heading - start.heading)
         u, v = end.u - start.u, end.v - start.v

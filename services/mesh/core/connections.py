@@ -12,11 +12,11 @@ from services.mesh.core.actions import Actions, Close, Dial, LinksChanged, Trans
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.link import neighbour
 from services.mesh.core.link.calls import REFUSED, Caller, Callers, Local
-from services.mesh.core.link.clock import MeshClock
+from services.mesh.core.link.clock import ClockSync
 from services.mesh.core.link.neighbour import Holds, Link, Prober
 from services.mesh.core.link.outbox import name_of
 from services.mesh.core.link.session import DOWN, SUSPECT, Session
-from services.mesh.core.overlays.robot_overlays import Overlays
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.wire import frames
 from swarm.errors import FrameError
 from swarm.messages import Echo, EchoRequest, HoldLink, LinkState
@@ -30,7 +30,7 @@ class Connections:
     def __init__(
         self,
         local: Local,
-        overlays: Overlays,
+        overlays: RobotOverlays,
         actions: Actions,
         *,
         admit: Callable[[str, int, str], bool],
@@ -54,7 +54,7 @@ class Connections:
         self.links: dict[str, Link] = {}
         self._holds = Holds()
         self.prober = Prober(local.robot, local.dials)
-        self.clock = MeshClock(local.robot, local.incarnation, local.robots)
+        self.clock = ClockSync(local.robot, local.incarnation, local.robots)
         self._session = partial(
             Session, local,
             admit=admit, clock=self.clock, counters=counters, has_room=overlays.linking.has_room,

@@ -1,7 +1,8 @@
 """The mesh of one robot: its links, what it relays over them, and what it tells about them.
 
-A node joins the robot's bus (`Relay`), the overlays (`Overlays`) and the connections (`Connections`). The shell moves
-bytes between sessions and transports, carries out `actions()`, and calls `handle_timer` at `next_deadline()`.
+A node joins the robot's bus (`KeyRelay`), the overlays (`RobotOverlays`) and the connections (`Connections`). The
+shell moves bytes between sessions and transports, carries out `actions()`, and calls `handle_timer` at
+`next_deadline()`.
 """
 
 from collections import Counter
@@ -12,7 +13,7 @@ from services.mesh.core.actions import (
     Actions,
     Connect,
     Disconnect,
-    Log,
+    LogLine,
     Transmit,
     Write,
 )
@@ -22,8 +23,8 @@ from services.mesh.core.link.calls import REFUSED, UNKNOWN, Caller, Local
 from services.mesh.core.link.clock import ClockState
 from services.mesh.core.link.session import SENT, Session
 from services.mesh.core.overlays import flood, robot_overlays, unicast
-from services.mesh.core.overlays.robot_overlays import Overlays
-from services.mesh.core.relay import Relay, Send
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.relay import KeyRelay, RelaySend
 from services.mesh.core.wire import frames
 from swarm.messages import EchoRequest, HoldLink, LinkState
 
@@ -39,14 +40,14 @@ def longest(overlay: int, priority: int) -> int:
     return flood.limit_of(priority) if overlay == frames.FLOOD else unicast.limit_of(priority)
 
 
-class Node:
+class MeshNode:
     """The mesh of one robot. Calls with `now` must not go back in time; no call may overlap another."""
 
     def __init__(
         self,
         local: Local,
-        relay: Relay,
-        overlays: Overlays,
+        relay: KeyRelay,
+        overlays: RobotOverlays,
         *,
         random: Callable[[], float],
         nonce: Callable[[], bytes],
@@ -102,7 +103,7 @@ class Node:
         if (held := self._relay.next_deadline()) is not None and held < self._deadline:
             self._deadline = held
 
-    def ask(self, step: Callable[[Overlays, float], object], now: float) -> None:
+    def ask(self, step: Callable[[RobotOverlays, float], object], now: float) -> None:
         """Something for the overlays to do: a request of an app, a stop."""
         step(self.overlays, now)
         self._serve_overlays()
@@ -167,7 +168,7 @@ class Node:
         held = self._relay.next_deadline()
         return earliest if held is None else min(earliest, held)
 
-    def _send(self, send: Send, now: float) -> None:
+    def _send(self, send: RelaySend, now: float) -> None:
         leg, payload = send
         if len(payload) > (largest := longest(leg.overlay, leg.priority)):
             self._counters["too_large"] += 1
@@ -199,9 +200,9 @@ class Node:
                     self.connections.connect(peer, once=once)
                 case Disconnect(peer, code):
                     self.connections.disconnect(peer, code)
-                case Log(text, True):
+                case LogLine(text, True):
                     self._actions.log_once(text, text)
-                case Log(text):
+                case LogLine(text):
                     self._actions.log_link(text)
                 case Received() | Write():
                     self._actions.add(action)

@@ -89,7 +89,7 @@ class Leg:
     """The newest value that came too soon; it leaves at `next_at`."""
 
 
-class Route(NamedTuple):
+class KeyRoute(NamedTuple):
     """Where a key of this robot goes."""
 
     source: int
@@ -97,7 +97,7 @@ class Route(NamedTuple):
     legs: tuple[Leg, ...]
 
 
-class Send(NamedTuple):
+class RelaySend(NamedTuple):
     """A value that leaves now."""
 
     leg: Leg
@@ -110,7 +110,7 @@ class _Rule(NamedTuple):
     avoid_link: bool
 
 
-class Relay:
+class KeyRelay:
     """The rules of one robot."""
 
     __slots__ = (
@@ -131,7 +131,7 @@ class Relay:
         self._peers = tuple(sorted(peers))
         self._robots = frozenset(robots if robots is not None else (me, *peers))
         self._rules = [_Rule(rule, OVERLAYS[rule.overlay], rule.overlay == "around") for rule in rules]
-        self._routes: dict[str, Route] = {}
+        self._routes: dict[str, KeyRoute] = {}
         self._held: list[Leg] = []
         self.subscriptions = tuple(dict.fromkeys(instantiate(rule.keys, me, "*") for rule in rules))
         """Key expressions to subscribe to on the own bus; a sample's `source` is the index in here."""
@@ -168,7 +168,7 @@ class Relay:
                     leg.held, leg.next_at = old.held, old.next_at
                     self._held.append(leg)
 
-    def publish(self, source: int | None, key: str, payload: bytes, now: float) -> list[Send]:
+    def publish(self, source: int | None, key: str, payload: bytes, now: float) -> list[RelaySend]:
         """What leaves because of a sample that subscription number `source` delivered; None: none did."""
         route = self._routes.get(key) or self._find(key)
         if source is not None and route.source != source:
@@ -182,10 +182,10 @@ class Relay:
                     leg.held = payload
                     continue
                 leg.next_at = now + leg.interval
-            sends.append(Send(leg, payload))
+            sends.append(RelaySend(leg, payload))
         return sends
 
-    def handle_timer(self, now: float) -> list[Send]:
+    def handle_timer(self, now: float) -> list[RelaySend]:
         """What was held back by a maximum rate and leaves now."""
         due = [leg for leg in self._held if leg.next_at <= now]
         if not due:
@@ -194,7 +194,7 @@ class Relay:
         sends = []
         for leg in due:
             assert leg.held is not None
-            sends.append(Send(leg, leg.held))
+            sends.append(RelaySend(leg, leg.held))
             leg.held = None
             leg.next_at = now + leg.interval
         return sends
@@ -203,7 +203,7 @@ class Relay:
         """When the next held value leaves."""
         return min(leg.next_at for leg in self._held) if self._held else None
 
-    def _find(self, key: str) -> Route:
+    def _find(self, key: str) -> KeyRoute:
         source = next((index for index, each in enumerate(self.subscriptions) if matches(each, key)), -1)
         legs = []
         own = may_cross(key, self._me)
@@ -233,7 +233,7 @@ class Relay:
         if len(self._routes) >= MAX_ROUTES:
             self._routes.clear()
             self._held.clear()
-        route = self._routes[key] = Route(source, tuple(legs))
+        route = self._routes[key] = KeyRoute(source, tuple(legs))
         return route
 
     def _receiver(self, rule: _Rule, key: str, sender: str) -> str | None:

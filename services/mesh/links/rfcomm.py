@@ -121,7 +121,7 @@ def dial(radio: Radio, address: str, *, open_socket: Open = open_socket) -> Pipe
     return RfcommPipe(sock, radio.adapter, address)
 
 
-class Listener(stream.Listener):
+class RfcommListener(stream.StreamListener):
     """Where `rfcomm:` neighbours reach this robot."""
 
     def __init__(self, radio: Radio, robots: Mapping[str, str], *, open_socket: Open = open_socket) -> None:

@@ -43,7 +43,7 @@ _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _log = logging.getLogger("mesh.sim")
 
 
-class Air:
+class LinkConditions:
     """What all simulated links of this robot share: how they are, and which of them are cut."""
 
     def __init__(self, me: str, directory: Path) -> None:
@@ -114,7 +114,7 @@ class Air:
 class SimPipe(Pipe):
     """One simulated connection."""
 
-    def __init__(self, sock: socket.socket, air: Air, peer: str | None) -> None:
+    def __init__(self, sock: socket.socket, air: LinkConditions, peer: str | None) -> None:
         """`peer` is whom we called; None where we were called."""
         super().__init__(sock)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
@@ -212,10 +212,10 @@ class SimPipe(Pipe):
         self._buffer = buffer[at:]
 
 
-class Listener:
+class SimListener:
     """Where `sim:` neighbours reach this robot. A socket file that a killed run left is replaced."""
 
-    def __init__(self, path: Path, air: Air) -> None:
+    def __init__(self, path: Path, air: LinkConditions) -> None:
         self._air = air
         self._path = path
         self._sock = _bound(path, socket.SOCK_STREAM)
@@ -237,7 +237,7 @@ class Listener:
         self._path.unlink(missing_ok=True)
 
 
-def dial(path: Path, air: Air, peer: str) -> Pipe:
+def dial(path: Path, air: LinkConditions, peer: str) -> Pipe:
     """Connect to `peer`; raises OSError."""
     if not air.wait_for_dial() or air.is_cut(peer):
         raise ConnectionError(UNREACHABLE)

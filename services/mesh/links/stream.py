@@ -9,7 +9,7 @@ BACKLOG = 16
 """Callers the kernel holds until they are accepted."""
 
 
-class Listener:
+class StreamListener:
     """A listening socket whose callers become pipes."""
 
     def __init__(self, sock: socket.socket) -> None:

@@ -23,7 +23,7 @@ def dial(address: Tcp) -> Pipe:
     return _pipe(sock)
 
 
-class Listener(stream.Listener):
+class TcpListener(stream.StreamListener):
     """Where `tcp:` neighbours reach this robot."""
 
     def __init__(self, address: Tcp, neighbours: Collection[str] = ()) -> None:

@@ -18,8 +18,8 @@ from swarm.messages.keys import is_name
 from swarm.onboard import arguments, buses
 from swarm.onboard.ask import PATIENCE, Views, opened
 from swarm.onboard.measure.figures import FLOOD, NEIGHBOURS, OVERLAYS, UNICAST, Figures, Series
-from swarm.onboard.measure.senders import Floods, Messages, Pings, Sender
-from swarm.onboard.mesh.collected import Mesh
+from swarm.onboard.measure.senders import Floods, Pings, Sender, UnicastMessages
+from swarm.onboard.mesh.collected import CollectedMesh
 
 SIZES = (50, 200, 500, 750, 1000)
 """Bytes; those of the thesis' figure 3.19."""
@@ -114,9 +114,9 @@ def _ways(
         to = way[0] if overlay == ALL else peer
         ways.append((Pings(bus, robot, to, priority), NEIGHBOURS, to, 1))
     if overlay == ALL:
-        ways += [(Messages(bus, robot, to, priority), UNICAST, to, hops) for hops, to in enumerate(way, 1)]
+        ways += [(UnicastMessages(bus, robot, to, priority), UNICAST, to, hops) for hops, to in enumerate(way, 1)]
     elif overlay == UNICAST or (overlay is None and len(way) > 1):
-        ways.append((Messages(bus, robot, peer, priority), UNICAST, peer, len(way)))
+        ways.append((UnicastMessages(bus, robot, peer, priority), UNICAST, peer, len(way)))
     if overlay in (ALL, FLOOD):
         farthest = max(each.hops or 0 for each in others)
         ways.append((Floods(bus, robot, priority), FLOOD, f"{len(others)} robots", farthest))
@@ -141,7 +141,7 @@ def path(known: Mapping[str, GraphRobot], robot: str, peer: str) -> list[str]:
     if not end.hops:
         what = {"never": "it was never seen", "left": "it has left"}.get(end.state, f"it is {end.state}")
         raise LocalError(f"there is no way from {robot} to {peer}: {what}")
-    graph = Mesh({}, known).graph
+    graph = CollectedMesh({}, known).graph
     if end.via is None or robot not in (distances := graph.distances(peer)):
         raise LocalError(f"the way from {robot} to {peer} has just changed, try again")
     way = [end.via]

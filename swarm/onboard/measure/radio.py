@@ -13,7 +13,7 @@ from collections.abc import Callable
 from swarm.bluetooth import hci
 from swarm.bluetooth.adapter import Adapter, check
 from swarm.config import load
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.errors import LocalError
 from swarm.onboard.arguments import show, whole
 from swarm.onboard.measure import links
@@ -37,7 +37,7 @@ class Signal:
         """One reading, dB; `LocalError` where there is no connection, or no answer."""
         handle = self._adapter.handle(self._peer)
 
-        def answer(packet: bytes) -> hci.Reading | None:
+        def answer(packet: bytes) -> hci.RssiReading | None:
             found = hci.reading(packet)
             return None if found is not None and found.status == 0 and found.handle != handle else found
 
@@ -97,7 +97,7 @@ def text(link: str, readings: list[int]) -> list[str]:
     ]
 
 
-def _radio(config: Robot, link: str) -> str:
+def _radio(config: RobotConfig, link: str) -> str:
     if config.link is not None and not config.link.startswith("rfcomm:"):
         raise LocalError(f"{link}: this link has no radio: {config.name} is reached by {config.link}")
     address = (config.link or "").removeprefix("rfcomm:") or config.bluetooth

@@ -144,7 +144,7 @@ class _Messages(Sender):
         return answer.t if self._succeeded(answer) else None
 
 
-class Messages(_Messages):
+class UnicastMessages(_Messages):
     """To one robot, over as many links as it takes."""
 
     def __init__(self, bus: Bus, robot: str, to: str, priority: str | None) -> None:

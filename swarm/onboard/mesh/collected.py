@@ -12,7 +12,7 @@ UP = ("up", "suspect")
 
 
 @dataclass
-class View:
+class MeshView:
     """What one robot's mesh reports of itself."""
 
     links: Links | None = None
@@ -26,10 +26,10 @@ class View:
 
 
 @dataclass
-class Mesh:
+class CollectedMesh:
     """The swarm."""
 
-    views: Mapping[str, View]
+    views: Mapping[str, MeshView]
     """Of the robots that were asked."""
     robots: Mapping[str, GraphRobot] = field(default_factory=dict)
     """All, as they are known best."""

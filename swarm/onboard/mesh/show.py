@@ -16,7 +16,7 @@ from swarm.onboard import buses
 from swarm.onboard.arguments import add_json, show
 from swarm.onboard.ask import PATIENCE, Views, opened
 from swarm.onboard.mesh import tables
-from swarm.onboard.mesh.collected import Mesh, View
+from swarm.onboard.mesh.collected import CollectedMesh, MeshView
 
 HELP = "the robots of the swarm, their links, and the graph they make"
 
@@ -32,16 +32,16 @@ def run(args: argparse.Namespace) -> int:
     return 0 if shown(args).whole else 1
 
 
-def shown(args: argparse.Namespace) -> Mesh:
+def shown(args: argparse.Namespace) -> CollectedMesh:
     """Print what is known, and return it."""
     mesh = collect(buses.find(args))
     show(args, as_json(mesh), tables.text(mesh))
     return mesh
 
 
-def collect(directories: Mapping[str, Path]) -> Mesh:
+def collect(directories: Mapping[str, Path]) -> CollectedMesh:
     """The newest reports of these robots, waited for; `LocalError` where no mesh reports at all."""
-    views = {name: View() for name in directories}
+    views = {name: MeshView() for name in directories}
     graphs = Views()
 
     def take(text: str, payload: bytes) -> None:
@@ -68,7 +68,7 @@ def collect(directories: Mapping[str, Path]) -> Mesh:
                 graphs.changed.wait(max(0.0, end - clock.now()))
     if not any(view.links for view in views.values()) and not graphs.robots:
         raise LocalError(f"no mesh reports its links: {', '.join(directories)} ({PATIENCE:g} s)")
-    return Mesh(views, graphs.best())
+    return CollectedMesh(views, graphs.best())
 
 
 def _ask(name: str, bus: Bus, graphs: Views, take: OnSample) -> None:
@@ -77,7 +77,7 @@ def _ask(name: str, bus: Bus, graphs: Views, take: OnSample) -> None:
         bus.ask(key(name, "mesh", topic), take, timeout_s=PATIENCE)
 
 
-def as_json(mesh: Mesh) -> dict[str, object]:
+def as_json(mesh: CollectedMesh) -> dict[str, object]:
     """For programs."""
     robots: dict[str, dict[str, object]] = {}
     for name in mesh.names:

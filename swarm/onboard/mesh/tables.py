@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Sequence
 
 from swarm.onboard.ask import AWAY
-from swarm.onboard.mesh.collected import Mesh
+from swarm.onboard.mesh.collected import CollectedMesh
 from swarm.process.terminal import columns
 
 MATRIX_UP_TO = 16
@@ -25,17 +25,17 @@ OVERLAYS = (
 """Columns and counters of the table of overlays (docs/overlays.md)."""
 
 
-def text(mesh: Mesh) -> list[str]:
+def text(mesh: CollectedMesh) -> list[str]:
     """All of it."""
     return [*clashes(mesh), *robots(mesh), "", *links(mesh), "", *overlays(mesh), "", *graph(mesh)]
 
 
-def clashes(mesh: Mesh) -> list[str]:
+def clashes(mesh: CollectedMesh) -> list[str]:
     """One line for each name that two robots have."""
     return [f"WRONG: {text}" for _, text in sorted(mesh.clashes.items())]
 
 
-def robots(mesh: Mesh) -> list[str]:
+def robots(mesh: CollectedMesh) -> list[str]:
     """One line for each robot of the swarm."""
     rows: list[Sequence[str]] = [("robot", "state", "hops", "via", "links", "stopped", "clock")]
     neighbours = {name: len(mesh.graph.neighbours(name)) for name in mesh.names}
@@ -62,7 +62,7 @@ def robots(mesh: Mesh) -> list[str]:
     return columns(rows)
 
 
-def links(mesh: Mesh) -> list[str]:
+def links(mesh: CollectedMesh) -> list[str]:
     """One line for each end of each link of the robots that were asked."""
     rows: list[Sequence[str]] = [
         (
@@ -102,7 +102,7 @@ def links(mesh: Mesh) -> list[str]:
     return columns(rows)
 
 
-def overlays(mesh: Mesh) -> list[str]:
+def overlays(mesh: CollectedMesh) -> list[str]:
     """One line for each robot that was asked. Links send nothing again; what is sent again, overlays do."""
     rows: list[Sequence[str]] = [
         ("since start", *(column for column, _ in OVERLAYS), "callers refused"),
@@ -117,7 +117,7 @@ def overlays(mesh: Mesh) -> list[str]:
     return columns(rows)
 
 
-def graph(mesh: Mesh) -> list[str]:
+def graph(mesh: CollectedMesh) -> list[str]:
     """Who is linked to whom, with the round trip in ms; `x` = not up."""
     cells: dict[tuple[str, str], str] = {}
     for pair in mesh.states:
@@ -143,7 +143,7 @@ def ms(seconds: float | None) -> str:
     return "" if seconds is None else f"{seconds * 1e3:.1f}"
 
 
-def _summary(mesh: Mesh) -> str:
+def _summary(mesh: CollectedMesh) -> str:
     parts = mesh.graph.components()
     times = [time for time in mesh.round_trips.values() if time is not None]
     away = [f"{name} ({robot.state})" for name, robot in mesh.robots.items() if robot.state in AWAY]

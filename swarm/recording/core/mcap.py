@@ -51,7 +51,7 @@ _COUNT = struct.Struct("<HQ")
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 
 
-class Schema(NamedTuple):
+class McapSchema(NamedTuple):
     """How the messages of some channels look."""
 
     id: int
@@ -60,7 +60,7 @@ class Schema(NamedTuple):
     data: bytes
 
 
-class Channel(NamedTuple):
+class McapChannel(NamedTuple):
     """The messages of one topic."""
 
     id: int
@@ -70,7 +70,7 @@ class Channel(NamedTuple):
     metadata: dict[str, str]
 
 
-class Message(NamedTuple):
+class McapMessage(NamedTuple):
     """One message."""
 
     channel: int
@@ -116,12 +116,12 @@ def header(library: str) -> bytes:
     return MAGIC + record(HEADER, _text("") + _text(library))
 
 
-def schema(it: Schema) -> bytes:
+def schema(it: McapSchema) -> bytes:
     """A schema record."""
     return record(SCHEMA, _U16.pack(it.id) + _text(it.name) + _text(it.encoding) + _block(it.data))
 
 
-def channel(it: Channel) -> bytes:
+def channel(it: McapChannel) -> bytes:
     """A channel record."""
     head = _U16.pack(it.id) + _U16.pack(it.schema)
     return record(CHANNEL, head + _text(it.topic) + _text(it.encoding) + _map(it.metadata))
@@ -226,24 +226,24 @@ def whole_records(data: bytes | memoryview, at: int = 0) -> Iterator[tuple[int, 
         at += HEAD.size + length
 
 
-def read_schema(content: bytes | memoryview) -> Schema:
+def read_schema(content: bytes | memoryview) -> McapSchema:
     """Raises `RecordingError` like all of these, where the content is none."""
     fields = _Fields(content)
-    return Schema(fields.u16(), fields.text(), fields.text(), fields.block())
+    return McapSchema(fields.u16(), fields.text(), fields.text(), fields.block())
 
 
-def read_channel(content: bytes | memoryview) -> Channel:
+def read_channel(content: bytes | memoryview) -> McapChannel:
     """A channel record's content."""
     fields = _Fields(content)
-    return Channel(fields.u16(), fields.u16(), fields.text(), fields.text(), fields.map())
+    return McapChannel(fields.u16(), fields.u16(), fields.text(), fields.text(), fields.map())
 
 
-def read_message(content: bytes | memoryview) -> Message:
+def read_message(content: bytes | memoryview) -> McapMessage:
     """A message record's content."""
     if len(content) < _MESSAGE.size:
         raise RecordingError("a message is too short")
     channel, sequence, log_time, _ = _MESSAGE.unpack_from(content)
-    return Message(channel, sequence, log_time, bytes(content[_MESSAGE.size :]))
+    return McapMessage(channel, sequence, log_time, bytes(content[_MESSAGE.size :]))
 
 
 def read_metadata(content: bytes | memoryview) -> tuple[str, dict[str, str]]:

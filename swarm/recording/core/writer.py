@@ -33,13 +33,13 @@ MAX_CHANNELS = 65_535
 
 
 @dataclass
-class Known:
+class ExistingContent:
     """What a file already holds, where one goes on with it."""
 
     position: int = 0
     """Bytes of whole records."""
-    schemas: dict[int, mcap.Schema] = field(default_factory=dict)
-    channels: dict[int, mcap.Channel] = field(default_factory=dict)
+    schemas: dict[int, mcap.McapSchema] = field(default_factory=dict)
+    channels: dict[int, mcap.McapChannel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     """Messages by channel."""
     chunk_indexes: bytearray = field(default_factory=bytearray)
@@ -87,11 +87,11 @@ class Known:
         self.chunk_indexes = bytearray()
 
 
-def recall(at: int, content: bytes, checkpoints: list[int]) -> Known:
+def recall(at: int, content: bytes, checkpoints: list[int]) -> ExistingContent:
     """What a file holds up to the checkpoint at `at`, and that it is: all that a restart has to know of what is before.
     `checkpoints`: offsets of those before it. Raises `RecordingError` where the content is damaged."""
     _, summary = mcap.read_checkpoint(at, content)
-    known = Known(at + mcap.HEAD.size + len(content), checkpoints=[*checkpoints, at])
+    known = ExistingContent(at + mcap.HEAD.size + len(content), checkpoints=[*checkpoints, at])
     for start, opcode, inside in mcap.whole_records(summary):
         if opcode == mcap.SCHEMA:
             schema = mcap.read_schema(inside)
@@ -118,14 +118,14 @@ class Writer:
         library: str,
         *,
         epoch_ns: int,
-        known: Known | None = None,
+        known: ExistingContent | None = None,
         keep: Callable[[bytes], None] = lambda record: None,
     ) -> None:
         """`known`: what the file holds already, which this goes on with. `keep(record)` is given every record as soon
         as it was written, which `take` does only when its chunk ends; `restore` takes it back."""
         self._keep = keep
         self.epoch_ns = epoch_ns
-        self._known = known or Known()
+        self._known = known or ExistingContent()
         self._ids = {channel.topic: channel.id for channel in self._known.channels.values()}
         self._ready = bytearray()
         self._chunk = bytearray()
@@ -157,7 +157,7 @@ class Writer:
             channel = self._open(topic, *self._shape(message, name))
         self._message(channel, log_time, data)
 
-    def write_text(self, topic: str, t: float, data: bytes, schema: mcap.Schema) -> None:
+    def write_text(self, topic: str, t: float, data: bytes, schema: mcap.McapSchema) -> None:
         """Record a message out of another recording: JSON text, with its schema there."""
         channel = self._ids.get(topic)
         if channel is None:
@@ -287,18 +287,18 @@ class Writer:
             raise LocalError(f"{topic}: a recording has at most {MAX_CHANNELS} topics")
         schema = next((it for it in known.schemas.values() if (it.name, it.data) == (name, shape)), None)
         if schema is None:
-            schema = mcap.Schema(len(known.schemas) + 1, name, "jsonschema", shape)
+            schema = mcap.McapSchema(len(known.schemas) + 1, name, "jsonschema", shape)
             self._add_schema(schema)
-        self._add_channel(mcap.Channel(number, schema.id, topic, "json", {}))
+        self._add_channel(mcap.McapChannel(number, schema.id, topic, "json", {}))
         return number
 
-    def _add_schema(self, schema: mcap.Schema) -> None:
+    def _add_schema(self, schema: mcap.McapSchema) -> None:
         self._known.schemas[schema.id] = schema
         packed = mcap.schema(schema)
         self._put(packed)
         self._keep(packed)
 
-    def _add_channel(self, channel: mcap.Channel) -> None:
+    def _add_channel(self, channel: mcap.McapChannel) -> None:
         self._known.channels[channel.id] = channel
         self._known.counts[channel.id] = 0
         self._ids[channel.topic] = channel.id

@@ -8,7 +8,7 @@ come: one that asks for a piece which is not there yet gets it when it is.
 from collections.abc import Callable, Collection, Iterable
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Fetch, Id, Pace, Packet
+from services.mesh.core.bulk.pieces import GONE, PIECE, SIZE, WANT, Fetch, MessageId, Pace, Packet
 
 PATIENCE = 30.0
 """s without a new piece after which a message is given up."""
@@ -27,14 +27,14 @@ COUNTERS = ("pieces_sent", "pieces_repeated", "pieces_useless", "large_incomplet
 _NEVER = float("inf")
 
 
-class Source:
+class _Source:
     """A robot that we fetch from."""
 
     __slots__ = ("fetches", "pace", "timeouts")
 
     def __init__(self) -> None:
         self.pace = Pace()
-        self.fetches: dict[Id, Fetch] = {}
+        self.fetches: dict[MessageId, Fetch] = {}
         self.timeouts = 0
 
     @property
@@ -48,7 +48,7 @@ class Source:
         return min((fetch.asked_since for fetch in self.fetches.values()), default=_NEVER) + self.pace.patience
 
 
-class Exchange:
+class BulkExchange:
     """All large messages of one robot. Calls with `now` must not go back in time."""
 
     def __init__(
@@ -56,8 +56,8 @@ class Exchange:
         me: str,
         *,
         emit: Callable[[Packet], bool],
-        has: Callable[[Id, str], bytes | None],
-        finished: Callable[[Id, bytes | None, float], None],
+        has: Callable[[MessageId, str], bytes | None],
+        finished: Callable[[MessageId, bytes | None, float], None],
         others: Callable[[], Collection[str]],
         counters: dict[str, int],
     ) -> None:
@@ -70,9 +70,9 @@ class Exchange:
         self._finished = finished
         self._others = others
         self._counters = counters
-        self._sources: dict[str, Source] = {}
-        self._fetches: dict[Id, Fetch] = {}
-        self._waiting: dict[Id, dict[str, dict[int, None]]] = {}
+        self._sources: dict[str, _Source] = {}
+        self._fetches: dict[MessageId, Fetch] = {}
+        self._waiting: dict[MessageId, dict[str, dict[int, None]]] = {}
         """Pieces of unfinished messages that others wait for."""
         self._look_at = _NEVER
 
@@ -83,12 +83,12 @@ class Exchange:
         """Messages on their way here."""
         return self._fetches.values()
 
-    def fetch(self, id: Id, total: int, source: str, now: float) -> None:
+    def fetch(self, id: MessageId, total: int, source: str, now: float) -> None:
         """Fetch a message that `source` has, or will have."""
         fetch = self._fetches[id] = Fetch(id, total, now)
         self._assign(fetch, source, now)
 
-    def add_source(self, id: Id, robot: str, now: float) -> None:
+    def add_source(self, id: MessageId, robot: str, now: float) -> None:
         """That robot may have it, too."""
         fetch = self._fetches.get(id)
         if fetch is not None and robot != fetch.source and robot not in fetch.sources:
@@ -96,7 +96,7 @@ class Exchange:
             if fetch.source is None:
                 self._next_source(fetch, now)
 
-    def drop(self, id: Id, now: float) -> None:
+    def drop(self, id: MessageId, now: float) -> None:
         """Give a message up."""
         if (fetch := self._fetches.pop(id, None)) is not None:
             self._leave(fetch)
@@ -119,7 +119,7 @@ class Exchange:
 
     # -- packets -----------------------------------------------------------------------------------------------
 
-    def receive(self, packet: Packet, now: float) -> pieces.Want | None:
+    def receive(self, packet: Packet, now: float) -> pieces.WantBody | None:
         """A WANT (given back), PIECE or GONE for this robot; raises `FrameError`."""
         if packet.kind == WANT:
             want = pieces.decode_want(packet.body)
@@ -131,7 +131,7 @@ class Exchange:
             self._on_gone(packet.sender, packet.id, now)
         return None
 
-    def _on_piece(self, sender: str, id: Id, index: int, data: bytes, now: float) -> None:
+    def _on_piece(self, sender: str, id: MessageId, index: int, data: bytes, now: float) -> None:
         fetch = self._fetches.get(id)
         taken = fetch.take(index, data, now) if fetch is not None else None
         if fetch is None or taken is None:
@@ -157,7 +157,7 @@ class Exchange:
             self._finished(id, fetch.payload(), now)
         self._ask(sender, now)
 
-    def _on_gone(self, sender: str, id: Id, now: float) -> None:
+    def _on_gone(self, sender: str, id: MessageId, now: float) -> None:
         fetch = self._fetches.get(id)
         if fetch is None or sender != fetch.source:
             return
@@ -166,7 +166,7 @@ class Exchange:
         else:
             self.drop(id, now)
 
-    def _on_want(self, peer: str, id: Id, want: pieces.Want) -> None:
+    def _on_want(self, peer: str, id: MessageId, want: pieces.WantBody) -> None:
         payload = self._has(id, peer)
         if payload is not None:
             count = pieces.count_of(len(payload))
@@ -186,7 +186,7 @@ class Exchange:
             elif index < fetch.count and len(waiting) < MAX_WAITING:
                 waiting[index] = None
 
-    def _give(self, peer: str, id: Id, index: int, data: bytes) -> None:
+    def _give(self, peer: str, id: MessageId, index: int, data: bytes) -> None:
         self._counters["pieces_sent"] += 1
         self._emit(Packet(PIECE, self._me, peer, id, pieces.encode_piece(index, data)))
 
@@ -227,14 +227,14 @@ class Exchange:
 
     # -- inside ------------------------------------------------------------------------------------------------
 
-    def _again(self, source: Source) -> None:
+    def _again(self, source: _Source) -> None:
         self._counters["pieces_repeated"] += source.asked
         for fetch in source.fetches.values():
             fetch.ask_again()
 
     def _assign(self, fetch: Fetch, robot: str, now: float) -> None:
         fetch.source = robot
-        self._sources.setdefault(robot, Source()).fetches[fetch.id] = fetch
+        self._sources.setdefault(robot, _Source()).fetches[fetch.id] = fetch
         self._ask(robot, now)
 
     def _leave(self, fetch: Fetch) -> None:
@@ -264,7 +264,7 @@ class Exchange:
         if room < 2 and source.asked:
             source.pace.full()
             return
-        picked: dict[Id, list[int]] = {}
+        picked: dict[MessageId, list[int]] = {}
         while room > 0 and waiting:
             fetch = waiting.pop(0)
             index = fetch.pick(now)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 from services.mesh.core.link.round_trips import RoundTrips
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import MAX_MESSAGE
-from services.mesh.core.wire.packets import Reader, packed
+from services.mesh.core.wire.packets import PacketReader, packed
 from swarm.errors import FrameError
 
 OFFER, WANT, PIECE, STATE, GONE = 3, 4, 5, 6, 7
@@ -50,7 +50,7 @@ _PIECE = struct.Struct("<H")
 _OF_FLOOD = 1
 
 
-class Id(NamedTuple):
+class MessageId(NamedTuple):
     """Names one large message in the whole swarm."""
 
     origin: str
@@ -66,12 +66,12 @@ class Packet(NamedTuple):
     kind: int
     sender: str
     to: str
-    id: Id
+    id: MessageId
     body: bytes
     ttl: int = 0
 
 
-class Want(NamedTuple):
+class WantBody(NamedTuple):
     """Body of a WANT."""
 
     have: int
@@ -101,11 +101,11 @@ def decode(data: bytes) -> Packet:
     wrong_flags = flags > _OF_FLOOD or (flags and kind in (OFFER, STATE))
     if not OFFER <= kind <= GONE or wrong_flags or not number:
         raise FrameError(f"packet kind {kind}, flags {flags:#x}, number {number} about a large message: not known")
-    reader = Reader(data, _HEAD.size)
+    reader = PacketReader(data, _HEAD.size)
     sender, to = reader.name(), reader.name()
     offers = to if kind in (WANT, STATE) else sender
     origin = reader.name() if flags else offers
-    return Packet(kind, sender, to, Id(origin, incarnation, number, bool(flags)), data[reader.at :], ttl)
+    return Packet(kind, sender, to, MessageId(origin, incarnation, number, bool(flags)), data[reader.at :], ttl)
 
 
 def passed_on(data: bytes) -> bytes:
@@ -120,7 +120,7 @@ def encode_offer(total: int, key: str) -> bytes:
 
 def decode_offer(body: bytes) -> tuple[int, str]:
     """Bytes and key of the message that is offered."""
-    reader = Reader(body, 0)
+    reader = PacketReader(body, 0)
     (total,) = reader.unpack(_OFFER)
     key = reader.key()
     reader.end()
@@ -147,9 +147,9 @@ def encode_want(have: int, indexes: Iterable[int]) -> bytes:
     return _WANT.pack(have, len(runs)) + b"".join(_RANGE.pack(first, count) for first, count in runs)
 
 
-def decode_want(body: bytes) -> Want:
+def decode_want(body: bytes) -> WantBody:
     """What a WANT asks for."""
-    reader = Reader(body, 0)
+    reader = PacketReader(body, 0)
     have, count = reader.unpack(_WANT)
     if count > MAX_RANGES:
         raise FrameError(f"WANT of {count} runs: at most {MAX_RANGES} are allowed")
@@ -160,7 +160,7 @@ def decode_want(body: bytes) -> Want:
             raise FrameError(f"WANT of more than {MAX_WANTED} pieces")
         indexes += range(first, first + length)
     reader.end()
-    return Want(have, tuple(indexes))
+    return WantBody(have, tuple(indexes))
 
 
 def encode_piece(index: int, data: bytes) -> bytes:
@@ -284,7 +284,7 @@ class Fetch:
     __slots__ = ("_again", "_asked", "_next", "_parts", "_repeated", "_serial", "began", "count", "have", "heard", "id",
                  "source", "sources", "total")  # fmt: skip
 
-    def __init__(self, id: Id, total: int, now: float) -> None:
+    def __init__(self, id: MessageId, total: int, now: float) -> None:
         self.id = id
         self.total = total
         self.count = count_of(total)

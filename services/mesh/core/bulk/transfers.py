@@ -12,9 +12,9 @@ from collections import Counter
 from collections.abc import Callable
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.exchange import Exchange, total_of
+from services.mesh.core.bulk.exchange import BulkExchange, total_of
 from services.mesh.core.bulk.numbered import Limits, Outbound, Outgoing, SeenLives
-from services.mesh.core.bulk.pieces import DONE, LATER, OFFER, REFUSED, STATE, Id, Packet
+from services.mesh.core.bulk.pieces import DONE, LATER, OFFER, REFUSED, STATE, MessageId, Packet
 from services.mesh.core.wire.frames import BULK
 
 MAX_SENDING = 64
@@ -84,11 +84,11 @@ class Transfers:
         self._deliver = deliver
         self._ended = ended
         self._counters = counters
-        self.exchange: Exchange
+        self.exchange: BulkExchange
         self._own = Outbound[Parcel](Limits(MAX_SENDING, MAX_SENDING_BYTES, MAX_OFFERED, MAX_SPAN), self._launch, ended)
         self._over = SeenLives(WINDOW)
         """Messages of others that are over."""
-        self._keys: dict[Id, str] = {}
+        self._keys: dict[MessageId, str] = {}
         """Of messages on their way here."""
 
     # -- own messages ------------------------------------------------------------------------------------------
@@ -108,7 +108,7 @@ class Transfers:
         """A newer value takes the place of what is under way under this key."""
         self._own.give_up(to, key)
 
-    def has(self, id: Id, to: str) -> bytes | None:
+    def has(self, id: MessageId, to: str) -> bytes | None:
         """The payload of an own message that `to` may fetch."""
         parcel = self._own.get(to, id.number)
         ours = id.origin == self._me and id.incarnation == self._incarnation
@@ -121,7 +121,7 @@ class Transfers:
 
     # -- packets -----------------------------------------------------------------------------------------------
 
-    def wanted(self, peer: str, id: Id, have: int, now: float) -> None:
+    def wanted(self, peer: str, id: MessageId, have: int, now: float) -> None:
         """A receiver asked for pieces."""
         parcel = self._own.get(peer, id.number)
         if parcel is not None and id.incarnation == self._incarnation:
@@ -138,7 +138,7 @@ class Transfers:
         else:
             self._on_state(packet, pieces.decode_state(packet.body), now)
 
-    def finished(self, id: Id, payload: bytes | None, now: float) -> None:
+    def finished(self, id: MessageId, payload: bytes | None, now: float) -> None:
         """A message was fetched, or given up."""
         key = self._keys.pop(id)
         if payload is not None and self._over.of(id.origin, id.incarnation).add(id.number):
@@ -175,7 +175,7 @@ class Transfers:
         self._offer(parcel, now)
 
     def _offer(self, parcel: Parcel, now: float) -> None:
-        id = Id(self._me, self._incarnation, parcel.number, flood=False)
+        id = MessageId(self._me, self._incarnation, parcel.number, flood=False)
         body = pieces.encode_offer(len(parcel.payload), parcel.key)
         self._emit(Packet(OFFER, self._me, parcel.to, id, body))
         parcel.next_at = now + parcel.wait
@@ -196,7 +196,7 @@ class Transfers:
 
     # -- the receiver's side -----------------------------------------------------------------------------------
 
-    def _on_offer(self, sender: str, id: Id, total: int, key: str, now: float) -> int | None:
+    def _on_offer(self, sender: str, id: MessageId, total: int, key: str, now: float) -> int | None:
         """What to answer; None where the pieces are asked for."""
         if not self._admits(sender, key):
             self._counters["unicast_refused"] += 1
@@ -213,7 +213,7 @@ class Transfers:
         self.exchange.fetch(id, total, sender, now)
         return None
 
-    def _make_room(self, sender: str, id: Id, total: int, now: float) -> bool:
+    def _make_room(self, sender: str, id: MessageId, total: int, now: float) -> bool:
         coming = [fetch for fetch in self.exchange.fetching if not fetch.id.flood]
         for fetch in coming:
             if fetch.id.origin == sender and fetch.id.incarnation != id.incarnation and fetch.heard + STALLED <= now:
@@ -229,5 +229,5 @@ class Transfers:
                 coming.remove(fetch)
         return total_of(coming) + total <= MAX_COMING_BYTES
 
-    def _tell(self, id: Id, state: int) -> None:
+    def _tell(self, id: MessageId, state: int) -> None:
         self._emit(Packet(STATE, self._me, id.origin, id, pieces.encode_state(state)))

@@ -23,7 +23,7 @@ from dataclasses import field
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import newest_common
 from services.mesh.core.wire.frames import Hello
-from swarm.config.types import Robot
+from swarm.config.types import RobotConfig
 from swarm.frozen import frozen
 
 FIRST_DELAY = 0.2
@@ -42,7 +42,7 @@ GOOD_AFTER = 1.0
 processes of one name, which replace each other's connection, would do so several times a second."""
 
 
-def dials(me: Robot, peer: Robot) -> bool:
+def dials(me: RobotConfig, peer: RobotConfig) -> bool:
     """Whether `me` dials `peer`: the lower Bluetooth address does, or the lower name where one has none.
 
     With both ends dialling, Bluetooth pages collide: both fail after 5 s (measured, docs/frames.md).
@@ -52,12 +52,12 @@ def dials(me: Robot, peer: Robot) -> bool:
     return me.name < peer.name
 
 
-def can_link(a: Robot, b: Robot) -> bool:
+def can_link(a: RobotConfig, b: RobotConfig) -> bool:
     """Whether there can be a link between two robots: the one that is dialled has an address."""
     return has_address(b if dials(a, b) else a)
 
 
-def has_address(robot: Robot) -> bool:
+def has_address(robot: RobotConfig) -> bool:
     """Whether a robot can be called at all."""
     return robot.link is not None or robot.bluetooth is not None
 

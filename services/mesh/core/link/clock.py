@@ -76,7 +76,7 @@ _MAX_ROOTS = 64
 _MAX_RATE = 1e-3
 
 
-class Claim(NamedTuple):
+class ClockClaim(NamedTuple):
     """What a robot tells a neighbour about its clock, beside each heartbeat."""
 
     root: str
@@ -100,7 +100,7 @@ class Claim(NamedTuple):
     """Estimated standard deviation of the sender's C from the root's, s."""
 
 
-def encode_claim(claim: Claim) -> bytes:
+def encode_claim(claim: ClockClaim) -> bytes:
     """A CLOCK frame."""
     flags = claim.child * _CHILD | claim.settled * _SETTLED
     body = _CLAIM.pack(
@@ -116,7 +116,7 @@ def encode_claim(claim: Claim) -> bytes:
     return frames.encode(frames.CLOCK, frames.CONTROL, body + claim.root.encode())
 
 
-def decode_claim(body: bytes) -> Claim:
+def decode_claim(body: bytes) -> ClockClaim:
     """The body of a CLOCK frame. Raises `FrameError`."""
     if len(body) <= _CLAIM.size:
         raise FrameError(f"CLOCK of {len(body)} bytes: it has more than {_CLAIM.size}")
@@ -129,7 +129,7 @@ def decode_claim(body: bytes) -> Claim:
     # NaN fails every comparison, so it is refused, too.
     if not (abs(offset) <= MAX_APART and abs(rate) <= _MAX_RATE and 0.0 <= error <= MAX_APART):
         raise FrameError(f"CLOCK offset {offset}, rate {rate}, error {error}: out of bounds")
-    return Claim(
+    return ClockClaim(
         root, incarnation, epoch, hop, bool(flags & _CHILD), bool(flags & _SETTLED), at * 1e-6, offset, rate, error
     )
 
@@ -145,7 +145,7 @@ class ClockState(NamedTuple):
     error: float
 
 
-class Fit(NamedTuple):
+class ClockFit(NamedTuple):
     """Offset of a neighbour's monotonic clock to ours as a straight line."""
 
     at: float
@@ -173,7 +173,7 @@ class LinkClock:
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SAMPLES)
         self._unfitted = 0
-        self.fit: Fit | None = None
+        self.fit: ClockFit | None = None
 
     def add(self, now: float, rtt: float, offset: float) -> None:
         """A two-way sample of this moment. Its error is at most rtt / 2: one that is further off than that shows that
@@ -188,7 +188,7 @@ class LinkClock:
             self._unfitted = 0
             self.fit = self._fit()
 
-    def _fit(self) -> Fit:
+    def _fit(self) -> ClockFit:
         by_rtt = sorted(self._samples, key=lambda sample: sample[1])
         best = by_rtt[: max(1, math.ceil(len(by_rtt) * BEST))]
         count = len(best)
@@ -201,7 +201,7 @@ class LinkClock:
             skew = math.fsum((sample[0] - at) * (sample[2] - mean) for sample in best) / square
             skew = max(-MAX_SKEW, min(MAX_SKEW, skew))
         if count < 2:
-            return Fit(at, mean, skew, best[0][1] / 2, skew_error)
+            return ClockFit(at, mean, skew, best[0][1] / 2, skew_error)
         rest = math.fsum((sample[2] - mean - skew * (sample[0] - at)) ** 2 for sample in best) / (count - 1)
         if fitted:
             # The slope of some noisy samples says less than that quartz clocks hardly differ: the mean of both, each by
@@ -209,7 +209,7 @@ class LinkClock:
             share = square / (square + rest / UNKNOWN_SKEW**2)
             skew *= share
             skew_error *= math.sqrt(1.0 - share)
-        return Fit(at, mean, skew, math.sqrt(rest / count), skew_error)
+        return ClockFit(at, mean, skew, math.sqrt(rest / count), skew_error)
 
 
 class _Neighbour:
@@ -219,12 +219,12 @@ class _Neighbour:
 
     def __init__(self) -> None:
         self.link = LinkClock()
-        self.claim: Claim | None = None
+        self.claim: ClockClaim | None = None
         self.advanced = -math.inf
         """When it last told a new epoch of the root that it claims."""
 
 
-class MeshClock:
+class ClockSync:
     """The mesh clock of one robot. Calls with `now`, its monotonic clock, must not go back in time."""
 
     def __init__(self, robot: str, incarnation: int, robots: frozenset[str]) -> None:
@@ -257,7 +257,7 @@ class MeshClock:
         """A heartbeat came: round trip, and the peer's monotonic clock minus ours, s."""
         self._neighbour(peer).link.add(now, rtt, offset)
 
-    def hear(self, peer: str, claim: Claim, now: float) -> None:
+    def hear(self, peer: str, claim: ClockClaim, now: float) -> None:
         """A neighbour's claim came."""
         if claim.root not in self._robots or claim.root == self._robot:
             # Who still follows our own earlier process will hear of this one.
@@ -281,12 +281,12 @@ class MeshClock:
 
     # -- outputs --
 
-    def claim(self, peer: str, now: float) -> Claim:
+    def claim(self, peer: str, now: float) -> ClockClaim:
         """What to tell a neighbour now."""
         self._update(now)
         # A neighbour nearer to the root may have named an offset at the limit. What this robot adds to it must not pass
         # the limit: the next robot would take that for a bad frame and end its link with this one, which is innocent.
-        return Claim(
+        return ClockClaim(
             *self._root,
             self._epoch,
             self._hop,
@@ -342,7 +342,7 @@ class MeshClock:
         self._follow(parent.claim, parent.link.fit, now)
         self._followed = self._root[0]
 
-    def _follow(self, claim: Claim, fit: Fit, now: float) -> None:
+    def _follow(self, claim: ClockClaim, fit: ClockFit, now: float) -> None:
         between = fit.offset_at(now)
         target = between + claim.offset + claim.rate * (now + between - claim.at)
         error = target - self._offset

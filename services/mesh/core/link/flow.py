@@ -243,7 +243,7 @@ class Receipts:
         return None
 
 
-class Window:
+class SendWindow:
     """The sending side of one connection."""
 
     __slots__ = (

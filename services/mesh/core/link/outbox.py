@@ -78,7 +78,7 @@ MAX_BEGUN = 16
 """Messages of which a part has left: the other end holds room for so many at least."""
 
 
-class Message:
+class QueuedMessage:
     """One message that waits; a newer value may replace its payload until a part of it has left."""
 
     __slots__ = ("key", "latest", "parts", "payload", "priority", "sent")
@@ -99,10 +99,10 @@ class Message:
         return len(self.key) + len(self.payload)
 
 
-class Part(NamedTuple):
+class OutgoingPart(NamedTuple):
     """The next piece of a message that leaves in fragments."""
 
-    message: Message
+    message: QueuedMessage
     number: int
     data: bytes
     last: bool
@@ -129,13 +129,13 @@ class Outbox:
         that, in `replaced` what a newer value took the place of."""
         self._counters = counters
         # Lists: they are short, and an empty deque takes 0.7 kB of a robot that has three on each link.
-        self._urgent: tuple[list[Message], list[Message]] = ([], [])
-        self._bulk: dict[str, list[Message]] = {}
+        self._urgent: tuple[list[QueuedMessage], list[QueuedMessage]] = ([], [])
+        self._bulk: dict[str, list[QueuedMessage]] = {}
         self._turns: list[str] = []
         self._sizes = [0, 0, 0]
         self.waiting = 0
         """Messages that wait."""
-        self._latest: dict[str, Message] = {}
+        self._latest: dict[str, QueuedMessage] = {}
         self._begun = 0
         self._credit = 0.0
         self.dropped = 0
@@ -173,7 +173,7 @@ class Outbox:
             if waiting.priority != BULK:
                 self._shrink(waiting.priority)
             return True
-        message = Message(priority, key, payload, latest)
+        message = QueuedMessage(priority, key, payload, latest)
         if priority == BULK and not self._fits(message):
             self._counters["pushed_back"] += 1
             self.dropped += 1
@@ -193,7 +193,7 @@ class Outbox:
             self._shrink(priority)
         return True
 
-    def pop(self, free: float = 1.0, fragment: int = MAX_PAYLOAD) -> Message | Part | None:
+    def pop(self, free: float = 1.0, fragment: int = MAX_PAYLOAD) -> QueuedMessage | OutgoingPart | None:
         """What leaves next: a whole message, or a part of at most `fragment` bytes. `free` as of `Window.free`."""
         control, urgent = self._urgent
         if control:
@@ -212,7 +212,7 @@ class Outbox:
             return self._next_bulk(fragment)
         return None
 
-    def restart(self, part: Part) -> None:
+    def restart(self, part: OutgoingPart) -> None:
         """The other end cannot use this part: send its message from the beginning, or lose it where it was the last."""
         if part.last:
             self._counters["overflowed"] += 1
@@ -232,14 +232,14 @@ class Outbox:
         self._latest.clear()
         self._begun = 0
 
-    def _fits(self, message: Message) -> bool:
+    def _fits(self, message: QueuedMessage) -> bool:
         messages, size = LIMITS[BULK]
         if not message.latest:
             messages, size = messages - FOR_LATEST.messages, size - FOR_LATEST.size
         waiting = self.waiting - sum(map(len, self._urgent))
         return waiting < messages and self._sizes[BULK] + message.size <= size
 
-    def _next_bulk(self, fragment: int) -> Message | Part:
+    def _next_bulk(self, fragment: int) -> QueuedMessage | OutgoingPart:
         """The next piece of bulk; its key goes to the end of the turns."""
         while True:
             key = self._turns[0]
@@ -268,9 +268,9 @@ class Outbox:
             self._leave(key, queue)
         else:
             self._turns.append(self._turns.pop(0))
-        return Part(message, number, data, last)
+        return OutgoingPart(message, number, data, last)
 
-    def _leave(self, key: str, queue: list[Message]) -> None:
+    def _leave(self, key: str, queue: list[QueuedMessage]) -> None:
         """The first message of the key whose turn it is has left wholly."""
         self._take(queue)
         self._turns.pop(0)
@@ -281,7 +281,7 @@ class Outbox:
             if not self._turns:
                 self._credit = 0.0
 
-    def _take(self, queue: list[Message]) -> Message:
+    def _take(self, queue: list[QueuedMessage]) -> QueuedMessage:
         message = queue.pop(0)
         self.waiting -= 1
         self._sizes[message.priority] -= len(message.key) + len(message.payload)

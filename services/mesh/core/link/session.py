@@ -16,9 +16,9 @@ from collections.abc import Callable
 from services.mesh.core.events import Event, HandshakeFailed, LinkDown, LinkRecovered, LinkSuspect, LinkUp, Received
 from services.mesh.core.link import calls, flow
 from services.mesh.core.link.calls import Local
-from services.mesh.core.link.clock import MeshClock, decode_claim, encode_claim
+from services.mesh.core.link.clock import ClockSync, decode_claim, encode_claim
 from services.mesh.core.link.flow import Fragment, Reassembly, decode_fragment, encode_fragment
-from services.mesh.core.link.outbox import Channels, Message, Outbox, Part, overlay_of
+from services.mesh.core.link.outbox import Channels, Outbox, OutgoingPart, QueuedMessage, overlay_of
 from services.mesh.core.link.round_trips import Pulse
 from services.mesh.core.wire import frames
 from services.mesh.core.wire.auth import Keys, newest_common
@@ -51,7 +51,7 @@ class Session:
         *,
         dialled: str | None,
         admit: Callable[[str, int, str], bool],
-        clock: MeshClock,
+        clock: ClockSync,
         counters: Counter[str],
         expected: str | None = None,
         has_room: Callable[[str], bool] = lambda robot: True,
@@ -82,10 +82,10 @@ class Session:
         """Frames handed out to be sent."""
         self.received = 0
         self._incarnation: int | None = None
-        self._decoder = frames.Decoder()
+        self._decoder = frames.FrameDecoder()
         self._events: list[Event] = []
         self._outbox = Outbox(counters)
-        self._window = flow.Window()
+        self._window = flow.SendWindow()
         self._receipts = flow.Receipts()
         self._reassembly = Reassembly(counters)
         self._channels = Channels()
@@ -130,7 +130,7 @@ class Session:
         return self._outbox
 
     @property
-    def window(self) -> flow.Window:
+    def window(self) -> flow.SendWindow:
         """What is under way."""
         return self._window
 
@@ -228,8 +228,8 @@ class Session:
             window = self._window
             fragment = window.fragment(now)
             while size < max_bytes and (item := outbox.pop(window.free(size), fragment)) is not None:
-                part = item if isinstance(item, Part) else None
-                message = item if isinstance(item, Message) else item.message
+                part = item if isinstance(item, OutgoingPart) else None
+                message = item if isinstance(item, QueuedMessage) else item.message
                 channel, new = self._channels.handle(message.key)
                 if new:
                     chunks.append(frames.encode_bind(frames.Bind(channel, *overlay_of(message.key))))

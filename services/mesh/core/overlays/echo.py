@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.wire.frames import FLOOD
-from services.mesh.core.wire.packets import Echo, encode_echo
+from services.mesh.core.wire.packets import EchoPacket, encode_echo
 
 MAX_WAVES = 256
 """Confirmed floods a robot remembers its part in; past that the oldest is forgotten, and its origin tries again."""
@@ -32,7 +32,7 @@ RECENT = 5.0
 ORPHAN_TTL = 32
 
 
-class Id(NamedTuple):
+class FloodId(NamedTuple):
     """Names one flood in the whole swarm."""
 
     origin: str
@@ -73,7 +73,7 @@ class Waves:
         emit: Emit,
         *,
         towards: Callable[[str], str | None],
-        heard: Callable[[Id, Collection[str], bool, bool, float], None],
+        heard: Callable[[FloodId, Collection[str], bool, bool, float], None],
     ) -> None:
         """`towards(robot)` is the neighbour on the way there; `heard(id, robots, lost, over, now)` is called at the
         origin, with `over` when all edges have spoken, else when an orphan's echo came."""
@@ -81,18 +81,20 @@ class Waves:
         self._emit = emit
         self._towards = towards
         self._heard = heard
-        self._waves: OrderedDict[Id, Wave] = OrderedDict()
+        self._waves: OrderedDict[FloodId, Wave] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._waves)
 
-    def begin(self, id: Id, key: str, priority: int, links: Collection[str], now: float, life: float = 0.0) -> None:
+    def begin(
+        self, id: FloodId, key: str, priority: int, links: Collection[str], now: float, life: float = 0.0
+    ) -> None:
         """Our own flood has left on all links; it may take `life` s longer than a small one."""
         self._join(id, Wave(key, priority, None, set(links), (self._me,), now + LIFE + life), now)
 
     def join(
         self,
-        id: Id,
+        id: FloodId,
         key: str,
         priority: int,
         parent: str,
@@ -111,7 +113,7 @@ class Waves:
             wave.pending.add(self._me)
         self._join(id, wave, now)
 
-    def came(self, id: Id, now: float, *, complete: bool) -> None:
+    def came(self, id: FloodId, now: float, *, complete: bool) -> None:
         """The message that a flood has announced is there, or will never be."""
         wave = self._waves.get(id)
         if wave is not None and self._me in wave.pending:
@@ -121,7 +123,7 @@ class Waves:
                 wave.lost = True
             self._settle(id, wave, self._me, now)
 
-    def again(self, id: Id, key: str, priority: int, peer: str, now: float) -> None:
+    def again(self, id: FloodId, key: str, priority: int, peer: str, now: float) -> None:
         """A further copy, which is what that edge owed us; or it is a new edge, whose other end waits for us."""
         wave = self._waves.get(id)
         if wave is not None and peer in wave.pending:
@@ -129,9 +131,9 @@ class Waves:
         elif wave is None or peer not in wave.spoken:
             if wave is not None:
                 wave.spoken.add(peer)
-            self._send(peer, key, priority, Echo(id.incarnation, id.sequence, ()))
+            self._send(peer, key, priority, EchoPacket(id.incarnation, id.sequence, ()))
 
-    def echo(self, id: Id, key: str, priority: int, peer: str, echo: Echo, now: float) -> None:
+    def echo(self, id: FloodId, key: str, priority: int, peer: str, echo: EchoPacket, now: float) -> None:
         """An answer came."""
         wave = self._waves.get(id)
         if wave is None:
@@ -173,46 +175,46 @@ class Waves:
                 return
             del self._waves[id]
 
-    def forget(self, id: Id) -> None:
+    def forget(self, id: FloodId) -> None:
         """The origin has its answer."""
         self._waves.pop(id, None)
 
     # -- inside ------------------------------------------------------------------------------------------------
 
-    def _join(self, id: Id, wave: Wave, now: float) -> None:
+    def _join(self, id: FloodId, wave: Wave, now: float) -> None:
         if len(self._waves) >= MAX_WAVES:
             self._waves.popitem(last=False)
         self._waves[id] = wave
         if not wave.pending:
             self._over(id, wave, now)
 
-    def _settle(self, id: Id, wave: Wave, peer: str, now: float) -> None:
+    def _settle(self, id: FloodId, wave: Wave, peer: str, now: float) -> None:
         wave.pending.discard(peer)
         if not wave.pending and wave.echoed_at is None:
             self._over(id, wave, now)
 
-    def _over(self, id: Id, wave: Wave, now: float) -> None:
+    def _over(self, id: FloodId, wave: Wave, now: float) -> None:
         wave.echoed_at = now
         if id.origin == self._me:
             self._heard(id, wave.robots, wave.lost, True, now)
         else:
             self._answer(id, wave)
 
-    def _answer(self, id: Id, wave: Wave) -> None:
+    def _answer(self, id: FloodId, wave: Wave) -> None:
         if wave.parent is not None:
             wave.spoken.add(wave.parent)
             robots = tuple(sorted(wave.robots))
-            echo = Echo(id.incarnation, id.sequence, robots, wave.lost, wave.orphan, ORPHAN_TTL * wave.orphan)
+            echo = EchoPacket(id.incarnation, id.sequence, robots, wave.lost, wave.orphan, ORPHAN_TTL * wave.orphan)
             self._send(wave.parent, wave.key, wave.priority, echo)
 
-    def _pass_on(self, id: Id, key: str, priority: int, echo: Echo, parent: str | None, source: str) -> None:
+    def _pass_on(self, id: FloodId, key: str, priority: int, echo: EchoPacket, parent: str | None, source: str) -> None:
         way = parent if parent is not None and parent != source else self._other_way(id, {source})
         if way is not None and echo.ttl > 1:
             self._send(way, key, priority, echo._replace(ttl=echo.ttl - 1))
 
-    def _other_way(self, id: Id, not_by: Collection[str]) -> str | None:
+    def _other_way(self, id: FloodId, not_by: Collection[str]) -> str | None:
         way = self._towards(id.origin)
         return None if way in not_by else way
 
-    def _send(self, peer: str, key: str, priority: int, echo: Echo) -> None:
+    def _send(self, peer: str, key: str, priority: int, echo: EchoPacket) -> None:
         self._emit(Transmit(peer, FLOOD, key, encode_echo(echo), priority))

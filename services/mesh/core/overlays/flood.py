@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection
 from services.mesh.core.actions import Emit, Transmit
 from services.mesh.core.bulk import pieces
 from services.mesh.core.overlays import large_messages
-from services.mesh.core.overlays.echo import Id, Waves
+from services.mesh.core.overlays.echo import FloodId, Waves
 from services.mesh.core.overlays.flood_store import NEW, OLD, CatchUp, Store
 from services.mesh.core.overlays.large_messages import LargeFloods
 from services.mesh.core.wire import packets
@@ -60,7 +60,7 @@ class Attempt:
         """Who could be reached when it began."""
 
 
-class Flood:
+class FloodOverlay:
     """The flood overlay of one robot. Calls with `now` must not go back in time."""
 
     def __init__(
@@ -131,7 +131,7 @@ class Flood:
         is not under way."""
         for attempt in self._attempts.values():
             if attempt.token == token:
-                id = pieces.Id(self._me, self.incarnation, attempt.first, flood=True)
+                id = pieces.MessageId(self._me, self.incarnation, attempt.first, flood=True)
                 return self.large.progress(id), len(attempt.payload)
         return None
 
@@ -168,7 +168,9 @@ class Flood:
                 echo = packets.decode_echo(data)
                 if not set(echo.robots) <= self._robots:
                     raise FrameError("ECHO with robots that are not in our configuration")
-                self._waves.echo(Id(parse(key).robot, echo.incarnation, echo.sequence), key, priority, peer, echo, now)
+                self._waves.echo(
+                    FloodId(parse(key).robot, echo.incarnation, echo.sequence), key, priority, peer, echo, now
+                )
             case packets.DIGEST:
                 digest = packets.decode_digest(data)
                 incarnation, _ = digest.origins.get(self._me, (0, 0))
@@ -211,7 +213,7 @@ class Flood:
         """An own flood: noted as seen, and off."""
         self._store.take(self._me, key, packet, priority)
         if len(packet.payload) > packets.MAX_SPREAD:
-            id = pieces.Id(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
+            id = pieces.MessageId(self._me, packet.incarnation, packet.first or packet.sequence, flood=True)
             self.large.hold(id, packet.payload, now, key if packet.latest else "")
             packet = packet._replace(payload=b"", size=len(packet.payload))
         self._pass_on(key, packet, priority, None)
@@ -240,7 +242,7 @@ class Flood:
         if verdict == OLD:
             self._counters["flood_old"] += 1
             return
-        id = Id(origin, packet.incarnation, packet.sequence)
+        id = FloodId(origin, packet.incarnation, packet.sequence)
         if verdict != NEW:
             self._counters["flood_duplicates"] += 1
             if packet.echo:
@@ -257,7 +259,7 @@ class Flood:
         if (packet.incarnation, packet.sequence) > (self.incarnation, self._sequence):
             self._go_above(packet.incarnation, now)
         elif packet.echo and packet.incarnation == self.incarnation:
-            self._waves.again(Id(self._me, packet.incarnation, packet.sequence), key, priority, peer, now)
+            self._waves.again(FloodId(self._me, packet.incarnation, packet.sequence), key, priority, peer, now)
 
     def _go_above(self, incarnation: int, now: float) -> None:
         """Others know us by a higher incarnation: without this they would take all we say for old."""
@@ -290,11 +292,11 @@ class Flood:
         packet = Spread(self.incarnation, sequence, attempt.payload, echo=True, first=attempt.first)
         attempt.first = attempt.first or sequence
         self._spread(attempt.key, packet, attempt.priority, now)
-        id = Id(self._me, self.incarnation, sequence)
+        id = FloodId(self._me, self.incarnation, sequence)
         life = large_messages.patience(len(attempt.payload))
         self._waves.begin(id, attempt.key, attempt.priority, self._links, now, life)
 
-    def _heard(self, id: Id, robots: Collection[str], lost: bool, over: bool, now: float) -> None:
+    def _heard(self, id: FloodId, robots: Collection[str], lost: bool, over: bool, now: float) -> None:
         attempt = self._attempts.get(id.sequence)
         if attempt is None or id.incarnation != self.incarnation:
             return
@@ -318,7 +320,7 @@ class Flood:
     def _end(self, attempt: Attempt, *, complete: bool) -> None:
         for sequence in [sequence for sequence, each in self._attempts.items() if each is attempt]:
             del self._attempts[sequence]
-            self._waves.forget(Id(self._me, self.incarnation, sequence))
+            self._waves.forget(FloodId(self._me, self.incarnation, sequence))
         self._reached(attempt.token, frozenset(attempt.robots - {self._me}), complete)
 
     # -- inside ------------------------------------------------------------------------------------------------

@@ -11,12 +11,12 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Collection
 
 from services.mesh.core.bulk import pieces
-from services.mesh.core.bulk.exchange import Exchange, total_of
+from services.mesh.core.bulk.exchange import BulkExchange, total_of
 from services.mesh.core.bulk.numbered import SeenNumbers
-from services.mesh.core.bulk.pieces import SIZE, Id, Packet
+from services.mesh.core.bulk.pieces import SIZE, MessageId, Packet
 from services.mesh.core.bulk.transfers import Transfers
 from services.mesh.core.overlays.echo import MAX_WAVES, Waves
-from services.mesh.core.overlays.echo import Id as WaveId
+from services.mesh.core.overlays.echo import FloodId as WaveId
 from services.mesh.core.overlays.flood_store import NEW, OLD, Store
 from services.mesh.core.wire.frames import BULK
 from services.mesh.core.wire.packets import Spread
@@ -93,9 +93,9 @@ class LargeFloods:
         self._pass_on = pass_on
         self._deliver = deliver
         self._counters = counters
-        self.exchange: Exchange
-        self._coming: dict[Id, _Coming] = {}
-        self._held: OrderedDict[Id, _Held] = OrderedDict()
+        self.exchange: BulkExchange
+        self._coming: dict[MessageId, _Coming] = {}
+        self._held: OrderedDict[MessageId, _Held] = OrderedDict()
         self._delivered: dict[str, tuple[int, SeenNumbers]] = {}
 
     def has_room(self, size: int) -> bool:
@@ -103,32 +103,32 @@ class LargeFloods:
         own = sum(len(held.payload) for id, held in self._held.items() if id.origin == self._me)
         return own + size <= MAX_OWN_BYTES
 
-    def hold(self, id: Id, payload: bytes, now: float, key: str = "") -> None:
+    def hold(self, id: MessageId, payload: bytes, now: float, key: str = "") -> None:
         """Let others fetch a message for a while; with a key it takes the place of an older one of that key."""
         for older in [older for older, held in self._held.items() if key and held.key == key]:
             del self._held[older]
         self._held[id] = _Held(payload, now + HOLD, key)
         self._make_room(0, now)
 
-    def has(self, id: Id) -> bytes | None:
+    def has(self, id: MessageId) -> bytes | None:
         """A message that is held, or kept as the latest value of its key."""
         held = self._held.get(id)
         return held.payload if held is not None else self._store.payload(id.origin, id.incarnation, id.number)
 
-    def wanted(self, id: Id, peer: str, have: int, now: float) -> None:
+    def wanted(self, id: MessageId, peer: str, have: int, now: float) -> None:
         """Somebody who has so many pieces asked for more."""
         if (held := self._held.get(id)) is not None:
             held.until = now + HOLD
             held.have[peer] = have
 
-    def progress(self, id: Id) -> int:
+    def progress(self, id: MessageId) -> int:
         """Bytes that all who fetch a message from us have."""
         held = self._held.get(id)
         return min(min(held.have.values(), default=0) * SIZE, len(held.payload)) if held is not None else 0
 
     def announced(self, peer: str, origin: str, key: str, packet: Spread, now: float) -> None:
         """A neighbour announces a message."""
-        id = Id(origin, packet.incarnation, packet.first or packet.sequence, flood=True)
+        id = MessageId(origin, packet.incarnation, packet.first or packet.sequence, flood=True)
         wave = WaveId(origin, packet.incarnation, packet.sequence)
         verdict = self._store.sight(origin, key, packet)
         if verdict == OLD:
@@ -155,7 +155,7 @@ class LargeFloods:
             life = patience(packet.size)
             self._waves.join(wave, key, BULK, peer, others, now, robots, coming=coming is not None, life=life)
 
-    def finished(self, id: Id, payload: bytes | None, now: float) -> None:
+    def finished(self, id: MessageId, payload: bytes | None, now: float) -> None:
         """A message was fetched, or given up."""
         coming = self._coming.pop(id)
         if payload is not None:
@@ -183,7 +183,7 @@ class LargeFloods:
 
     # -- inside ------------------------------------------------------------------------------------------------
 
-    def _begin(self, id: Id, key: str, packet: Spread, peer: str, now: float) -> _Coming | None:
+    def _begin(self, id: MessageId, key: str, packet: Spread, peer: str, now: float) -> _Coming | None:
         if packet.latest:
             for older, each in tuple(self._coming.items()):
                 if each.key == key and each.packet.latest:
@@ -213,10 +213,10 @@ class LargeFloods:
             used -= len(self._held.pop(id).payload)
         return used <= MAX_BYTES
 
-    def _others_held(self) -> Collection[Id]:
+    def _others_held(self) -> Collection[MessageId]:
         return [id for id in self._held if id.origin != self._me]
 
-    def _was_delivered(self, id: Id) -> bool:
+    def _was_delivered(self, id: MessageId) -> bool:
         incarnation, window = self._delivered.get(id.origin, (0, None))
         if window is None or incarnation < id.incarnation:
             window = SeenNumbers(WINDOW)
@@ -240,7 +240,7 @@ class Large:
         """`emit(packet)` sends one, False where there is no way."""
         self._transfers = transfers
         self._floods = floods
-        self._exchange = Exchange(
+        self._exchange = BulkExchange(
             me, emit=emit, has=self._has, finished=self._finished, others=neighbours, counters=counters
         )  # fmt: skip
         transfers.exchange = floods.exchange = self._exchange
@@ -270,8 +270,8 @@ class Large:
         """When `handle_timer` wants to be called."""
         return min(self._exchange.next_deadline(), self._transfers.next_deadline())
 
-    def _has(self, id: Id, peer: str) -> bytes | None:
+    def _has(self, id: MessageId, peer: str) -> bytes | None:
         return self._floods.has(id) if id.flood else self._transfers.has(id, peer)
 
-    def _finished(self, id: Id, payload: bytes | None, now: float) -> None:
+    def _finished(self, id: MessageId, payload: bytes | None, now: float) -> None:
         (self._floods if id.flood else self._transfers).finished(id, payload, now)

@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 
 from services.mesh.core.overlays import flood
-from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.unicast import Hop, Unicast
 from services.mesh.core.routing.topology import Route
 from services.mesh.core.routing.wanted_links import Linking
@@ -52,7 +52,7 @@ Request = FloodRequest | SendRequest | Reminder | TopologyRequest
 Answer = Flooded | Sent | TopologySet
 
 
-class Requests:
+class OverlayRequests:
     """The requests of all apps of one robot."""
 
     def __init__(
@@ -66,7 +66,7 @@ class Requests:
         self._me = me
         self._to_bus = to_bus
         self._now = now
-        self.flood: Flood
+        self.flood: FloodOverlay
         self.unicast: Unicast
         self.routes: Callable[[], Mapping[str, Route]]
         self.linking: Linking | None = None

@@ -12,14 +12,14 @@ from services.mesh.core.actions import LinkAction, Transmit
 from services.mesh.core.bulk import exchange, transfers
 from services.mesh.core.events import Received
 from services.mesh.core.overlays import flood, flood_store, large_messages, unicast
-from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.overlays.large_messages import Large
-from services.mesh.core.overlays.requests import Request, Requests
+from services.mesh.core.overlays.requests import OverlayRequests, Request
 from services.mesh.core.overlays.stop import Register, Stops
 from services.mesh.core.overlays.unicast import Unicast
-from services.mesh.core.routing.link_state import HOPS, Known, LinkState
+from services.mesh.core.routing.link_state import HOPS, AdvertisedLinks, LinkStateMap
 from services.mesh.core.routing.membership import SETTLE, Clashes, Membership, Survey
-from services.mesh.core.routing.wanted_links import Linking, Start
+from services.mesh.core.routing.wanted_links import InitialLinks, Linking
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD, MAX_PAYLOAD
 from swarm.errors import FrameError, PayloadError
@@ -40,7 +40,7 @@ Action = Transmit | Received | LinkAction
 """What the overlays ask of their node."""
 
 
-class Overlays:
+class RobotOverlays:
     """Calls with `now` must not go back in time; no call may overlap another."""
 
     def __init__(
@@ -53,7 +53,7 @@ class Overlays:
         counters: Counter[str],
         metric: str = HOPS,
         process: int = 0,
-        start: Start | None = None,
+        start: InitialLinks | None = None,
         admits_flood: Callable[[str], bool] = lambda key: False,
         admits_unicast: Callable[[str, str], bool] = lambda sender, key: False,
         wanted: Callable[[str], bool] = lambda key: True,
@@ -73,13 +73,13 @@ class Overlays:
         self._admits_unicast = admits_unicast
         self._actions: list[Action] = []
         emit = self._actions.append
-        self._requests = Requests(me, to_bus=self._to_bus, now=lambda: self._now)
-        self._flood = Flood(
+        self._requests = OverlayRequests(me, to_bus=self._to_bus, now=lambda: self._now)
+        self._flood = FloodOverlay(
             me, incarnation, self._robots,
             emit=emit, deliver=self._on_flood, reached=self._requests.reached, towards=self._towards,
             expected=lambda: self._map.routes().keys(), random=random, counters=counters,
         )  # fmt: skip
-        self._map = LinkState(
+        self._map = LinkStateMap(
             me,
             self._robots,
             metric=metric,
@@ -137,8 +137,8 @@ class Overlays:
         self._routes_changed(now, look=news)
         return True
 
-    def settle(self, links: Mapping[str, Mapping[str, int]], known: dict[str, Known], now: float) -> None:
-        """Begin in a swarm that has been there for long, with the links of all its robots, see `LinkState.settle`.
+    def settle(self, links: Mapping[str, Mapping[str, int]], known: dict[str, AdvertisedLinks], now: float) -> None:
+        """Begin in a swarm that has been there for long, with the links of all its robots, see `LinkStateMap.settle`.
         Robots tell who is there within `MEMBERS_PERIOD`, not all at once. Both tables may be the same for all robots:
         none of them changes one."""
         self._now = now

@@ -18,9 +18,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from services.mesh.core.actions import Emit, Transmit
-from services.mesh.core.overlays.flood import Flood
+from services.mesh.core.overlays.flood import FloodOverlay
 from services.mesh.core.wire.frames import BULK, CONTROL, FLOOD
-from services.mesh.core.wire.packets import HALT, MAX_INCARNATION, MAX_SEQUENCE, Reader, packed
+from services.mesh.core.wire.packets import HALT, MAX_INCARNATION, MAX_SEQUENCE, PacketReader, packed
 from swarm.errors import FrameError
 from swarm.messages import Stop, Stopped
 from swarm.messages.codec import encode
@@ -78,7 +78,7 @@ def decode_halt(data: bytes) -> Halt:
     if len(data) < _HALT.size:
         raise FrameError(f"HALT of {len(data)} bytes: it has at least {_HALT.size}")
     _, stops, arms = _HALT.unpack_from(data)
-    reader = Reader(data, _HALT.size)
+    reader = PacketReader(data, _HALT.size)
     halt = Halt({}, {})
     try:
         for _ in range(stops):
@@ -230,7 +230,9 @@ _NEVER = float("inf")
 class Stops:
     """Watches the register."""
 
-    def __init__(self, me: str, register: Register, flood: Flood, to_bus: Callable[[str, bytes, int], None]) -> None:
+    def __init__(
+        self, me: str, register: Register, flood: FloodOverlay, to_bus: Callable[[str, bytes, int], None]
+    ) -> None:
         """`to_bus(key, payload, class)` publishes on the own bus."""
         self._register = register
         self._flood = flood

@@ -25,7 +25,7 @@ from services.mesh.core.routing.topology import Route
 from services.mesh.core.wire import packets
 from services.mesh.core.wire.frames import BULK, SYNC, UNICAST
 from services.mesh.core.wire.frames import MAX_MESSAGE as MAX_LARGE
-from services.mesh.core.wire.packets import Ack, Message
+from services.mesh.core.wire.packets import Ack, UnicastMessage
 from swarm.errors import FrameError
 from swarm.messages.keys import key as key_of
 
@@ -181,7 +181,7 @@ class Unicast:
             self._counters["unicast_no_route"] += 1
             return
         self._counters["unicast_avoiding"] += 1
-        message = Message(self._me, to, self._incarnation, 0, key, payload, ttl_of(route))
+        message = UnicastMessage(self._me, to, self._incarnation, 0, key, payload, ttl_of(route))
         self._emit(Transmit(route.next_hop, UNICAST, self._channel, packets.encode_message(message), priority))
 
     # -- inputs ------------------------------------------------------------------------------------------------
@@ -272,7 +272,7 @@ class Unicast:
         route = self._route(flight.to)
         flight.via = route.next_hop if route is not None else None
         if route is not None:
-            message = Message(
+            message = UnicastMessage(
                 self._me, flight.to, self._incarnation, flight.number, flight.key, flight.payload, ttl_of(route)
             )  # fmt: skip
             self._passed(_hop(message, route.next_hop)._replace(token=flight.token))
@@ -304,7 +304,7 @@ class Unicast:
 
     # -- the receiver's side -----------------------------------------------------------------------------------
 
-    def _on_message(self, message: Message, priority: int, now: float) -> None:
+    def _on_message(self, message: UnicastMessage, priority: int, now: float) -> None:
         refused = not self._admits(message.sender, message.key)
         if refused:
             self._counters["unicast_refused"] += 1
@@ -332,8 +332,8 @@ class Unicast:
             if name not in self._robots:
                 raise FrameError(f"unicast packet of or for {name}, which is not in our configuration")
 
-    def _forward(self, packet: Message | Ack, priority: int, now: float) -> None:
-        route = self._route(packet.to, packet.avoided if isinstance(packet, Message) else None)
+    def _forward(self, packet: UnicastMessage | Ack, priority: int, now: float) -> None:
+        route = self._route(packet.to, packet.avoided if isinstance(packet, UnicastMessage) else None)
         if packet.ttl <= 1:
             self._counters["unicast_expired"] += 1
         elif route is None:
@@ -341,7 +341,7 @@ class Unicast:
         else:
             self._counters["unicast_forwarded"] += 1
             ttl = packet.ttl - 1
-            if isinstance(packet, Message):
+            if isinstance(packet, UnicastMessage):
                 data = packets.encode_message(packet._replace(ttl=ttl))
             else:
                 data = packets.encode_ack(packet._replace(ttl=ttl))
@@ -364,8 +364,8 @@ def limit_of(priority: int) -> int:
     return MAX_LARGE if priority == BULK else packets.MAX_MESSAGE
 
 
-def _hop(packet: Message | Ack, next_hop: str) -> Hop:
-    if isinstance(packet, Message):
+def _hop(packet: UnicastMessage | Ack, next_hop: str) -> Hop:
+    if isinstance(packet, UnicastMessage):
         return Hop(packet.sender, packet.to, packet.number, next_hop, back=False, key=packet.key)
     return Hop(packet.to, packet.sender, packet.number, next_hop, back=True)
 

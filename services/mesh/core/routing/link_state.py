@@ -93,7 +93,7 @@ class _Own:
         self.level = Level()
 
 
-class Known:
+class AdvertisedLinks:
     """What another robot says of its links."""
 
     __slots__ = ("advertisement", "heard", "incarnation")
@@ -110,7 +110,7 @@ def _edge(metric: str, time: int) -> Weight:
     return Weight(1 if metric == HOPS else time, time)
 
 
-class LinkState:
+class LinkStateMap:
     """The map of one robot."""
 
     def __init__(
@@ -134,7 +134,7 @@ class LinkState:
         self._aged = aged
         self._random = random
         self._links: dict[str, _Own] = {}
-        self._known: dict[str, Known] = {}
+        self._known: dict[str, AdvertisedLinks] = {}
         """Never changed in place: robots of a simulation share them, and the table as long as it is as `settle` gave
         it."""
         self._borrowed = False
@@ -160,7 +160,7 @@ class LinkState:
 
     # -- inputs ------------------------------------------------------------------------------------------------
 
-    def settle(self, links: Mapping[str, int], known: dict[str, "Known"], now: float) -> None:
+    def settle(self, links: Mapping[str, int], known: dict[str, "AdvertisedLinks"], now: float) -> None:
         """Begin in a swarm that has been there for long: the others have an LSA with these links of ours (one-way
         times, 0.1 ms) already, and we have theirs, `known`, in which there may be our own. Large simulations begin so
         (docs/simulation.md)."""
@@ -228,7 +228,7 @@ class LinkState:
             raise FrameError(f"LSA of {origin}: a neighbour is not in our configuration")
         known = self._known.get(origin)
         same = known is not None and known.advertisement == advertisement and known.incarnation == incarnation
-        self._own_known()[origin] = Known(incarnation, advertisement, now)
+        self._own_known()[origin] = AdvertisedLinks(incarnation, advertisement, now)
         if advertisement.twins:
             self.tellers.add(origin)
         else:
@@ -363,7 +363,7 @@ class LinkState:
 
     # -- inside ------------------------------------------------------------------------------------------------
 
-    def _own_known(self) -> dict[str, Known]:
+    def _own_known(self) -> dict[str, AdvertisedLinks]:
         """The table of the others, to be changed."""
         if self._borrowed:
             self._borrowed = False

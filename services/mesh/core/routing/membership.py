@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from services.mesh.core.routing.link_state import LinkState
+from services.mesh.core.routing.link_state import LinkStateMap
 from services.mesh.core.routing.topology import Route
 from swarm.messages import GraphRobot, Member, MemberChange, MeshGraph, Stopped
 from swarm.messages.codec import decode
@@ -135,7 +135,7 @@ class Survey:
         me: str,
         names: Sequence[str],
         membership: Membership,
-        links: LinkState,
+        links: LinkStateMap,
         incarnation: Callable[[str], int],
     ) -> None:
         """`names` of all robots, sorted; `incarnation(robot)` is the newest one heard of."""
@@ -206,7 +206,7 @@ class _Signs:
 class Clashes:
     """The names of which this robot has seen two owners. Calls with `now` must not go back in time."""
 
-    def __init__(self, me: str, robots: frozenset[str], map: LinkState) -> None:
+    def __init__(self, me: str, robots: frozenset[str], map: LinkStateMap) -> None:
         """`map` holds the link state that all robots tell."""
         self._me = me
         self._robots = robots

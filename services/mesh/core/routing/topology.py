@@ -1,6 +1,6 @@
 """The graph of the swarm: which links it is to have, which links robots tell of, and the shortest ways over them.
 
-`Topology` is a value that can be changed at run time, and is the same everywhere in the end. Values have a total
+`TopologyVersion` is a value that can be changed at run time, and is the same everywhere in the end. Values have a total
 order, that of their fields: the version first (an operator's sets), then the step (what the automatic rule changes
 within a version), then the issuer's name, then the content. Of two values the greater one holds, so two sets at once
 end alike on every robot. Version 0 is what the configuration says; a value belongs to one configuration
@@ -17,7 +17,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-from services.mesh.core.wire.packets import TOPOLOGY, Reader, packed
+from services.mesh.core.wire.packets import TOPOLOGY, PacketReader, packed
 from swarm.core.graph import SHAPES, Edge, Graph
 from swarm.errors import FrameError, LocalError
 
@@ -47,7 +47,7 @@ _CHECK = struct.Struct("<I")
 _MAX_SHOWN = 8
 
 
-class Topology(NamedTuple):
+class TopologyVersion(NamedTuple):
     """The links of the whole swarm. Later ones are greater."""
 
     version: int
@@ -70,7 +70,7 @@ class Ground:
 
     def __init__(self, names: Sequence[str], edges: Collection[Edge], *, auto: bool) -> None:
         self.names = tuple(names)
-        self.first = Topology(0, 0, "", auto, Graph(names, tuple(edges)).edges)
+        self.first = TopologyVersion(0, 0, "", auto, Graph(names, tuple(edges)).edges)
         """The configuration's own."""
         self.place = {name: index for index, name in enumerate(self.names)}
         text = f"{' '.join(self.names)} {self.first.edges} {auto}"
@@ -79,7 +79,7 @@ class Ground:
         # A value goes over every link that comes up, and is mostly the same one: in a swarm of a thousand robots making
         # and reading it took more than all else of the start.
         self._packet = (self.first, self._encode(self.first))
-        self._read: dict[bytes, Topology] = {self._packet[1]: self.first}
+        self._read: dict[bytes, TopologyVersion] = {self._packet[1]: self.first}
 
     def edges_of(self, shape: str, edges: Collection[Sequence[str]]) -> tuple[Edge, ...]:
         """The links that an operator asks for by a shape, or one by one; `LocalError` says what is wrong with them."""
@@ -97,17 +97,17 @@ class Ground:
             raise LocalError(f"not connected: these parts could not reach each other: {shown}")
         return graph.edges
 
-    def tag(self, value: Topology) -> int:
+    def tag(self, value: TopologyVersion) -> int:
         """A short name of a value for link states, u32; 0 = the configuration's own."""
         return 0 if value == self.first else zlib.crc32(self.encode(value)) or 1
 
-    def encode(self, value: Topology) -> bytes:
+    def encode(self, value: TopologyVersion) -> bytes:
         """A TOPOLOGY packet: head, issuer, then for each robot its neighbours that come later in the configuration."""
         if self._packet[0] is not value:
             self._packet = (value, self._encode(value))
         return self._packet[1]
 
-    def _encode(self, value: Topology) -> bytes:
+    def _encode(self, value: TopologyVersion) -> bytes:
         issuer = value.issuer.encode()
         head = _HEAD.pack(TOPOLOGY, value.auto * _AUTO, self.base, value.version, value.step)
         later: list[list[int]] = [[] for _ in self.names]
@@ -116,7 +116,7 @@ class Ground:
         rows = b"".join(bytes((len(row),)) + b"".join(map(_INDEX.pack, sorted(row))) for row in later)
         return head + bytes((len(issuer),)) + issuer + rows
 
-    def decode(self, data: bytes) -> Topology | None:
+    def decode(self, data: bytes) -> TopologyVersion | None:
         """The value in a TOPOLOGY packet; None where it belongs to another configuration. Raises `FrameError`."""
         if (known := self._read.get(data)) is not None:
             return known
@@ -130,17 +130,17 @@ class Ground:
         at = _HEAD.size + 1
         end = at + data[at - 1]
         issuer = data[at:end].decode("ascii", "replace")
-        value = Topology(version, step, issuer, bool(flags & _AUTO), self._edges(data, end))
+        value = TopologyVersion(version, step, issuer, bool(flags & _AUTO), self._edges(data, end))
         if value != self.first and (issuer not in self.place or not (version or value.auto)):
             raise FrameError(f"TOPOLOGY {version}.{step} issued by {issuer[:16]!r}")
         return value
 
-    def to_file(self, value: Topology) -> bytes:
+    def to_file(self, value: TopologyVersion) -> bytes:
         """What a robot keeps of a value through restarts."""
         body = _MAGIC + self.encode(value)
         return body + _CHECK.pack(zlib.crc32(body))
 
-    def from_file(self, data: bytes) -> Topology | None:
+    def from_file(self, data: bytes) -> TopologyVersion | None:
         """The value that was kept; None where it belongs to another configuration. Raises `FrameError`."""
         body = data[: -_CHECK.size]
         if not body.startswith(_MAGIC) or _CHECK.pack(zlib.crc32(body)) != data[-_CHECK.size :]:
@@ -230,7 +230,7 @@ def _decode_advertisement(data: bytes) -> Advertisement:
     flags, count = _LSA.unpack_from(data)
     if flags > 31:
         raise FrameError(f"LSA flags {flags:#x}: bits 0 to 4 are known")
-    reader = Reader(data, _LSA.size)
+    reader = PacketReader(data, _LSA.size)
     neighbours: dict[str, int] = {}
     for _ in range(count):
         name = reader.name()

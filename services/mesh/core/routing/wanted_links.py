@@ -22,11 +22,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from services.mesh.core.actions import Connect, Disconnect, LinkAction, Log, Transmit, Write
+from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Transmit, Write
 from services.mesh.core.link.calls import Search
 from services.mesh.core.routing.automatic_topology import places, plan
-from services.mesh.core.routing.link_state import LinkState
-from services.mesh.core.routing.topology import AUTO, MAX_LINKS, MAX_STEP, MAX_VERSION, Ground, Topology
+from services.mesh.core.routing.link_state import LinkStateMap
+from services.mesh.core.routing.topology import AUTO, MAX_LINKS, MAX_STEP, MAX_VERSION, Ground, TopologyVersion
 from services.mesh.core.wire import frames
 from swarm.core.graph import Edge
 from swarm.errors import LocalError
@@ -59,13 +59,13 @@ FORGET = 60.0
 _NEVER = float("inf")
 
 
-class Start(NamedTuple):
+class InitialLinks(NamedTuple):
     """What a robot knows of links before it has any."""
 
     ground: Ground
     dials: Mapping[str, bool]
     """All robots that this one could be linked with, and whether it dials them."""
-    saved: Topology | None = None
+    saved: TopologyVersion | None = None
     """The value that was kept when it was running last."""
 
 
@@ -75,8 +75,8 @@ class Linking:
     def __init__(
         self,
         me: str,
-        start: Start,
-        map: LinkState,
+        start: InitialLinks,
+        map: LinkStateMap,
         *,
         act: Callable[[Transmit | LinkAction], None],
         random: Callable[[], float],
@@ -127,7 +127,7 @@ class Linking:
             links = self.value.edges if shape == AUTO else self._ground.edges_of(shape, edges)
         except LocalError as error:
             return str(error)
-        self._adopt(Topology(version + 1, 0, self._me, shape == AUTO, links), None, now)
+        self._adopt(TopologyVersion(version + 1, 0, self._me, shape == AUTO, links), None, now)
         return ""
 
     def has_room(self, peer: str) -> bool:
@@ -182,7 +182,7 @@ class Linking:
         value = self._ground.decode(data)
         if value is None:
             self._counters["topology_foreign"] += 1
-            self._act(Log(f"{peer} has another configuration: robots or topology differ", problem=True))
+            self._act(LogLine(f"{peer} has another configuration: robots or topology differ", problem=True))
             if peer not in self.wanted:
                 self._act(Disconnect(peer, frames.NOT_NEIGHBOUR))
         elif value > self.value:
@@ -240,7 +240,7 @@ class Linking:
 
     # -- the value ---------------------------------------------------------------------------------------------
 
-    def _adopt(self, value: Topology, source: str | None, now: float) -> None:
+    def _adopt(self, value: TopologyVersion, source: str | None, now: float) -> None:
         before, self.value = self.wanted, value
         self.wanted = value.neighbours(self._me)
         self.adopted = now
@@ -255,7 +255,7 @@ class Linking:
         self._act(Write())
         kind = "auto" if value.auto else "fixed"
         text = f"topology version={value.version}.{value.step} by={value.issuer} {kind} links={len(value.edges)}"
-        self._act(Log(text, problem=False))
+        self._act(LogLine(text, problem=False))
         for peer in self._links:
             if peer != source:
                 self._send(peer)
@@ -391,6 +391,6 @@ class Linking:
             return
         if self.value.step == MAX_STEP:
             text = f"topology step {MAX_STEP} is the last one of version {self.value.version}: set a topology anew"
-            self._act(Log(text, problem=True))
+            self._act(LogLine(text, problem=True))
         else:
             self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, edges=edges), None, now)

@@ -168,7 +168,7 @@ class Bind(NamedTuple):
     key: str
 
 
-class Decoder:
+class FrameDecoder:
     """Takes a byte stream apart into frames, however it was cut. Holds at most one incomplete frame."""
 
     __slots__ = (

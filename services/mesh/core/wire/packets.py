@@ -32,7 +32,7 @@ def _name(data: bytes) -> str:
     return text
 
 
-class Reader:
+class PacketReader:
     """Goes through a packet; raises `FrameError` where it ends too early."""
 
     def __init__(self, data: bytes, at: int) -> None:
@@ -141,7 +141,7 @@ class Spread(NamedTuple):
     """Bytes of the message where this only announces it (`overlays.large_messages`); the payload is empty then."""
 
 
-class Echo(NamedTuple):
+class EchoPacket(NamedTuple):
     """The answer to a flood, on its way back to the origin."""
 
     incarnation: int
@@ -168,7 +168,7 @@ class Digest(NamedTuple):
     """The sender wants ours in return."""
 
 
-class Message(NamedTuple):
+class UnicastMessage(NamedTuple):
     """A unicast message on its way."""
 
     sender: str
@@ -254,7 +254,7 @@ _SMALL = 256
 _decode_small_spread = lru_cache(maxsize=256)(_decode_spread)
 
 
-def encode_echo(packet: Echo) -> bytes:
+def encode_echo(packet: EchoPacket) -> bytes:
     """An ECHO packet; names that do not fit are left out, which makes it a `lost` one."""
     names, size, fitting = b"", _ECHO.size, 0
     for name in packet.robots:
@@ -268,17 +268,17 @@ def encode_echo(packet: Echo) -> bytes:
     return _ECHO.pack(ECHO, flags, packet.ttl, packet.incarnation, packet.sequence, fitting) + names
 
 
-def decode_echo(data: bytes) -> Echo:
+def decode_echo(data: bytes) -> EchoPacket:
     """An ECHO packet."""
     if len(data) < _ECHO.size:
         raise FrameError(f"ECHO of {len(data)} bytes: it has at least {_ECHO.size}")
     _, flags, ttl, incarnation, sequence, count = _ECHO.unpack_from(data)
     if flags > 3:
         raise FrameError(f"ECHO flags {flags:#x}: bits 0 and 1 are known")
-    reader = Reader(data, _ECHO.size)
+    reader = PacketReader(data, _ECHO.size)
     robots = tuple([reader.name() for _ in range(count)])
     reader.end()
-    return Echo(incarnation, sequence, robots, bool(flags & 1), bool(flags & 2), ttl)
+    return EchoPacket(incarnation, sequence, robots, bool(flags & 1), bool(flags & 2), ttl)
 
 
 def encode_digests(origins: Mapping[str, tuple[int, int]], *, answer: bool) -> list[bytes]:
@@ -306,7 +306,7 @@ def decode_digest(data: bytes) -> Digest:
     _, flags, count = _DIGEST.unpack_from(data)
     if flags > 1:
         raise FrameError(f"DIGEST flags {flags:#x}: bit 0 is known")
-    reader = Reader(data, _DIGEST.size)
+    reader = PacketReader(data, _DIGEST.size)
     low, high = reader.name(empty=True), reader.name(empty=True)
     origins: dict[str, tuple[int, int]] = {}
     for _ in range(count):
@@ -333,20 +333,20 @@ def decode_summary(data: bytes) -> int:
 # -- unicast channels ------------------------------------------------------------------------------------------
 
 
-def encode_message(packet: Message) -> bytes:
+def encode_message(packet: UnicastMessage) -> bytes:
     """A MESSAGE packet."""
     head = _MESSAGE.pack(MESSAGE, packet.ttl, packet.incarnation, packet.number)
     return head + packed(packet.sender) + packed(packet.to) + packed(packet.key, 255) + packet.payload
 
 
-def decode_message(data: bytes) -> Message:
+def decode_message(data: bytes) -> UnicastMessage:
     """A MESSAGE packet."""
     if len(data) < _MESSAGE.size:
         raise FrameError(f"MESSAGE of {len(data)} bytes: it has at least {_MESSAGE.size}")
     _, ttl, incarnation, number = _MESSAGE.unpack_from(data)
-    reader = Reader(data, _MESSAGE.size)
+    reader = PacketReader(data, _MESSAGE.size)
     sender, to, key = reader.name(), reader.name(), reader.key()
-    return Message(sender, to, incarnation, number, key, data[reader.at :], ttl)
+    return UnicastMessage(sender, to, incarnation, number, key, data[reader.at :], ttl)
 
 
 def encode_ack(packet: Ack) -> bytes:
@@ -362,7 +362,7 @@ def decode_ack(data: bytes) -> Ack:
     _, ttl, refused, incarnation, number = _ACK.unpack_from(data)
     if refused > 1:
         raise FrameError(f"ACK says {refused}: 0 and 1 are known")
-    reader = Reader(data, _ACK.size)
+    reader = PacketReader(data, _ACK.size)
     sender, to = reader.name(), reader.name()
     reader.end()
     return Ack(sender, to, incarnation, number, bool(refused), ttl)
