@@ -2,30 +2,28 @@
 lockstep and the app behind each, but no bus and nothing else of a robot. See `bench.one_sim`.
 """
 
+import contextlib
+import logging
 import os
-import random
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
-from functools import partial
+from typing import cast
 
 from bench import one_sim, socket_mesh
 from services.apps import loader
 from services.apps.host import schema_of
 from services.apps.runner import Runner as App
-from services.mesh.__main__ import local_of
-from services.mesh.core.events import Received
-from services.mesh.core.node import MeshNode
-from services.mesh.core.overlays.robot_overlays import RobotOverlays
-from services.mesh.core.relay import KeyRelay
+from services.mesh.__main__ import CHANCE, incarnation, local_by_file
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
-from services.mesh.core.wire.frames import NONCE_SIZE
+from services.mesh.locked_runtime import LockedRuntime
+from services.mesh.mesh import Mesh
 from services.mesh.network import Network
-from services.mesh.runner import MeshRunner
+from services.mesh.sockets import Sockets
 from swarm import clock
 from swarm.app.sync_app import SyncApp
+from swarm.bus.protocol import BusLike
 from swarm.config import Config, load
 from swarm.core.lockstep import Channel, Compute, Lockstep, Send
 from swarm.core.lockstep_actions import address_of
@@ -45,31 +43,22 @@ class Peer:
 
     def __init__(self, config: Config, robot: str, run: int) -> None:
         """`config`: its own."""
-        local, relay, counters = (
-            local_of(config, robot),
-            KeyRelay(robot, (), config.relay, config.names),
-            Counter[str](),
-        )
-        overlays = RobotOverlays(
-            robot,
-            config.names,
-            incarnation=time.time_ns() // 1000,
-            random=random.random,
-            counters=counters,
-            start=InitialLinks(Ground(config.names, config.edges, auto=config.auto), local.dials),
-            admits_flood=relay.admits_flood,
-            admits_unicast=relay.admits_unicast,
-        )
-        nonce = partial(os.urandom, NONCE_SIZE)
+        local = local_by_file(config, robot)
         network = Network(config, local, runtime_dir())
-        self._mesh = MeshRunner(
-            MeshNode(local, relay, overlays, random=random.random, nonce=nonce, counters=counters),
-            listeners=network.listeners,
-            dial=network.dial,
-            deliver=self._take,
-            changed=lambda: None,
-            keep=lambda: None,
+        # Where a mesh has a bus, this robot's app is called. Nobody hears what the mesh tells of itself.
+        runtime = LockedRuntime(cast(BusLike, self), Counter(), logging.getLogger("mesh"))
+        self._sockets = Sockets(runtime, network.listeners, network.dial)
+        self._mesh = Mesh(
+            config,
+            local,
+            InitialLinks(Ground(config.names, config.edges, auto=config.auto), local.dials),
+            CHANCE,
+            incarnation(),
+            runtime,
+            self._sockets,
+            keep=lambda data: None,
         )
+        self._relay = runtime.entry(self._mesh.publish)
         app = loader.load(APP)
         instance = app.make(config, robot)
         assert isinstance(instance, SyncApp)
@@ -82,7 +71,7 @@ class Peer:
 
     def start(self) -> None:
         """Begin at iteration 0."""
-        self._mesh.start()
+        self._sockets.start(self._mesh)
         with self._lock:
             self._lockstep.start(self._app.start(None)[0], clock.now())
             self._began = True
@@ -94,17 +83,20 @@ class Peer:
             self._lockstep.handle_timer(clock.now())
             self._carry_out()
 
-    def _take(self, messages: Sequence[Received]) -> None:
-        """On the mesh's thread."""
+    def wanted(self, key: str) -> bool:
+        """No reports."""
+        return False
+
+    def publish(self, key: str, payload: bytes, *, urgent: bool) -> None:
+        """Take a message, on the mesh's thread."""
+        if (address := address_of(key)) is None:
+            return
+        sender, _, text, _, around = address
         with self._lock:
-            for message in messages if self._began else ():
-                if (address := address_of(message.key)) is None:
-                    continue
-                sender, _, text, _, around = address
-                try:
-                    self._lockstep.receive(sender, Channel.parse(text), message.payload, clock.now(), around=around)
-                except FrameError:  # what robots say about the members
-                    continue
+            if self._began:
+                # What robots say about the members is no frame of a lockstep.
+                with contextlib.suppress(FrameError):
+                    self._lockstep.receive(sender, Channel.parse(text), payload, clock.now(), around=around)
             self._carry_out()
 
     def _carry_out(self) -> None:
@@ -114,7 +106,7 @@ class Peer:
                     own, private = self._app.step(action.k, action.own, action.values, None)
                     self._lockstep.computed(own, private, clock.now())
                 elif isinstance(action, Send):
-                    self._mesh.publish(None, action.key(self._key), action.data)
+                    self._relay(None, action.key(self._key), action.data)
 
 
 def main() -> None:

@@ -480,3 +480,44 @@ def test_importing_the_bus_pulls_in_nothing_heavy() -> None:
     code = "import sys, swarm.bus.zenoh_bus, swarm.process.service; print(*sys.modules)"
     loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
     assert not {"numpy", "asyncio", "serial", "multiprocessing", "email", "http"} & set(loaded)
+
+
+def test_direct_sessions_hear_each_other_through_a_routers_death_and_a_client_hears_each_message_once(
+    processes: Processes, runtime: Path
+) -> None:
+    """Mesh and apps are such sessions. They find each other by the router, and one that comes anew does, too."""
+    bus_service = processes.router()
+    heard, watched, again = Samples(), Samples(), Samples()
+    with Bus.of(runtime, "mesh") as mesh, Bus.of(runtime) as client:
+        mesh.subscribe("swarm/r0/app/**", heard)
+        client.subscribe("swarm/r0/app/**", watched)
+        with Bus.of(runtime, "app/x") as app:
+            talk(app, "swarm/r0/app/x/a", heard)
+            talk(app, "swarm/r0/app/x/b", watched)
+            for number in range(50):
+                app.publish("swarm/r0/app/x/c", b"%d" % number)
+            for samples in (heard, watched):
+                wait_until(lambda: ("swarm/r0/app/x/c", b"49") in samples, what="the messages")  # noqa: B023
+                told = [int(payload) for key, payload in samples if key.endswith("/c")]
+                assert told == list(range(50))
+            bus_service.kill()
+            bus_service.wait()
+            wait_until(lambda: not app.connected, what="the router's death")
+            talk(app, "swarm/r0/app/x/d", heard)
+            assert ("swarm/r0/app/x/d", b"hello") not in watched
+            processes.router()
+            wait_until(lambda: app.connected and mesh.connected and client.connected, what="the new router")
+            talk(app, "swarm/r0/app/x/e", watched)
+        with Bus.of(runtime, "app/x") as app:
+            mesh.subscribe("swarm/r0/app/x/f", again)
+            talk(app, "swarm/r0/app/x/f", again)
+            assert app.connected
+
+
+def test_a_direct_session_without_a_router_is_closed_at_once(runtime: Path) -> None:
+    begin = time.monotonic()
+    for _ in range(5):
+        bus = Bus.of(runtime, "mesh")
+        assert not bus.connected
+        bus.close()
+    assert time.monotonic() - begin < HELD_UP

@@ -3,7 +3,7 @@
 import pytest
 from epochs_world import World, full, line, loop
 
-from swarm.core.epoch_actions import MembershipOrder
+from swarm.core.epoch_actions import EpochRequest
 from swarm.core.stopping import Rule
 
 
@@ -57,7 +57,7 @@ def test_where_robots_are_waited_for_one_that_reboots_waits_for_the_operator():
     world.run(20.0)
     assert set(counters(world).values()) == {0}
     assert world.processes["r1"].lockstep.obstacle == "r1 has lost its state and waits for the next epoch"
-    world.processes["r3"].take(lambda p: p.lockstep.order(MembershipOrder(), world.now))
+    world.processes["r3"].take(lambda p: p.lockstep.request(EpochRequest(), world.now))
     assert world.run(6.0, until=lambda: world.together() and set(counters(world).values()) == {1})
     assert world.moving()
 
@@ -89,7 +89,7 @@ def test_two_equal_halves_wait_for_each_other_or_for_the_operator():
     world.cut.add(("r1", "r2"))
     world.run(20.0)
     assert set(counters(world).values()) == {0}
-    world.processes["r0"].take(lambda p: p.lockstep.order(MembershipOrder(force=True), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(force=True), world.now))
     assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 0, "r3": 0})
     assert world.processes["r0"].lockstep.epochs.epoch.forced
     world.run(3.0)
@@ -104,20 +104,20 @@ def test_policy_wait_waits_until_the_operator_says_so():
     world.kill("r3")
     world.run(20.0)
     assert set(counters(world).values()) == {0}
-    world.processes["r1"].take(lambda p: p.lockstep.order(MembershipOrder(drop=("r3",)), world.now))
+    world.processes["r1"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r3",)), world.now))
     assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
     world.start("r3")
     world.run(10.0)
     assert counters(world)["r3"] == 1
     assert world.processes["r3"].lockstep.obstacle == "r3 is not in epoch 1: only the operator lets it in again"
-    world.processes["r1"].take(lambda p: p.lockstep.order(MembershipOrder(add=("r3",)), world.now))
+    world.processes["r1"].take(lambda p: p.lockstep.request(EpochRequest(add=("r3",)), world.now))
     assert world.run(3.0, until=world.together)
     assert world.moving()
 
 
 def test_the_operator_sends_a_robot_away_that_is_well():
     world = running(full(4))
-    world.processes["r0"].take(lambda p: p.lockstep.order(MembershipOrder(drop=("r2",)), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r2",)), world.now))
     assert world.run(3.0, until=lambda: set(counters(world).values()) == {1})
     world.run(20.0)
     assert set(counters(world).values()) == {1}
@@ -245,13 +245,13 @@ def test_a_robot_without_its_votes_does_not_answer_a_ballot_that_it_may_have_ans
     """r1 votes with r0 for an epoch without r2, and loses that vote. r2 and r1 must not make another one."""
     world = running(full(3), drop=False)
     world.cut |= {("r0", "r2"), ("r1", "r2")}
-    world.processes["r0"].take(lambda p: p.lockstep.order(MembershipOrder(drop=("r2",)), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r2",)), world.now))
     assert world.run(5.0, until=lambda: counters(world)["r0"] == 1)
     world.kill("r0")
     damaged(world, "r1", reboots=True)
     world.cut.clear()
     world.cut |= {("r0", "r1"), ("r0", "r2")}
-    world.processes["r2"].take(lambda p: p.lockstep.order(MembershipOrder(drop=("r0",)), world.now))
+    world.processes["r2"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r0",)), world.now))
     world.run(20.0)
     assert counters(world) == {"r1": 0, "r2": 0}
     world.cut.clear()
@@ -263,7 +263,7 @@ def test_a_robot_without_its_votes_enters_no_epoch_that_it_may_have_been_in():
     """What it sent in that epoch it does not know any more, so it waits for the one after it."""
     world = running(full(4), drop=False)
     world.kill("r3")
-    world.processes["r0"].take(lambda p: p.lockstep.order(MembershipOrder(drop=("r3",)), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(drop=("r3",)), world.now))
     assert world.run(5.0, until=lambda: counters(world) == {"r0": 1, "r1": 1, "r2": 1})
     world.run(2.0)
     damaged(world, "r1", reboots=True)
@@ -271,7 +271,7 @@ def test_a_robot_without_its_votes_enters_no_epoch_that_it_may_have_been_in():
     lockstep = world.processes["r1"].lockstep
     assert counters(world)["r1"] == 1
     assert not lockstep.begun
-    world.processes["r0"].take(lambda p: p.lockstep.order(MembershipOrder(), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(), world.now))
     assert world.run(6.0, until=lambda: counters(world) == {"r0": 2, "r1": 2, "r2": 2})
     assert not lockstep.epochs.lost
     assert world.moving_of("r0", "r1", "r2")
@@ -283,7 +283,7 @@ def test_where_too_few_have_their_votes_the_operator_goes_on():
     world.run(20.0)
     assert set(counters(world).values()) == {0}
     assert world.moving()  # nobody stops for an election that cannot be won
-    world.processes["r0"].take(lambda p: p.lockstep.order(MembershipOrder(force=True), world.now))
+    world.processes["r0"].take(lambda p: p.lockstep.request(EpochRequest(force=True), world.now))
     assert world.run(6.0, until=lambda: set(counters(world).values()) == {1})
     assert not world.processes["r1"].lockstep.epochs.lost
     assert world.moving()

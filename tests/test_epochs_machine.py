@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from swarm.core.epoch_actions import MembershipOrder
+from swarm.core.epoch_actions import EpochRequest
 
 
 @st.composite
@@ -106,7 +106,7 @@ class Swarm(RuleBasedStateMachine):
     def operator_renews(self, pick, pause):
         process = self.world.processes.get(self.robot(pick))
         if process is not None:
-            process.take(lambda process: process.lockstep.order(MembershipOrder(), self.world.now))
+            process.take(lambda process: process.lockstep.request(EpochRequest(), self.world.now))
         self.world.run(pause)
 
     def teardown(self):
@@ -117,7 +117,7 @@ class Swarm(RuleBasedStateMachine):
             # Too few robots have their vote: the operator answers for the next epoch.
             members = [process for process in self.world.processes.values() if process.lockstep.epochs.member]
             newest = max(members, key=lambda process: process.lockstep.epochs.epoch.counter)
-            newest.take(lambda process: process.lockstep.order(MembershipOrder(force=True), self.world.now))
+            newest.take(lambda process: process.lockstep.request(EpochRequest(force=True), self.world.now))
         assert self.gets_on()
 
     def gets_on(self):

@@ -176,7 +176,12 @@ def test_every_topic_is_found_under_its_key() -> None:
 
 
 def test_every_name_is_to_be_had_though_nothing_is_imported_before() -> None:
-    for name in messages.__all__:
+    source = Path(str(messages.__file__)).read_text().partition("if TYPE_CHECKING")[2].partition("_NAMES =")[0]
+    imported = re.findall(r"^    from swarm\.messages\.(\w+) import (?:\(([^)]*)\)|(.*))$", source, re.MULTILINE)
+    assert {module: sorted(re.findall(r"\w+", names + more)) for module, names, more in imported} == {
+        module: sorted(names.split()) for module, names in messages._NAMES.items()
+    }
+    for name in messages._HOMES:
         found = vars(messages).get(name) or messages.__getattr__(name)
         assert found.__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'Nonsense'"):

@@ -16,6 +16,7 @@ from laptop.fleet.ssh import Host, HostError, Ssh, hosts, last_words
 from swarm.config import load
 from swarm.errors import PayloadError
 from swarm.messages.json_input import read_json
+from swarm.onboard.command_line import complain
 
 PROGRAM = "/opt/swarm/current/bin/z_sub"
 _PREFIX = "z_sub: "
@@ -48,7 +49,7 @@ async def _all(ssh: Ssh, robots: tuple[Host, ...], command: str, *, as_json: boo
         try:
             await _one(ssh, host, command, "" if len(robots) == 1 else f"[{host.robot}] ", as_json=as_json)
         except FAILURES as error:
-            _tell(f"{host.robot}: {failure(error, 0.0)}")
+            complain("z_sub", f"{host.robot}: {failure(error, 0.0)}")
             return True
         return False
 
@@ -71,16 +72,10 @@ async def _one(ssh: Ssh, host: Host, command: str, prefix: str, *, as_json: bool
     def complaint(text: str) -> None:
         nonlocal told
         if text.startswith(_PREFIX):
-            _tell(f"{host.robot}: {text.removeprefix(_PREFIX).rstrip()}")
+            complain("z_sub", f"{host.robot}: {text.removeprefix(_PREFIX).rstrip()}")
             told = True
 
     # The far z_sub ends when its input does, which stays open as long as this runs.
     done = await ssh.run(host, command, on_line=line, on_complaint=complaint, hold=asyncio.Event())
     if done.code != 0:
         raise HostError(("" if told else last_words(done.err)) or f"z_sub there: exit code {done.code}")
-
-
-def _tell(text: str) -> None:
-    with contextlib.suppress(OSError):
-        sys.stderr.write(_PREFIX + text + "\n")
-        sys.stderr.flush()

@@ -15,7 +15,7 @@ from services.apps.observer import Observer
 from services.apps.runner import Runner
 from services.apps.storage import Storage
 from services.apps.topology import TopologyWatch
-from swarm.core.epoch_actions import MembershipOrder
+from swarm.core.epoch_actions import EpochRequest
 from swarm.core.lockstep import Advanced, Channel
 from swarm.core.lockstep_actions import address_of
 from swarm.errors import FrameError
@@ -224,7 +224,7 @@ class LockstepHost:
         if order.ticket not in self._orders:
             self._orders.append(order.ticket)
             for driver in self.drivers.values():
-                driver.order(MembershipOrder(order.drop, order.add, order.force))
+                driver.request(EpochRequest(order.drop, order.add, order.force))
 
     def _on_topology(self, in_force: Topology) -> None:
         for driver in self.drivers.values():

@@ -16,7 +16,7 @@ from services.apps.storage import Storage
 from services.apps.topology import TopologyWatch
 from swarm.app.run_options import RunOptions
 from swarm.config import Config
-from swarm.core.epoch_actions import MembershipOrder, SaveEpochs, SendToNeighbours, SwitchEpoch
+from swarm.core.epoch_actions import EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epoch_notes import LOST, Epoch, first
 from swarm.core.graph import Graph
 from swarm.core.lockstep import Advanced, Channel, Compute, Fault, Finished, Save, Send, Waiting
@@ -169,9 +169,9 @@ class LockstepDriver:
         self.run.receive_note(sender, payload, self._runtime.now)
         self._perform()
 
-    def order(self, order: MembershipOrder) -> None:
-        """The operator wants other members."""
-        self.run.order(order, self._runtime.now)
+    def request(self, request: EpochRequest) -> None:
+        """The operator asks for other members."""
+        self.run.request(request, self._runtime.now)
         self._perform()
 
     def nudge(self) -> None:

@@ -16,7 +16,7 @@ from services.balancer.core.controller import BALANCING, CALIBRATING, FAULT, IDL
 from services.balancer.core.estimator import BodyEstimate, Estimator
 from services.balancer.core.faults import MotorFault
 from services.balancer.core.gyro import GyroZero, Zero
-from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, MOST_AHEAD, LedClaim, LedOrder, Shown, shown
+from services.balancer.core.leds import LedClaim, Shown, shown
 from services.balancer.core.posture import at_rest, posture
 from services.balancer.drivers import Balboa, Imu
 from services.balancer.i2c import I2CBus
@@ -165,6 +165,10 @@ class Balancer:
                 self._zero = None  # a calibration under way is given up: the zero of before holds
             self._controller.command(mode if self.ready else "rest", now)
 
+    def notice(self, about: str, text: str) -> None:
+        """Tell people something about a command, a little later."""
+        self.notices.append((about, text))
+
     def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> None:
         """Drive forward (m/s) and turn left (rad/s) for a time; a value above its limit is cut, and that is told.
 
@@ -183,13 +187,7 @@ class Balancer:
 
         Raises `LocalError` for a wrong time, or where too many orders wait for theirs.
         """
-        if not 0.0 < seconds <= LONGEST_CLAIM_S:
-            raise LocalError(f"leds: seconds: expected a time above 0 up to {LONGEST_CLAIM_S:g} s, got {seconds:.6g}")
-        if at is not None and not at <= now + LONGEST_AHEAD_S:
-            raise LocalError(f"leds: at: expected at most {LONGEST_AHEAD_S:g} s from now on, got {at - now:.6g}")
-        begin = now if at is None else at
-        if not self._claim.take(LedOrder(leds, begin, begin + seconds), now):
-            raise LocalError(f"leds: {MOST_AHEAD} orders wait for their time already")
+        self._claim.order(leds, seconds, now, at)
 
     @property
     def leds_due(self) -> float:

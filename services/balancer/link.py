@@ -70,6 +70,9 @@ Command = (
 """By the bridge."""
 Message = Told | Command
 
+TELEMETRY_S = 0.04
+"""Seconds between two messages of state and odometry."""
+
 _KINDS: dict[bytes, type[Message]] = {bytes((n,)): kind for n, kind in enumerate(get_args(Message))}
 """Numbered as they stand above: loop and bridge are always of one version, since one starts the other."""
 _BYTES: dict[type[Message], bytes] = {kind: byte for byte, kind in _KINDS.items()}

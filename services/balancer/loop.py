@@ -22,6 +22,7 @@ from services.balancer.core.gyro import Zero
 from services.balancer.core.lateness import Lateness
 from services.balancer.core.lqr import PERIOD_S
 from services.balancer.i2c import I2CBus, open_patiently
+from services.balancer.link import TELEMETRY_S
 from services.balancer.orders import halt, moves, obey
 from services.balancer.slack_tasks import SlackTasks
 from services.balancer.telemetry import Telemetry
@@ -33,7 +34,7 @@ from swarm.process import log
 from swarm.process.edges import die_with_parent, notify
 from swarm.process.paths import runtime_dir
 
-TELEMETRY_TICKS = 4
+TELEMETRY_TICKS = round(TELEMETRY_S / PERIOD_S)
 """25 Hz."""
 SECOND_TICKS = 100
 PARAMETERS_TICKS = 1000
@@ -114,7 +115,7 @@ class Loop:
             now = clock.now()
             if heard <= self._stopped_at and moves(message):
                 self._balancer.notices.append(("stop", "refused: a command that was given before the stop is void"))
-            elif not (obey(self._balancer, message, now) or self._tasks.obey(message, now)):
+            elif not (obey(self._balancer, message, now, _log) or self._tasks.obey(message, now)):
                 _log.warning("the bridge sent a %s", type(message).__name__)
         self._show_leds(clock.now())
         part = self.ticks % TELEMETRY_TICKS

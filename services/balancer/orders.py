@@ -1,27 +1,48 @@
 """Commands to the balancer, as they come from the bus: obeyed, or refused with a notice that says why."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
-from services.balancer.balancer import Balancer
+from services.balancer.core.leds import Shown
 from services.balancer.link import Message
 from swarm.errors import LocalError
 from swarm.messages import SetLeds, SetMode, SetParameters, SetVelocity, Stop
 
-_log = logging.getLogger("balancer")
+
+class Obedient(Protocol):
+    """What can be commanded: a balancer. Its methods raise `LocalError` where they cannot obey."""
+
+    def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> None:
+        """Drive forward (m/s) and turn left (rad/s) for a time."""
+
+    def command(self, mode: str, now: float) -> None:
+        """Change the mode: `stand`, `rest`, `lie` or `calibrate`."""
+
+    def change(self, parameters: Mapping[str, float]) -> None:
+        """Change parameters, all or none."""
+
+    def claim_leds(self, leds: Shown, seconds: float, now: float, at: float | None = None) -> None:
+        """Show what an app wants, for a time or until the next mode command; from the time `at` on, or at once."""
+
+    def stop(self, reason: str) -> bool:
+        """Motors off until the next command; True where that is new."""
+
+    def notice(self, about: str, text: str) -> None:
+        """Tell people something about a command."""
 
 
-def obey(balancer: Balancer, message: Message, now: float) -> bool:
+def obey(balancer: Obedient, message: Message, now: float, log: logging.Logger) -> bool:
     """Carry out a command; False where the message is none."""
     match message:
         case SetVelocity(speed, turn_rate, seconds):
             _or_refuse(balancer, "velocity", lambda: balancer.drive(speed, turn_rate, seconds, now))
         case SetMode(mode):
             if _or_refuse(balancer, "mode", lambda: balancer.command(mode, now)):
-                _log.info("commanded mode=%s", mode)
+                log.info("commanded mode=%s", mode)
         case SetParameters(parameters):
             if _or_refuse(balancer, "parameters", lambda: balancer.change(parameters)):
-                _log.info("changed %s", " ".join(f"{name}={value:g}" for name, value in parameters.items()))
+                log.info("changed %s", " ".join(f"{name}={value:g}" for name, value in parameters.items()))
         case SetLeds(red, yellow, green, seconds, at):
             _or_refuse(balancer, "leds", lambda: balancer.claim_leds((red, yellow, green), seconds, now, at))
         case _:
@@ -29,7 +50,7 @@ def obey(balancer: Balancer, message: Message, now: float) -> bool:
     return True
 
 
-def halt(balancer: Balancer, stop: Stop) -> bool:
+def halt(balancer: Obedient, stop: Stop) -> bool:
     """Motors off, whatever the robot does; True where that is new."""
     return balancer.stop(f"{stop.reason or 'no reason given'} (by {stop.origin or 'unknown'})")
 
@@ -39,10 +60,10 @@ def moves(message: Message) -> bool:
     return isinstance(message, SetVelocity) or (isinstance(message, SetMode) and message.mode != "rest")
 
 
-def _or_refuse(balancer: Balancer, about: str, action: Callable[[], None]) -> bool:
+def _or_refuse(balancer: Obedient, about: str, action: Callable[[], None]) -> bool:
     try:
         action()
     except LocalError as error:
-        balancer.notices.append((about, f"refused: {error}"))
+        balancer.notice(about, f"refused: {error}")
         return False
     return True

@@ -8,7 +8,7 @@ from services.mesh import link_address
 from services.mesh.core.link.calls import Local, has_address
 from services.mesh.links import pybluez, rfcomm, sim, supervision, tcp
 from services.mesh.links.pipe import Pipe
-from services.mesh.runner import Listener
+from services.mesh.sockets import Listener
 from swarm.config import Config
 from swarm.errors import ConfigError, LocalError
 

@@ -4,9 +4,10 @@ What is told is heard by a session of its own, which is there only while somebod
 """
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
-from services.mesh.bus_interface import Mesh
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
 from services.mesh.core.overlays.viewing import KEYS, Viewing
 from services.mesh.core.wire.frames import BULK
 from swarm import clock
@@ -30,13 +31,13 @@ class ViewSender:
         self._viewing = Viewing(robot, robots)
         self._lock = threading.Lock()
         """Around the viewing: it is told of from threads of bus and mesh."""
-        self._mesh: Mesh
+        self._ask: Callable[[Callable[[RobotOverlays, float], object]], None]
         self._watch_key, self._view_key = key(robot, "mesh", "watch"), key(robot, "mesh", "view")
         self._listening: Bus | None = None
 
-    def begin(self, bus: Bus, mesh: Mesh) -> None:
-        """Hear who watches through this robot."""
-        self._mesh = mesh
+    def begin(self, bus: Bus, ask: Callable[[Callable[[RobotOverlays, float], object]], None]) -> None:
+        """Hear who watches through this robot; `ask` is the mesh's, for any thread."""
+        self._ask = ask
         bus.subscribe(key(self._robot, "mesh", "set", "watch"), self._asked_here)
 
     def heard(self, key: str, payload: bytes) -> None:
@@ -82,10 +83,10 @@ class ViewSender:
         with self._lock:
             ask = self._viewing.ask(clock.now())
         if ask:
-            self._mesh.ask(lambda each, now: each.flood(self._watch_key, payload, BULK, now, latest=False))
+            self._ask(lambda each, now: each.flood(self._watch_key, payload, BULK, now, latest=False))
 
     def _send(self, origin: str, view: bytes) -> None:
-        self._mesh.ask(lambda each, now: each.send(origin, self._view_key, view, BULK, now, latest=True))
+        self._ask(lambda each, now: each.send(origin, self._view_key, view, BULK, now, latest=True))
 
     def _listen(self) -> Bus:
         bus = Bus.of(self._runtime)

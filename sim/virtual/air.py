@@ -3,21 +3,20 @@ them of Unix sockets, with the same delays from the same generators."""
 
 import random
 from collections import deque
-from typing import TYPE_CHECKING
 
 from services.mesh.core.link.session import Session
 from services.mesh.core.radio_model import AirModel, DelayLine
-from sim.virtual.events import EventQueue
-
-if TYPE_CHECKING:
-    from sim.virtual.mesh import VirtualMesh
+from services.mesh.mesh import CLOSED, Mesh
+from sim.virtual.events import EventQueue, Time
 
 CHUNK = 4096
-"""Bytes taken from a session at a time, as `services.mesh.runner` does."""
+"""Bytes taken from a session at a time, as `services.mesh.sockets` does."""
 SOCKET = 50_000
 """Bytes that the sender's socket takes, as `services.mesh.links.sim.SEND_BUFFER` has it."""
 
 UNREACHABLE = "unreachable"
+
+_NEVER = float("inf")
 
 
 Due = dict[float, list["ConnectionEnd"]]
@@ -28,10 +27,10 @@ class ConnectionEnd:
     """One end of a connection, and the ways from and to it: who sends has no need to look at the other end, nor who
     receives. In a large swarm each look is one into memory that no cache holds."""
 
-    __slots__ = ("alive", "due", "inward", "line", "mesh", "other", "session", "socket", "waits")
+    __slots__ = ("alive", "due", "inward", "line", "other", "session", "socket", "station", "waits")
 
-    def __init__(self, mesh: "VirtualMesh", line: DelayLine, inward: DelayLine, due: Due) -> None:
-        self.mesh = mesh
+    def __init__(self, station: "Station", line: DelayLine, inward: DelayLine, due: Due) -> None:
+        self.station = station
         self.line = line
         """The air from here to the other end."""
         self.inward = inward
@@ -48,32 +47,118 @@ class ConnectionEnd:
         """Whether the air's next free moment is planned."""
 
 
+class Station:
+    """The connections of one robot's mesh; see `services.mesh.surroundings.Transport`."""
+
+    __slots__ = ("_air", "_ends", "_mesh", "_timer", "robot", "time")
+
+    def __init__(self, robot: str, time: Time, air: "Air") -> None:
+        self.robot = robot
+        self.time = time
+        """The robot's clock."""
+        self._air = air
+        self._mesh: Mesh
+        self._ends: dict[Session, ConnectionEnd] = {}
+        self._timer = _NEVER
+
+    def start(self, mesh: Mesh) -> None:
+        """Let the robot be dialled."""
+        self._mesh = mesh
+        self._air.add(self)
+
+    def end(self) -> None:
+        """Close all connections, without a word, and let the mesh do nothing any more."""
+        self._mesh.running = False
+        self._air.remove(self)
+        for end in self._ends.values():
+            self._air.close(end)
+        self._ends.clear()
+
+    # -- what the mesh calls -----------------------------------------------------------------------------------
+
+    def dial(self, peer: str) -> None:
+        """Make a connection."""
+        self._air.dial(self, peer)
+
+    def flush(self, session: Session) -> None:
+        """Send what the session has to send."""
+        if (end := self._ends.get(session)) is not None:
+            self._air.flush(end)
+
+    def close(self, session: Session) -> None:
+        """Send what the session still has, and close its connection."""
+        if (end := self._ends.pop(session, None)) is not None:
+            self._air.flush(end)
+            self._air.close(end)
+
+    def wake(self, deadline: float) -> None:
+        """Call the mesh then, or earlier: a call that is planned already stays."""
+        if deadline < self._timer:
+            self._timer = deadline
+            self.time.at(deadline, self._due, deadline)
+
+    # -- what the air calls ------------------------------------------------------------------------------------
+
+    @property
+    def running(self) -> bool:
+        """False after the mesh's end."""
+        return self._mesh.running
+
+    def dialled(self, peer: str, end: ConnectionEnd) -> None:
+        """The connection asked for is there."""
+        end.session = self._mesh.dialled(peer)
+        self._ends[end.session] = end
+        self._mesh.carry_out()
+
+    def accepted(self, end: ConnectionEnd) -> None:
+        """Somebody has called."""
+        end.session = self._mesh.accepted()
+        if end.session is None:
+            self._air.close(end)
+        else:
+            self._ends[end.session] = end
+        self._mesh.carry_out()
+
+    def dial_failed(self, peer: str, reason: str) -> None:
+        """The connection asked for could not be made."""
+        self._mesh.dial_failed(peer, reason)
+
+    def received(self, arrivals: list[tuple[Session, bytes | str]]) -> None:
+        """What has come in this moment; see `Mesh.received`."""
+        self._mesh.received(arrivals)
+
+    def _due(self, planned: float) -> None:
+        if planned == self._timer:  # else an earlier one came before
+            self._timer = _NEVER
+            self._mesh.due()
+
+
 class Air:
     """All links of a swarm."""
 
     def __init__(self, time: EventQueue, model: AirModel) -> None:
         self._time = time
         self._model = model
-        self._meshes: dict[str, VirtualMesh] = {}
+        self._stations: dict[str, Station] = {}
         self._due: dict[str, Due] = {}
         self.cuts: dict[frozenset[str], float] = {}
         """Until when nothing passes between two robots."""
 
-    def add(self, mesh: "VirtualMesh") -> None:
+    def add(self, station: Station) -> None:
         """A robot that can be dialled."""
-        self._meshes[mesh.robot] = mesh
-        self._due[mesh.robot] = {}
+        self._stations[station.robot] = station
+        self._due[station.robot] = {}
 
-    def remove(self, mesh: "VirtualMesh") -> None:
+    def remove(self, station: Station) -> None:
         """It can no more."""
-        del self._meshes[mesh.robot]
+        del self._stations[station.robot]
 
     def cut(self, a: str, b: str, seconds: float) -> None:
         """Nothing passes between two robots for a while; what is under way arrives afterwards."""
         pair = frozenset((a, b))
         self.cuts[pair] = max(self.cuts.get(pair, 0.0), self._time.now + seconds)
 
-    def dial(self, caller: "VirtualMesh", peer: str) -> None:
+    def dial(self, caller: Station, peer: str) -> None:
         """Make a connection, and tell both ends of it; or tell the caller that there is none."""
         self._time.at(self._time.now + self._model.dial, self._dialled, caller, peer)
 
@@ -83,10 +168,10 @@ class Air:
         if session is None or not end.alive:
             return
         if self._model.bandwidth is None:
-            while data := session.data_to_send(end.mesh.now, CHUNK):
+            while data := session.data_to_send(end.station.time.now, CHUNK):
                 self._plan(end, end.line.push(data, now))
             return
-        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(end.mesh.now, CHUNK)):
+        while sum(map(len, end.socket)) < SOCKET and (data := session.data_to_send(end.station.time.now, CHUNK)):
             end.socket.append(data)
         self._send(end)
 
@@ -99,19 +184,19 @@ class Air:
             self._push(end, end.socket.popleft())
         self._push(end, b"")
 
-    def _dialled(self, caller: "VirtualMesh", peer: str) -> None:
+    def _dialled(self, caller: Station, peer: str) -> None:
         if not caller.running:
             return
-        mesh = self._meshes.get(peer)
-        if mesh is None or self._cut_until(caller.robot, peer) > self._time.now:
+        called = self._stations.get(peer)
+        if called is None or self._cut_until(caller.robot, peer) > self._time.now:
             caller.dial_failed(peer, UNREACHABLE)
             return
         there, back = self._line(caller.robot, peer), self._line(peer, caller.robot)
         near = ConnectionEnd(caller, there, back, self._due[peer])
-        far = ConnectionEnd(mesh, back, there, self._due[caller.robot])
+        far = ConnectionEnd(called, back, there, self._due[caller.robot])
         near.other, far.other = far, near
         caller.dialled(peer, near)
-        mesh.accepted(far)
+        called.accepted(far)
 
     def _line(self, sender: str, receiver: str) -> DelayLine:
         return line_of(self._model, sender, receiver)
@@ -138,19 +223,19 @@ class Air:
         receivers = due.get(at)
         if receivers is None:
             due[at] = [receiver]
-            self._time.at(at, self._arrive, receiver.mesh, due, at)
+            self._time.at(at, self._arrive, receiver.station, due, at)
         else:
             receivers.append(receiver)
 
     def _cut_until(self, a: str, b: str) -> float:
         return self.cuts.get(frozenset((a, b)), 0.0) if self.cuts else 0.0
 
-    def _arrive(self, mesh: "VirtualMesh", due: Due, at: float) -> None:
+    def _arrive(self, station: Station, due: Due, at: float) -> None:
         """The oldest chunks on the way to each of the ends arrive."""
-        chunks = []
+        arrivals: list[tuple[Session, bytes | str]] = []
         for receiver in due.pop(at):
             if self.cuts:
-                until = self._cut_until(receiver.other.mesh.robot, mesh.robot)
+                until = self._cut_until(receiver.other.station.robot, station.robot)
                 if until > self._time.now:
                     # Whichever call comes first then takes the oldest chunk, so the order stays.
                     self._plan(receiver.other, until)
@@ -158,9 +243,10 @@ class Air:
             data = receiver.inward.pop()
             if receiver.alive:
                 receiver.alive = bool(data)
-                chunks.append((receiver, data))
-        if chunks:
-            mesh.receive(chunks)
+                if receiver.session is not None:
+                    arrivals.append((receiver.session, data or CLOSED))
+        if arrivals:
+            station.received(arrivals)
 
 
 def line_of(model: AirModel, sender: str, receiver: str) -> DelayLine:

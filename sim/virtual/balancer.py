@@ -3,12 +3,18 @@
 What nobody hears is not made. Buttons are pressed, and robots laid down, by the acts of `sim.core.actions`.
 """
 
+import logging
 import math
 import random
+from collections import Counter
+from collections.abc import Mapping
 
+from services.balancer.bus_side import BusSide
 from services.balancer.core.buttons import REPEAT_S, ButtonCounter
-from services.balancer.core.faults import STOPPED
-from services.balancer.core.leds import LONGEST_AHEAD_S, LONGEST_CLAIM_S, LedClaim, LedOrder, Shown, shown
+from services.balancer.core.faults import STOPPED, MotorFault
+from services.balancer.core.leds import LedClaim, Shown, shown
+from services.balancer.link import TELEMETRY_S, Command
+from services.balancer.orders import halt, obey
 from sim.core.actions import BUTTONS, BodyPlace, Lay, Press, Push, SimulationAction
 from sim.core.scene_record import SceneRecord
 from sim.virtual.body import BALANCING, VirtualBody
@@ -16,7 +22,7 @@ from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.periodic_publisher import PeriodicPublisher
 from swarm.config import Config
-from swarm.errors import LocalError, PayloadError
+from swarm.errors import LocalError
 from swarm.messages import (
     BalancerFault,
     BalancerState,
@@ -25,18 +31,17 @@ from swarm.messages import (
     LedChange,
     Leds,
     Notice,
+    Odometry,
     SetDisplay,
-    SetLeds,
-    SetMode,
-    SetVelocity,
     Stop,
     Truth,
-    read,
 )
-from swarm.messages.keys import STOP, key
+from swarm.messages.keys import key
 
-TELEMETRY = 0.04
-"""s between two messages of state and odometry, as the service has it."""
+_log = logging.getLogger("virtual.balancer")
+_log.disabled = True
+"""What a balancer says is for its own log, which nobody would read here."""
+
 TRUTH = 0.1
 BATTERY = 7.4
 """V, for ever."""
@@ -45,7 +50,9 @@ TICK = 0.01
 
 
 class VirtualBalancer:
-    """One robot's body and what speaks for it."""
+    """One robot's body, and what `services.balancer.bus_side` needs of process and loop."""
+
+    log = _log
 
     def __init__(
         self,
@@ -64,23 +71,19 @@ class VirtualBalancer:
         self.shown: Shown | None = None
         """What the LEDs show."""
         self._time = time
-        self._bus = bus
+        self.bus = bus
         self._scene_record = scene_record
         self._claim = LedClaim()
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
         """Until when somebody holds each button."""
-        self._keys = {
-            topic: key(robot, "balancer", topic)
-            for topic in ("state", "odometry", "leds", "buttons", "battery", "display", "fault", "notice")
-        }
+        self._side = BusSide(self, lambda: time.now, self)
+        self._side.listen(self._put)
         self._truth_key, self._sim_leds_key = key(robot, "sim", "truth"), key(robot, "sim", "leds")
-        bus.subscribe(key(robot, "balancer", "set", "*"), self._obey)
-        bus.subscribe(STOP, self._obey)
         phase = numbers.random()
         time.soon(self._show_leds)
-        odometry_and_state = self._keys["odometry"], self._keys["state"]
-        PeriodicPublisher(time, bus, odometry_and_state, TELEMETRY, time.now + TELEMETRY * phase, self._tell)
+        odometry_and_state = self._side.key(Odometry), *self._side.state_keys
+        PeriodicPublisher(time, bus, odometry_and_state, TELEMETRY_S, time.now + TELEMETRY_S * phase, self._tell)
         PeriodicPublisher(time, bus, (self._truth_key,), TRUTH, time.now + TRUTH * phase, self._tell_truth)
         time.at(time.now + REPEAT_S * phase, self._tell_slowly)
         if scene_record is not None:
@@ -105,43 +108,73 @@ class VirtualBalancer:
             case Push() | BodyPlace():
                 raise LocalError("under virtual time a body has no physics: it can be laid down, not pushed")
 
-    def _obey(self, name: str, payload: bytes) -> None:
-        try:
-            message = read(name, payload)
-        except PayloadError as error:
-            self._notice("payload", str(error))
-            return
-        now, body = self._time.now, self.body
-        try:
-            match message:
-                case SetVelocity(speed, turn_rate, seconds):
-                    if cut := body.drive(speed, turn_rate, seconds, now):
-                        self._notice("velocity", cut)
-                case SetMode(mode):
-                    body.command(mode, now)
-                    self._claim.clear()
-                    self._changed()
-                case SetLeds(red, yellow, green, seconds, at):
-                    self._order((red, yellow, green), seconds, at)
-                case SetDisplay(text):
-                    self._bus.publish(self._keys["display"], Display(now, True, tuple(text.split("\n"))))
-                case Stop(_, origin, reason) if body.fault == "":
-                    body.stop(f"stopped: {reason or 'no reason given'} (by {origin})", now)
-                    self._changed()
-        except LocalError as error:
-            self._notice(name.rpartition("/")[2], f"refused: {error}")
+    # -- the process -------------------------------------------------------------------------------------------
 
-    def _order(self, leds: Shown, seconds: float, at: float | None) -> None:
-        now = self._time.now
-        if not 0.0 < seconds <= LONGEST_CLAIM_S:
-            raise LocalError(f"leds: seconds: expected a time above 0 up to {LONGEST_CLAIM_S:g} s, got {seconds:.6g}")
-        if at is not None and not at <= now + LONGEST_AHEAD_S:
-            raise LocalError(f"leds: at: expected at most {LONGEST_AHEAD_S:g} s from now on, got {at - now:.6g}")
-        begin = now if at is None else max(at, now)
-        if not self._claim.take(LedOrder(leds, begin, begin + seconds), now):
-            raise LocalError("leds: too many orders wait for their time already")
-        self._time.at(begin, self._show_leds)
-        self._time.at(begin + seconds, self._show_leds)
+    @property
+    def counters(self) -> Counter[str]:
+        """Those of the bus."""
+        return self.bus.counters
+
+    def ready(self) -> None:
+        """Nobody waits for it."""
+
+    def degraded(self, reason: str) -> None:
+        """Nobody asks for it."""
+
+    def _put(self, name: str, payload: bytes) -> None:
+        self._side.command(name, payload, self._time.now)
+
+    # -- the loop ----------------------------------------------------------------------------------------------
+
+    def halt(self, stop: Stop) -> None:
+        """See `services.balancer.bus_side.LoopLink`."""
+        halt(self, stop)
+
+    def take(self, command: Command, heard: float) -> bool:
+        """See `services.balancer.bus_side.LoopLink`. What only devices do that this body has not is left undone."""
+        obey(self, command, heard, _log)
+        return True
+
+    def show(self, request: SetDisplay) -> None:
+        """See `services.balancer.bus_side.LoopLink`."""
+        self._side.publish(Display(self._time.now, True, tuple(request.text.split("\n"))))
+
+    # -- the balancer, see `services.balancer.orders.Obedient` -------------------------------------------------------
+
+    def drive(self, speed: float, turn_rate: float, seconds: float, now: float) -> None:
+        """Drive for a time."""
+        if cut := self.body.drive(speed, turn_rate, seconds, now):
+            self.notice("velocity", cut)
+
+    def command(self, mode: str, now: float) -> None:
+        """Change the mode."""
+        self.body.command(mode, now)
+        self._claim.clear()
+        self._changed()
+
+    def change(self, parameters: Mapping[str, float]) -> None:
+        """Refuse."""
+        raise LocalError("parameters: under virtual time a body has no physics that they could change")
+
+    def claim_leds(self, leds: Shown, seconds: float, now: float, at: float | None = None) -> None:
+        """Show what an app wants."""
+        order = self._claim.order(leds, seconds, now, at)
+        self._time.at(order.at, self._show_leds)
+        self._time.at(order.until, self._show_leds)
+
+    def stop(self, reason: str) -> bool:
+        """Motors off."""
+        if self.body.fault:
+            return False
+        self.body.stop(f"stopped: {reason}", self._time.now)
+        self._changed()
+        return True
+
+    def notice(self, about: str, text: str) -> None:
+        """Tell people something about a command."""
+        self._side.publish(Notice(self._time.now, about, text))
+
+    # -- what it tells -----------------------------------------------------------------------------------------------
 
     def _show_leds(self) -> None:
         now, body = self._time.now, self.body
@@ -152,8 +185,8 @@ class VirtualBalancer:
         self.shown = lamps
         if self._scene_record is not None:
             self._scene_record.leds(self.robot, self._time.true, yellow=lamps[1])
-        self._bus.publish(self._keys["leds"], Leds(now, *lamps))
-        self._bus.publish(self._sim_leds_key, LedChange(now, *lamps))
+        self._side.publish(Leds(now, *lamps))
+        self.bus.publish(self._sim_leds_key, LedChange(now, *lamps))
 
     def _changed(self) -> None:
         """The mode is another one, and may change by itself once more."""
@@ -161,17 +194,19 @@ class VirtualBalancer:
         self._tell_state()
         if (then := self.body.next_change) < math.inf:
             self._time.at(then, self._changed)
-        if self._bus.wanted(self._keys["fault"]):
-            name = STOPPED if self.body.fault else ""
-            self._bus.publish(self._keys["fault"], BalancerFault(self._time.now, name, self.body.fault, ""))
+        if self._wanted(BalancerFault):
+            reason = self.body.fault
+            fault = MotorFault(STOPPED, reason) if reason else None
+            told = ("", "", "") if fault is None else (fault.name, fault.reason, fault.recovery)
+            self._side.publish(BalancerFault(self._time.now, *told))
 
     def _tell(self) -> None:
-        if self._bus.wanted(self._keys["odometry"]):
-            self._bus.publish(self._keys["odometry"], self.body.odometry(self._time.now))
+        if self._wanted(Odometry):
+            self._side.publish(self.body.odometry(self._time.now))
         self._tell_state()
 
     def _tell_state(self) -> None:
-        if not self._bus.wanted(self._keys["state"]):
+        if not any(map(self.bus.wanted, self._side.state_keys)):
             return
         now, body = self._time.now, self.body
         body.advance(now)
@@ -193,33 +228,33 @@ class VirtualBalancer:
             demanded_speed=speed if body.mode == BALANCING else 0.0,
             demanded_turn_rate=turn_rate,
         )
-        self._bus.publish(self._keys["state"], state)
+        self._side.publish(state)
 
     def _tell_truth(self) -> None:
         now, body = self._time.now, self.body
         body.advance(now)
-        self._bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
+        self.bus.publish(self._truth_key, Truth(now, body.x, body.y, body.heading, body.tilt))
 
     def _be_seen(self, scene_record: SceneRecord) -> None:
         now, body = self._time.now, self.body
-        self._time.at(now + TELEMETRY, self._be_seen, scene_record)
+        self._time.at(now + TELEMETRY_S, self._be_seen, scene_record)
         body.advance(now)
         scene_record.pose(self.robot, self._time.true, (body.x, body.y), body.tilt)
 
     def _tell_slowly(self) -> None:
         """What is told once a second."""
         self._time.at(self._time.now + REPEAT_S, self._tell_slowly)
-        if self._bus.wanted(self._keys["battery"]):
-            self._bus.publish(self._keys["battery"], Battery(self._time.now, BATTERY))
-        if self._bus.wanted(self._keys["leds"]) and self.shown is not None:
-            self._bus.publish(self._keys["leds"], Leds(self._time.now, *self.shown))
+        if self._wanted(Battery):
+            self._side.publish(Battery(self._time.now, BATTERY))
+        if self._wanted(Leds) and self.shown is not None:
+            self._side.publish(Leds(self._time.now, *self.shown))
         self._tell_buttons()
 
     def _tell_buttons(self) -> None:
         now = self._time.now
         down = sum(1 << bit for bit, until in enumerate(self._held) if now < until)
         if (buttons := self._counter.update(down, now)) is not None:
-            self._bus.publish(self._keys["buttons"], buttons)
+            self._side.publish(buttons)
 
-    def _notice(self, about: str, text: str) -> None:
-        self._bus.publish(self._keys["notice"], Notice(self._time.now, about, text))
+    def _wanted(self, kind: type) -> bool:
+        return self.bus.wanted(self._side.key(kind))

@@ -191,8 +191,8 @@ class VirtualWorld:
         config, epoch, there = self.config, topology.CONFIGURED, self.robots[robot]
         if config.auto:
             assert isinstance(there.mesh, VirtualMesh)  # an automatic topology is found by meshes
-            in_force = there.mesh.node.overlays.topology(there.mesh.now)
-            if topology.lacking(config, in_force, there.mesh.now):
+            in_force = there.mesh.look(lambda overlays, now: overlays.topology(now))
+            if topology.lacking(config, in_force, there.time.now):
                 self.time.at(self.time.now + ASK_EVERY, self._begin, robot, launch)
                 return
             links = topology.of_edges(config, in_force.edges)
@@ -249,7 +249,7 @@ class VirtualWorld:
         known = {name: AdvertisedLinks(FIRST_INCARNATION, Advertisement(near), 0.0) for name, near in links.items()}
         for robot in self.robots.values():
             assert isinstance(robot.mesh, VirtualMesh)
-            robot.mesh.node.overlays.settle(links, known, robot.mesh.now)
+            robot.mesh.look(lambda overlays, now: overlays.settle(links, known, now))
 
     def _robot(self, name: str) -> VirtualRobot:
         router = VirtualRouter(self.time)

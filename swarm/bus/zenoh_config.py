@@ -21,8 +21,7 @@ def router_config(endpoint: str) -> str:
             "mode": "router",
             "listen": {"endpoints": [endpoint], "exit_on_failure": True},
             "connect": {"endpoints": []},
-            # Without the delay of 0 Zenoh waits 0.5 s at the start for neighbours that it may not look for
-            # anyway.
+            # Without the delay of 0 Zenoh waits 0.5 s at the start for neighbours that it may not look for anyway.
             # Services that talk to each other most learn of each other by the router's gossip (`peer_config`).
             "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": True}},
             "timestamping": {"enabled": {"router": True, "peer": False, "client": False}},
@@ -87,5 +86,7 @@ def peer_config(endpoint: str, listen: str) -> str:
     config = json.loads(client_config(endpoint))
     config["mode"] = "peer"
     config["listen"] = {"endpoints": [listen], "exit_on_failure": False}
+    # Without it Zenoh waits 0.5 s at the start for neighbours that it may not look for anyway.
+    config["scouting"]["delay"] = 0
     config["scouting"]["gossip"] = {"enabled": True, "autoconnect": {"router": [], "peer": ["router", "peer"]}}
     return json.dumps(config)

@@ -1,4 +1,4 @@
-"""What `swarm.core.epochs` wants done, and what an operator may want of it."""
+"""What `swarm.core.epochs` asks of its host (actions), and what an operator may ask of it (requests)."""
 
 from swarm.core.epoch_notes import Epoch, SavedEpochs
 from swarm.frozen import frozen
@@ -26,7 +26,7 @@ class SwitchEpoch:
 
 
 @frozen
-class MembershipOrder:
+class EpochRequest:
     """What an operator wants: others out, others in, or only the links in force."""
 
     drop: tuple[str, ...] = ()

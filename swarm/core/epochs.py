@@ -15,7 +15,7 @@ has had: neighbours are at most one iteration apart, so nobody goes back by more
 - A robot whose file of votes is damaged may have voted for anything. It draws a random number and says so. Until an
   epoch names that number it votes for nothing and enters no epoch but the one that its snapshots are of: an epoch that
   names it was chosen after the loss, so the robot cannot have voted in it before.
-- The operator may order a change; with `force` it is made by those who answer, be they a minority.
+- The operator may request a change; with `force` it is made by those who answer, be they a minority.
 
 What a robot has to say is one note, newer ones replace older ones, and notes are passed on by everybody who had not
 seen them: over any number of hops, without routes. In an epoch that nobody wants to change nobody says anything.
@@ -29,7 +29,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 
-from swarm.core.epoch_actions import Action, MembershipOrder, SaveEpochs, SendToNeighbours, SwitchEpoch
+from swarm.core.epoch_actions import Action, EpochRequest, SaveEpochs, SendToNeighbours, SwitchEpoch
 from swarm.core.epoch_notes import NONE, Ballot, Epoch, EpochNote, Offer, SavedEpochs, Vote, following
 from swarm.core.epoch_roster import Roster
 from swarm.core.graph import Graph
@@ -67,9 +67,9 @@ class Epochs:
         "_of",
         "_offered_at",
         "_offers",
-        "_order",
         "_relink",
         "_reminded_at",
+        "_request",
         "_roster",
         "_round",
         "_settled",
@@ -121,7 +121,7 @@ class Epochs:
         self._relink = False
         self._settled = True
         self._deaf: tuple[str, ...] = ()
-        self._order: MembershipOrder | None = None
+        self._request: EpochRequest | None = None
         self._round = self._mine.promised.round
         self._offered_at = self._answered_at = 0.0
         self._answers: frozenset[str] = frozenset()
@@ -181,7 +181,7 @@ class Epochs:
 
     def next_deadline(self, now: float) -> float | None:
         """When `handle_timer` wants to be called; None: no timer runs."""
-        if not (self.auto or self.frozen or self.k < 0 or self._order is not None or self._offers or self._mine.lost):
+        if not (self.auto or self.frozen or self.k < 0 or self._request is not None or self._offers or self._mine.lost):
             return None  # asked after each message, and nearly always so
         times = [self._tell_at] if self._busy else []
         if self._mine.offer is not None and self._mine.offer.epoch is None and now < self._collected_at:
@@ -228,9 +228,9 @@ class Epochs:
         if self.auto:
             self._tell(now)
 
-    def order(self, order: MembershipOrder, now: float) -> None:
-        """The operator's."""
-        self._order = order
+    def request(self, request: EpochRequest, now: float) -> None:
+        """The operator asks for other members."""
+        self._request = request
         self._propose(now)
 
     def stranger(self, now: float) -> None:
@@ -301,7 +301,7 @@ class Epochs:
     def _busy(self) -> bool:
         """Whether this robot wants something of the others."""
         wanting = not self.well or self._deaf or self.stalled
-        return self.frozen or self.lost or self.k < 0 or self._order is not None or bool(self.auto and wanting)
+        return self.frozen or self.lost or self.k < 0 or self._request is not None or bool(self.auto and wanting)
 
     @property
     def _collected_at(self) -> float:
@@ -344,11 +344,11 @@ class Epochs:
     @property
     def _forced(self) -> bool:
         """Whether the operator has ordered a change without a majority."""
-        return self._order is not None and self._order.force
+        return self._request is not None and self._request.force
 
     @property
     def _may_propose(self) -> bool:
-        """Whether this robot can make a ballot: a member with a state and its votes, or one that an order forces.
+        """Whether this robot can make a ballot: a member with a state and its votes, or one that a request forces.
 
         Above the greatest round there is nothing; only a liar has named it (docs/security.md).
         """
@@ -393,9 +393,9 @@ class Epochs:
             votes = [note.accepted for note in notes.values() if note.accepted is not None]
             if votes:
                 return max(votes, key=lambda vote: vote.ballot).epoch
-        order = self._order or MembershipOrder()
-        away = tuple(sorted((set(self.epoch.away) | set(order.drop)) - set(order.add)))
-        there = {**notes, **self._roster.newcomers(now, *order.add)}
+        request = self._request or EpochRequest()
+        away = tuple(sorted((set(self.epoch.away) | set(request.drop)) - set(request.add)))
+        there = {**notes, **self._roster.newcomers(now, *request.add)}
         there = {n: note for n, note in there.items() if note.well and n not in away and self._roster.is_there(n, now)}
         deaf = {frozenset((n, other)) for n, note in there.items() for other in note.deaf}
         edges = [(a, b) for a, b in self._edges if a in there and b in there and frozenset((a, b)) not in deaf]
@@ -435,8 +435,8 @@ class Epochs:
         self._become(epoch=epoch, promised=NONE, accepted=None, offer=None, lost=lost)
         self.k = -1 if lost else epoch.k
         self._settled = bool(lost)
-        if self._order is None or not set(self._order.drop) & set(epoch.members) or not self.member:
-            self._order = None
+        if self._request is None or not set(self._request.drop) & set(epoch.members) or not self.member:
+            self._request = None
         self._relink = False
         self._deaf = ()
         self._cause_at = None
@@ -451,7 +451,7 @@ class Epochs:
             return False
         if mine.promised != NONE:
             return self._roster.orphaned(now)
-        if self._order is not None:
+        if self._request is not None:
             return True
         if not self.auto:
             return False

@@ -6,12 +6,14 @@ imported only when the command is used, since imports are slow.
 
 import argparse
 import ast
+import contextlib
 import difflib
 import importlib
 import os
 import re
+import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -52,23 +54,40 @@ _HELP = re.compile(r'^HELP = (".*")$', re.MULTILINE)
 
 def main(sections: Sections, argv: Sequence[str] | None = None) -> NoReturn:
     """Run a command and end: our own errors are one line on stderr and exit code 2, never a traceback."""
+    end_with("swarm", lambda: _main(sections, list(sys.argv[1:] if argv is None else argv)))
+
+
+def end_with(program: str, run: Callable[[], int], *, interrupted: int = 130, unread: int = 141) -> NoReturn:
+    """End this process with the exit code of `run`; an error of ours is one line on stderr and exit code 2.
+
+    `interrupted`: exit code after Ctrl-C. `unread`: where nobody reads on, as in `swarm config --example | head`.
+    """
     guard()
     try:
-        code = _main(sections, list(sys.argv[1:] if argv is None else argv))
+        code = run()
         sys.stdout.flush()
     except SwarmError as error:
-        sys.stderr.write(f"swarm: {error}\n")
+        complain(program, str(error))
         code = 2
     except KeyboardInterrupt:
-        code = 130
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not disturb the end
+        code = interrupted
+        _leave_output()
     except BrokenPipeError:
-        code = 141  # as a program that SIGPIPE ends: `swarm config --example | head` is no fault
-        _forget_output()
+        code = unread
+        _leave_output()
     except OSError as error:
-        sys.stderr.write(f"swarm: {error}\n")  # a full disk, mostly
+        complain(program, str(error))  # a full disk behind stdout, mostly
         code = 2
-        _forget_output()
+        _leave_output()
     sys.exit(code)
+
+
+def complain(program: str, text: str) -> None:
+    """Write a line to stderr, if anybody reads it."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write(f"{program}: {text}\n")
+        sys.stderr.flush()
 
 
 def commands_of(sections: Sections) -> dict[str, Command | CommandGroup]:
@@ -171,6 +190,9 @@ def _line(name: str, command: Command | CommandGroup) -> str:
     return f"  {name:<10} {text}"
 
 
-def _forget_output() -> None:
-    """Point stdout to nowhere, or the interpreter would fail once more when it flushes at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _leave_output() -> None:
+    """Write what can be written, then point stdout to nowhere: the interpreter flushes it again at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -9,7 +9,6 @@ import contextlib
 import os
 import queue
 import select
-import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,14 +16,14 @@ from typing import NoReturn
 
 from swarm import clock
 from swarm.bus.zenoh_bus import Bus
-from swarm.errors import LocalError, SwarmError
+from swarm.errors import LocalError
 from swarm.messages.keys import EVERYTHING
 from swarm.onboard import buses, samples
 from swarm.onboard.arguments import add_robots, add_run_dir, number, whole
+from swarm.onboard.command_line import complain, end_with
 from swarm.onboard.samples import BusSample
 from swarm.process.paths import DEFAULT_RUNTIME, bus_endpoint, runtime_dir
 from swarm.process.simulations import default_run_dir, is_live, robots
-from swarm.process.terminal import guard
 
 Source = Callable[[], Mapping[str, str] | None]
 """Name and endpoint of each bus to watch at this moment; None when there will be no more."""
@@ -44,28 +43,15 @@ def main(argv: Sequence[str] | None = None, over_ssh: Callable[[argparse.Namespa
 
     `over_ssh` watches real robots from a laptop and returns the exit code; a robot has no such function.
     """
-    code = 0
-    guard()
-    try:
+
+    def run() -> int:
         options = _parse(argv)
         if over_ssh is not None and _is_far(options):
-            code = over_ssh(options)
-        else:
-            _Watch(options).run()
-        sys.stdout.flush()
-    except SwarmError as error:
-        _tell(str(error))
-        code = 2
-    except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the usual end; a second one must not disturb it
-        _leave_stdout()
-    except BrokenPipeError:
-        _leave_stdout()  # z_sub | head
-    except OSError as error:
-        _tell(str(error))  # a full disk behind stdout, mostly
-        _leave_stdout()
-        code = 2
-    sys.exit(code)
+            return over_ssh(options)
+        _Watch(options).run()
+        return 0
+
+    end_with("z_sub", run, interrupted=0, unread=0)
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -159,7 +145,7 @@ class _Watch:
         if self._rates is not None:
             self._rates.print_rest()
         if self._lost:
-            _tell(f"{self._lost} samples came faster than they could be printed and are missing above")
+            complain("z_sub", f"{self._lost} samples came faster than they could be printed and are missing above")
 
     def _take(self, until: float) -> None:
         """Print the next sample, if one comes in time."""
@@ -180,7 +166,7 @@ class _Watch:
         """Find new buses, tell what became of the others; False when there is nothing more to watch."""
         found = self._source()
         if found is None:
-            _tell("the simulation has ended")
+            complain("z_sub", "the simulation has ended")
             return False
         for name, endpoint in found.items():
             if name not in self._buses:
@@ -215,7 +201,7 @@ class _Watched:
         connected = self._bus.connected
         if connected != self._told_connected and clock.now() - self._opened >= _PATIENCE:
             self._told_connected = connected
-            _tell(f"{self._endpoint} " + ("is there" if connected else "is not there, waiting for it"))
+            complain("z_sub", f"{self._endpoint} " + ("is there" if connected else "is not there, waiting for it"))
 
 
 class _Rates:
@@ -269,20 +255,6 @@ def _input_has_ended() -> bool:
     if not select.select([sys.stdin], [], [], 0)[0]:
         return False
     return not os.read(sys.stdin.fileno(), 4096)
-
-
-def _tell(text: str) -> None:
-    with contextlib.suppress(OSError):
-        sys.stderr.write(f"z_sub: {text}\n")
-        sys.stderr.flush()
-
-
-def _leave_stdout() -> None:
-    """Write what can be written, then point stdout to nowhere: the interpreter flushes it again at its end."""
-    with contextlib.suppress(OSError, ValueError):
-        sys.stdout.flush()
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

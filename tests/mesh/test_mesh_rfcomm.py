@@ -3,6 +3,7 @@
 Neither this kernel nor CI's has Bluetooth; what a stand-in cannot show is range, pairing and the real stack.
 """
 
+import logging
 import os
 import random
 import select
@@ -11,15 +12,13 @@ import types
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import cast
 
 import pytest
 from conftest import wait_until
 from rfcomm_air import RfcommAir
 
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
-from services.mesh.core.node import MeshNode
-from services.mesh.core.overlays.robot_overlays import RobotOverlays
-from services.mesh.core.relay import KeyRelay
 from services.mesh.core.routing.topology import Ground
 from services.mesh.core.routing.wanted_links import InitialLinks
 from services.mesh.core.wire import frames
@@ -27,9 +26,13 @@ from services.mesh.core.wire.frames import Hello
 from services.mesh.links import pybluez, rfcomm
 from services.mesh.links.pipe import Pipe
 from services.mesh.links.rfcomm import Radio
+from services.mesh.locked_runtime import LockedRuntime
+from services.mesh.mesh import Chance
+from services.mesh.mesh import Mesh as Shell
 from services.mesh.network import Network
-from services.mesh.runner import MeshRunner
+from services.mesh.sockets import Sockets
 from swarm import clock
+from swarm.bus.protocol import BusLike
 from swarm.config import parse
 from swarm.errors import LocalError
 
@@ -256,43 +259,36 @@ class Mesh:
             config, own, directory, open_bluetooth=air.open, supervise=lambda *each: self.limits.append(each)
         )
         self.counters: Counter[str] = Counter()
-        relay = KeyRelay(name, tuple(own.dials), config.relay)
-        overlays = RobotOverlays(
-            name,
-            config.names,
-            incarnation=own.incarnation,
-            random=random.random,
-            counters=self.counters,
-            start=InitialLinks(Ground(config.names, config.edges, auto=False), own.dials),
-            admits_flood=relay.admits_flood,
-            admits_unicast=relay.admits_unicast,
-        )
-        node = MeshNode(
-            own,
-            relay,
-            overlays,
-            random=random.random,
-            nonce=lambda: os.urandom(16),
-            counters=self.counters,
-        )
         self.inbox: list[tuple[str, bytes]] = []
-        self.runner = MeshRunner(
-            node,
-            listeners=self.network.listeners,
-            dial=self.network.dial,
-            deliver=lambda messages: self.inbox.extend((each.key, each.payload) for each in messages),
-            changed=lambda: None,
-            keep=lambda: None,
+        runtime = LockedRuntime(cast(BusLike, self), self.counters, logging.getLogger("mesh"))
+        self.sockets = Sockets(runtime, self.network.listeners, self.network.dial)
+        self.mesh = Shell(
+            config,
+            own,
+            InitialLinks(Ground(config.names, config.edges, auto=False), own.dials),
+            Chance(random.random, lambda: os.urandom(16)),
+            own.incarnation,
+            runtime,
+            self.sockets,
+            keep=lambda data: None,
         )
-        self.runner.start()
+        self.links = runtime.entry(self.mesh.links)
+        self.relay = runtime.entry(self.mesh.publish)
+        self.sockets.start(self.mesh)
+
+    def wanted(self, key: str) -> bool:
+        return False
+
+    def publish(self, key: str, payload: bytes, *, urgent: bool) -> None:
+        self.inbox.append((key, payload))
 
     @property
     def state(self) -> tuple[str, int, str]:
-        (link,) = self.runner.links()
+        (link,) = self.links().links
         return link.state, link.connection, link.reason
 
     def stop(self) -> None:
-        self.runner.stop()
+        self.sockets.stop()
         self.network.close()
 
 
@@ -304,7 +300,7 @@ def test_meshes_meet_over_rfcomm_part_and_meet_again(air: RfcommAir, runtime: Pa
     air.out_of_range.clear()
     wait_until(lambda: near.state[0] == far.state[0] == "up")
     key = "swarm/r0/app/x/sync/a"
-    near.runner.publish(0, key, b"hello")
+    near.relay(0, key, b"hello")
     wait_until(lambda: (key, b"hello") in far.inbox)
     # The far robot loses its sockets as kill -9 would have it.
     for sock in [sock for sock in air.sockets if sock.fileno() >= 0 and sock.adapter == ""]:
@@ -364,8 +360,8 @@ def test_the_other_links_are_nudged_when_one_has_ended(
     monkeypatch.setattr(rfcomm.RfcommPipe, "nudge", lambda pipe: nudged.append(pipe._peer))
     air.adapters.add(C)
     meshes = {name: Mesh(name, air, runtime, THREE) for name in ("r0", "r1", "r2")}  # a line
-    middle = meshes["r1"].runner
-    wait_until(lambda: [each.state for each in middle.links()] == ["up", "up"])
+    middle = meshes["r1"]
+    wait_until(lambda: [each.state for each in middle.links().links] == ["up", "up"])
     assert nudged == []
     for sock in [sock for sock in air.sockets if sock.fileno() >= 0 and sock.adapter == A and not sock.channel]:
         sock.shutdown(socket.SHUT_RDWR)

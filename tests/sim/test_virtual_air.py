@@ -19,15 +19,11 @@ class FakeSession:
         return self.waiting.pop(0) if self.waiting else b""
 
 
-class FakeMesh:
+class FakeStation:
     def __init__(self, robot, time, air):
         self.robot, self.time, self.running = robot, time, True
         self.session, self.end, self.heard, self.failed, self.down = FakeSession(), None, [], [], []
         air.add(self)
-
-    @property
-    def now(self):
-        return self.time.now
 
     def _take(self, end):
         self.end, end.session = end, self.session
@@ -40,9 +36,9 @@ class FakeMesh:
     def dial_failed(self, peer, reason):
         self.failed.append((self.time.now, peer))
 
-    def receive(self, chunks):
-        for _, data in chunks:
-            if data:
+    def received(self, arrivals):
+        for _, data in arrivals:
+            if isinstance(data, bytes):
                 self.heard.append((self.time.now, data))
             else:
                 self.down.append(self.time.now)
@@ -52,14 +48,14 @@ class Pair:
     def __init__(self, **model):
         self.time = EventQueue()
         self.air = Air(self.time, AirModel(**model))
-        self.r0, self.r1 = (FakeMesh(name, self.time, self.air) for name in ("r0", "r1"))
+        self.r0, self.r1 = (FakeStation(name, self.time, self.air) for name in ("r0", "r1"))
         self.air.dial(self.r0, "r1")
         self.time.run(self.time.now)
 
-    def send(self, data, mesh=None):
-        mesh = mesh or self.r0
-        mesh.session.waiting.append(data)
-        self.air.flush(mesh.end)
+    def send(self, data, station=None):
+        station = station or self.r0
+        station.session.waiting.append(data)
+        self.air.flush(station.end)
 
 
 WRITES = st.lists(st.tuples(st.floats(0.0, 0.5), st.binary(min_size=1, max_size=900)), max_size=20)

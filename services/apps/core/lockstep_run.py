@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from services.apps.core.terms import Program, Terms
 from swarm.core import epoch_actions, lockstep
-from swarm.core.epoch_actions import MembershipOrder, SaveEpochs, SwitchEpoch
+from swarm.core.epoch_actions import EpochRequest, SaveEpochs, SwitchEpoch
 from swarm.core.epoch_notes import Epoch, SavedEpochs
 from swarm.core.epoch_roster import FRESH
 from swarm.core.epochs import Epochs
@@ -251,9 +251,9 @@ class LockstepRun:
             self._heard[sender] = now
         self.epochs.receive(payload, now)
 
-    def order(self, order: MembershipOrder, now: float) -> None:
-        """The operator's."""
-        self.epochs.order(order, now)
+    def request(self, request: EpochRequest, now: float) -> None:
+        """The operator asks for other members."""
+        self.epochs.request(request, now)
 
     def nudge(self, now: float) -> None:
         """The bus or a link came up: ask now for what is missing."""

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from services.balancer.core.controller import BALANCING, CALIBRATING, FAULT, LYING_DOWN, STANDING_UP, STARTING
 from services.balancer.core.faults import STOPPED
+from swarm.errors import LocalError
 
 Shown = tuple[bool, bool, bool]
 """Red, yellow, green."""
@@ -86,6 +87,21 @@ class LedClaim:
             return False
         self._coming = before
         return True
+
+    def order(self, leds: Shown, seconds: float, now: float, at: float | None) -> LedOrder:
+        """Take an order from the time `at` on, or at once, and return it.
+
+        Raises `LocalError` for a wrong time, or where too many orders wait for theirs.
+        """
+        if not 0.0 < seconds <= LONGEST_CLAIM_S:
+            raise LocalError(f"leds: seconds: expected a time above 0 up to {LONGEST_CLAIM_S:g} s, got {seconds:.6g}")
+        if at is not None and not at <= now + LONGEST_AHEAD_S:
+            raise LocalError(f"leds: at: expected at most {LONGEST_AHEAD_S:g} s from now on, got {at - now:.6g}")
+        begin = now if at is None else at
+        order = LedOrder(leds, begin, begin + seconds)
+        if not self.take(order, now):
+            raise LocalError(f"leds: {MOST_AHEAD} orders wait for their time already")
+        return order
 
     def clear(self) -> None:
         """The LEDs are the balancer's again, now and later."""

@@ -59,7 +59,7 @@ class LinksChanged:
 
 
 @frozen
-class LogLine:
+class Log:
     """Write a line to the log."""
 
     text: str
@@ -73,12 +73,12 @@ class Write:
 
 
 Emit = Callable[[Transmit], None]
-LinkAction = Connect | Disconnect | Write | LogLine
+LinkAction = Connect | Disconnect | Write | Log
 """What a topology asks of its node."""
-Action = Dial | Close | LinksChanged | LogLine | Write | Received
+Action = Dial | Close | LinksChanged | Log | Write | Received
 """What a node asks of its shell."""
 
-MAX_NOTED = 256
+MAX_LOGGED = 256
 """Different problems logged; later new ones are only counted."""
 
 
@@ -87,21 +87,21 @@ class Actions:
 
     def __init__(self) -> None:
         self._actions: list[Action] = []
-        self._noted: set[str] = set()
+        self._logged: set[str] = set()
 
     def add(self, *actions: Action) -> None:
         """Ask for these."""
         self._actions += actions
 
-    def note(self, problem: str, text: str) -> None:
+    def log_once(self, problem: str, text: str) -> None:
         """Log a problem the first time only: neighbours may repeat it as often as they like."""
-        if problem not in self._noted and len(self._noted) < MAX_NOTED:
-            self._noted.add(problem)
-            self._actions.append(LogLine(text, problem=True))
+        if problem not in self._logged and len(self._logged) < MAX_LOGGED:
+            self._logged.add(problem)
+            self._actions.append(Log(text, problem=True))
 
-    def tell(self, text: str) -> None:
+    def log_link(self, text: str) -> None:
         """Log what has happened to a link, and publish its state."""
-        self._actions += (LinksChanged(), LogLine(text, problem=False))
+        self._actions += (LinksChanged(), Log(text, problem=False))
 
     def take(self) -> list[Action]:
         """Those since the last call."""

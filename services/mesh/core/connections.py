@@ -72,7 +72,7 @@ class Connections:
         if (refusal := self._callers.refusal(caller, self._half_open.values(), now)) is not None:
             counter, problem, text = refusal
             self._counters[counter] += 1
-            self._actions.note(problem, text)
+            self._actions.log_once(problem, text)
             return None
         session = self.open(None, now, caller.robot)
         self._half_open[session] = caller
@@ -116,10 +116,12 @@ class Connections:
     def hold(self, request: HoldLink, now: float) -> None:
         """Have no link with a neighbour for a while, or let it come back."""
         if request.peer not in self._local.dials:
-            self._actions.note(f"hold {request.peer}", f"no link to hold: {request.peer[:80]!r}")
+            self._actions.log_once(f"hold {request.peer}", f"no link to hold: {request.peer[:80]!r}")
             return
         held = self._holds.take(request, now)
-        self._actions.tell(f"link {'held down' if held else 'let up'} peer={request.peer} seconds={request.seconds:g}")
+        self._actions.log_link(
+            f"link {'held down' if held else 'let up'} peer={request.peer} seconds={request.seconds:g}"
+        )
         for session in tuple(self._sessions):
             if held and session.peer == request.peer:
                 session.close(frames.HELD, frames.BYE_TEXT[frames.HELD])
@@ -246,7 +248,7 @@ class Connections:
             result = self.prober.receive(event.key, event.payload, now)
         except FrameError as error:
             self._counters["inbound_refused"] += 1
-            self._actions.note(f"echo from {session.peer}", f"echo refused peer={session.peer} reason={error}")
+            self._actions.log_once(f"echo from {session.peer}", f"echo refused peer={session.peer} reason={error}")
             return
         if isinstance(result, Echo):
             self._actions.add(self.prober.told(result))
@@ -276,23 +278,23 @@ class Connections:
                 if link.dialler is not None:
                     link.dialler.up(now)
                 if self._overlays.link_up(name, now):
-                    self._actions.tell(f"link up peer={name} connection={link.connection}")
+                    self._actions.log_link(f"link up peer={name} connection={link.connection}")
                     self._links_changed()
                 else:
                     self.disconnect(name, frames.UNWANTED)
                 self._serve()
             case LinkSuspect():
-                self._actions.tell(f"link suspect peer={peer}")
+                self._actions.log_link(f"link suspect peer={peer}")
             case LinkRecovered():
-                self._actions.tell(f"link heard again peer={peer}")
+                self._actions.log_link(f"link heard again peer={peer}")
             case LinkDown(reason, code, said):
                 assert peer is not None
                 self._hear(peer, said, now)
                 if code in (frames.BAD_FRAME, frames.BAD_TAG):
-                    self._actions.note(f"{peer} {code}", f"connection ended peer={peer} reason={reason}")
+                    self._actions.log_once(f"{peer} {code}", f"connection ended peer={peer} reason={reason}")
                 if (down := self.links.get(peer)) is not None and down.session is session:
                     self._detach(down, session, reason, now)
-                    self._actions.tell(f"link down peer={peer} reason={reason}")
+                    self._actions.log_link(f"link down peer={peer} reason={reason}")
             case HandshakeFailed(reason, code, said):
                 self._on_failed(session, reason, code, said, now)
 
@@ -319,14 +321,14 @@ class Connections:
             session = link.session
             if session is not None and (reason := clashes.check_link(peer, session.process, link.since, now)):
                 self._end(link, session, frames.CLASH, reason, now)
-                self._actions.tell(f"link down peer={peer} reason={reason}")
+                self._actions.log_link(f"link down peer={peer} reason={reason}")
         self._name_clashes(now)
 
     def _name_clashes(self, now: float) -> None:
         """Say in the log and in the link state which names two robots have."""
         self._overlays.tell_clashes(now)
         for robot, text in self._overlays.clashes.named(now).items():
-            self._actions.note(f"clash {robot}", text)
+            self._actions.log_once(f"clash {robot}", text)
 
     def _hear(self, peer: str, said: int | None, now: float) -> None:
         """What the other end of a connection says at its end."""
@@ -346,14 +348,14 @@ class Connections:
             # One line for all strangers: who calls from many addresses must not fill the log. A clash of names has its
             # own, once it is sure.
             if code != frames.CLASH:
-                self._actions.note(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
+                self._actions.log_once(f"{caller} {code}", f"connection refused peer={caller}{address} reason={reason}")
         elif session.peer is not None and said in REFUSED:
             # Who calls may have told its name and then why it wants no link after all.
             self._hear(session.peer, said, now)
             if (link := self.links.get(session.peer)) is not None and link.session is None:
                 link.reason = reason
             if said != frames.CLASH:
-                self._actions.note(
+                self._actions.log_once(
                     f"{caller} says {said}", f"connection refused by peer={session.peer} reason={reason}"
                 )
         if frames.CLASH in (code, said):

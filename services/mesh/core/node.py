@@ -13,7 +13,7 @@ from services.mesh.core.actions import (
     Actions,
     Connect,
     Disconnect,
-    LogLine,
+    Log,
     Transmit,
     Write,
 )
@@ -173,7 +173,7 @@ class MeshNode:
         if len(payload) > (largest := longest(leg.overlay, leg.priority)):
             self._counters["too_large"] += 1
             text = f"{leg.key}: {len(payload)} bytes, the mesh carries at most {largest} in its class"
-            self._actions.note(leg.key, text)
+            self._actions.log_once(leg.key, text)
             return
         if leg.overlay == frames.NEIGHBOURS:
             for peer in leg.peers:
@@ -200,10 +200,10 @@ class MeshNode:
                     self.connections.connect(peer, once=once)
                 case Disconnect(peer, code):
                     self.connections.disconnect(peer, code)
-                case LogLine(text, True):
-                    self._actions.note(text, text)
-                case LogLine(text):
-                    self._actions.tell(text)
+                case Log(text, True):
+                    self._actions.log_once(text, text)
+                case Log(text):
+                    self._actions.log_link(text)
                 case Received() | Write():
                     self._actions.add(action)
         self._deadline = self._earliest()
@@ -215,5 +215,5 @@ class MeshNode:
             admitted = self.overlays.admits(peer, overlay, key)
         if not admitted:
             text = f"key refused peer={peer} key={key[:80]!r}: no relay rule lets it in"
-            self._actions.note(f"key from {peer}", text)
+            self._actions.log_once(f"key from {peer}", text)
         return admitted

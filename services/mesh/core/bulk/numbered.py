@@ -154,6 +154,8 @@ class Outbound(Generic[M]):
 
     def next_deadline(self) -> float:
         """When a message is to be repeated, or its time is over."""
+        if not self.messages:
+            return _NEVER
         return min((min(message.next_at, message.deadline) for message in self.all()), default=_NEVER)
 
     def give_up(self, to: str, key: str) -> None:

@@ -1,0 +1,207 @@
+"""What a balancer does on the bus: publishes what its loop tells, and hands it the commands that pass.
+
+The same code runs in the bridge, over the socket pairs to the control loop, and under virtual time, where the loop is a
+body without physics (`sim.virtual.balancer`).
+"""
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from typing import Protocol
+
+from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
+from services.balancer.core.requests import check
+from services.balancer.link import Command, Message
+from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.throttle import THROTTLED, Throttle
+from swarm.errors import LocalError, PayloadError
+from swarm.messages import (
+    BalancerFault,
+    BalancerState,
+    Battery,
+    Buttons,
+    Display,
+    Firmware,
+    I2CRates,
+    ImuSample,
+    Leds,
+    ModuleAnswer,
+    Notice,
+    Odometry,
+    Parameters,
+    SetDisplay,
+    SetMode,
+    Stop,
+    Uwb,
+    read,
+)
+from swarm.messages.keys import STOP, key
+
+THROTTLED_STATE_S = 0.2
+"""Seconds between two messages of the state's throttled copy; a change of mode is told at once."""
+
+_LOG_PERIOD_S = 5.0
+"""Seconds between two log lines about refused commands: a flood of them is counted, not logged one by one."""
+
+_NOTICES_A_SECOND = 10
+"""Notices about refused commands, at most."""
+
+_TOPICS: dict[type, str] = {
+    BalancerState: "state",
+    Odometry: "odometry",
+    Leds: "leds",
+    BalancerFault: "fault",
+    Notice: "notice",
+    Parameters: "parameters",
+    Battery: "battery",
+    Firmware: "firmware",
+    Buttons: "buttons",
+    ImuSample: "imu",
+    Uwb: "uwb",
+    ModuleAnswer: "module",
+    Display: "display",
+    I2CRates: "i2c",
+}
+_COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display", "i2c")
+
+
+class Process(Protocol):
+    """What the bus side uses of its process: see `swarm.process.service.Service`."""
+
+    @property
+    def robot(self) -> str:
+        """The robot's name."""
+
+    @property
+    def bus(self) -> BusLike:
+        """The robot's bus."""
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What was dropped or refused, by name."""
+
+    @property
+    def log(self) -> logging.Logger:
+        """Where the service's messages for people go."""
+
+    def ready(self) -> None:
+        """Tell that the service does its work."""
+
+    def degraded(self, reason: str) -> None:
+        """Tell that the service cannot do all of its work, and why."""
+
+
+class LoopLink(Protocol):
+    """What obeys."""
+
+    def halt(self, stop: Stop) -> None:
+        """Stop the motors. Called by the bus's thread, and must not wait."""
+
+    def take(self, command: Command, heard: float) -> bool:
+        """Take a command that was heard at that time, s; False where there is no room for it."""
+
+    def show(self, request: SetDisplay) -> None:
+        """Show a text on the display."""
+
+
+class BusSide:
+    """The bus side of one balancer."""
+
+    __slots__ = (
+        "_keys",
+        "_logged",
+        "_loop",
+        "_mode",
+        "_notices",
+        "_notices_since",
+        "_now",
+        "_process",
+        "_throttle",
+    )
+
+    def __init__(self, process: Process, now: Clock, loop: LoopLink) -> None:
+        self._process = process
+        self._now = now
+        self._loop = loop
+        self._logged = float("-inf")
+        self._notices = 0
+        self._notices_since = now()
+        self._keys: dict[type, str] = {}
+        """The keys used so far, by the message's type: the simulations have many robots, which use few of them."""
+        self._throttle = Throttle(process.bus, self.key(BalancerState), THROTTLED_STATE_S)
+        self._mode = ""
+
+    def listen(self, put: Callable[[str, bytes], None]) -> None:
+        """Hear stops, which go to the loop at once, and commands: `put(key, payload)` is to see to it that `command` is
+        called for each. Both are called by the bus's thread: whatever `put` does, the next stop waits for it."""
+        robot, bus = self._process.robot, self._process.bus
+        bus.subscribe(STOP, self._stop)
+        bus.subscribe([key(robot, "balancer", "set", what) for what in _COMMANDS], put)
+
+    def key(self, kind: type) -> str:
+        """Return the key of the messages of a type."""
+        found = self._keys.get(kind)
+        if found is None:
+            found = self._keys[kind] = key(self._process.robot, "balancer", _TOPICS[kind])
+        return found
+
+    @property
+    def state_keys(self) -> tuple[str, str]:
+        """The keys on which the state is published."""
+        state = self.key(BalancerState)
+        return state, f"{state}/{THROTTLED}"
+
+    def publish(self, message: Message) -> None:
+        """Publish a message of the loop."""
+        process = self._process
+        if isinstance(message, BalancerState):
+            if message.mode == FAULT:
+                process.degraded(message.fault)
+            elif message.mode not in (STARTING, CALIBRATING):
+                process.ready()
+            self._throttle.publish(message, message.t, news=message.mode != self._mode, urgent=True)
+            self._mode = message.mode
+        # The body's state goes ahead of whatever floods the bus.
+        process.bus.publish(self.key(type(message)), message, urgent=True)
+
+    def command(self, name: str, payload: bytes, heard: float) -> None:
+        """Check a command that was heard at that time, s, and hand it to the loop; tell where it is refused."""
+        try:
+            message = read(name, payload)
+        except PayloadError as error:
+            self.refuse(name, "refused", str(error))
+            return
+        if isinstance(message, SetMode) and message.mode not in COMMANDS:
+            wrong = f"expected one of {', '.join(COMMANDS)}, got {message.mode[:40]!r}"
+            self.refuse(name, "refused", f"{name}: mode: {wrong}")
+            return
+        try:
+            check(message)
+        except LocalError as error:
+            self.refuse(name, "refused", f"{name}: {error}")
+            return
+        if isinstance(message, SetDisplay):
+            self._loop.show(message)
+        elif isinstance(message, Command) and not self._loop.take(message, heard):
+            self.refuse(name, "dropped", f"{name}: the control loop does not take commands")
+
+    def refuse(self, name: str, counter: str, reason: str, count: int = 1) -> None:
+        """Count `count` commands of a key that do not reach the loop, and tell why."""
+        process = self._process
+        process.counters[counter] += count
+        now = self._now()
+        if now - self._notices_since >= 1.0:
+            self._notices, self._notices_since = 0, now
+        self._notices += 1
+        if self._notices <= _NOTICES_A_SECOND:
+            notice = Notice(now, name.rpartition("/")[2], f"{counter}: {reason[:200]}")
+            process.bus.publish(self.key(Notice), notice)
+        if now - self._logged >= _LOG_PERIOD_S:
+            self._logged = now
+            process.log.warning("command %s: %s", counter, reason[:200])
+
+    def _stop(self, name: str, payload: bytes) -> None:
+        """A sample of `swarm/stop`: to the loop at once, whatever the payload is."""
+        stop = read(name, payload)
+        assert isinstance(stop, Stop)
+        self._loop.halt(stop)

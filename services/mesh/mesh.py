@@ -1,0 +1,305 @@
+"""The shell of a robot's mesh: joins the node with the robot's bus, its links and its clock.
+
+The same code runs in a process, over sockets (`services.mesh.sockets`), and under virtual time (`sim.virtual.mesh`).
+"""
+
+import logging
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+from services.mesh.core.actions import Close, Dial, LinksChanged, Log, Write
+from services.mesh.core.events import Received
+from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
+from services.mesh.core.link.clock import ClockState
+from services.mesh.core.link.session import Session
+from services.mesh.core.node import MeshNode
+from services.mesh.core.overlays.robot_overlays import RobotOverlays
+from services.mesh.core.relay import KeyRelay
+from services.mesh.core.routing.wanted_links import InitialLinks
+from services.mesh.core.wire.frames import BULK
+from services.mesh.surroundings import Surroundings, Transport
+from swarm.config import Config
+from swarm.config.types import RobotConfig
+from swarm.messages import Clock, EchoRequest, HoldLink, Links
+from swarm.messages.keys import key
+
+REPORT_PERIOD = 1.0
+"""Seconds between two publications of `mesh/links`, `mesh/clock` and `mesh/topology` when nothing changes."""
+
+CLOSED = "closed by the other end"
+"""The reason of a connection's end where the transport knows no better one."""
+
+T = TypeVar("T")
+
+
+class Chance(NamedTuple):
+    """Where a mesh's random numbers come from."""
+
+    random: Callable[[], float]
+    """Gives uniform numbers from 0 up to 1."""
+    nonce: Callable[[], bytes]
+    """Gives 16 bytes that nobody can foresee."""
+
+
+def dials_of(own: RobotConfig, peers: Iterable[RobotConfig]) -> dict[str, bool]:
+    """Return those of `peers` that a robot may be linked with, and whether it dials them."""
+    return {peer.name: dials(own, peer) for peer in peers if peer is not own and can_link(own, peer)}
+
+
+def local_of(
+    config: Config,
+    robot: str,
+    robots: frozenset[str],
+    dials: Mapping[str, bool],
+    incarnation: int,
+    *,
+    insecure: bool,
+    keys: Mapping[int, bytes],
+) -> Local:
+    """Return what the links of a robot have in common, by its configuration."""
+    settings = config.mesh
+    return Local(
+        robot=robot,
+        network=config.network,
+        incarnation=incarnation,
+        insecure=insecure,
+        dials=dials,
+        robots=robots,
+        heartbeat=settings.heartbeat,
+        suspect=settings.suspect,
+        dead=settings.dead,
+        keys=keys,
+    )
+
+
+class Mesh:
+    """The mesh of one robot. Only one call at a time may run: other threads use its methods through
+    `Surroundings.entry`."""
+
+    __slots__ = (
+        "_bus",
+        "_changed",
+        "_clock_key",
+        "_deadline",
+        "_heard",
+        "_keep",
+        "_keeping",
+        "_links_key",
+        "_look",
+        "_node",
+        "_reporting",
+        "_surroundings",
+        "_topology_key",
+        "_transport",
+        "robot",
+        "running",
+        "subscriptions",
+    )
+
+    def __init__(
+        self,
+        config: Config,
+        local: Local,
+        start: InitialLinks,
+        chance: Chance,
+        incarnation: int,
+        surroundings: Surroundings,
+        transport: Transport,
+        *,
+        keep: Callable[[bytes], None],
+        heard: Callable[[str, bytes], None] | None = None,
+        wanted: Callable[[str], bool] = lambda key: True,
+    ) -> None:
+        """`incarnation`: of its floods, higher than at its last start. `keep(data)` keeps the topology through
+        restarts; `heard(key, payload)` gets what came in, before the bus; `wanted(key)` tells whether anybody hears a
+        key on the own bus, where that can be known at any time."""
+        robot = self.robot = local.robot
+        self.running = True
+        """False after its end: it does nothing any more."""
+        counters = surroundings.counters
+        self._surroundings = surroundings
+        self._transport = transport
+        self._bus = surroundings.bus
+        self._keep = keep
+        self._heard = heard
+        self._deadline: float | None = None
+        """What the transport was told last; None after that time has come."""
+        self._changed = False
+        """Whether a report is planned."""
+        self._reporting, self._keeping = threading.Lock(), threading.Lock()
+        """Around what is done outside, so that the newest state is the last one."""
+        relay = KeyRelay(robot, (), config.relay, local.robots)
+        self.subscriptions = relay.subscriptions
+        """The key expressions of the own bus that relay rules name; `publish` gets the index in here."""
+        overlays = RobotOverlays(
+            robot,
+            local.robots,
+            incarnation=incarnation,
+            random=chance.random,
+            counters=counters,
+            metric=config.mesh.metric,
+            process=local.process,
+            start=start,
+            admits_flood=relay.admits_flood,
+            admits_unicast=relay.admits_unicast,
+            wanted=wanted,
+        )
+        self._node = MeshNode(local, relay, overlays, random=chance.random, nonce=chance.nonce, counters=counters)
+        self._look = surroundings.entry(self._ask_node)
+        self._links_key = key(robot, "mesh", "links")
+        self._clock_key = key(robot, "mesh", "clock")
+        self._topology_key = key(robot, "mesh", "topology")
+        surroundings.soon(self.carry_out)
+        # Robots are not switched on in the same microsecond: their reports do not all fall on one moment.
+        surroundings.at(surroundings.now + REPORT_PERIOD * chance.random(), self._report_regularly)
+
+    # -- what the bus wants ------------------------------------------------------------------------------------
+
+    def publish(self, source: int | None, key: str, payload: bytes) -> None:
+        """Relay a sample of the own bus; `source` as of `MeshNode.publish`."""
+        if self.running:
+            self._node.publish(source, key, payload, self._surroundings.now)
+            self.carry_out()
+
+    def ask(self, step: Callable[[RobotOverlays, float], object]) -> None:
+        """Let the overlays do something."""
+        if self.running:
+            self._node.ask(step, self._surroundings.now)
+            self.carry_out()
+
+    def look(self, question: Callable[[RobotOverlays, float], T]) -> T:
+        """Return what the overlays answer."""
+        return question(self._node.overlays, self._surroundings.now)
+
+    def ping(self, request: EchoRequest) -> None:
+        """Measure a link; the answers are published."""
+        if self.running:
+            self._node.ping(request, self._surroundings.now)
+            self.carry_out()
+
+    def hold(self, request: HoldLink) -> None:
+        """Have no link with a neighbour for a while."""
+        if self.running:
+            self._node.hold(request, self._surroundings.now)
+            self.carry_out()
+
+    def clock(self) -> ClockState:
+        """Return the mesh clock."""
+        return self._node.clock(self._surroundings.now)
+
+    def links(self) -> Links:
+        """Return all links as they are, and the names that two robots have."""
+        now = self._surroundings.now
+        return Links(now, self._node.links(), self._node.clashes(now))
+
+    def stop(self) -> None:
+        """Say goodbye to the neighbours and end all connections."""
+        self._node.leave(self._surroundings.now)
+        self.carry_out()
+        self._node.close(self._surroundings.now)
+        self.carry_out()
+
+    # -- what the transport tells --------------------------------------------------------------------------------
+
+    def dialled(self, peer: str) -> Session:
+        """Return the session of the connection that was asked for. When the transport can serve it, `carry_out`."""
+        return self._node.dialled(peer, self._surroundings.now)
+
+    def accepted(self, caller: Caller = UNKNOWN) -> Session | None:
+        """Return the session of a connection that somebody made; None: the transport is to close it. Then `carry_out`
+        as after `dialled`."""
+        return self._node.accepted(self._surroundings.now, caller)
+
+    def dial_failed(self, peer: str, reason: str) -> None:
+        """The connection asked for could not be made."""
+        self._node.dial_failed(peer, reason, self._surroundings.now)
+        self.carry_out()
+
+    def received(self, arrivals: Iterable[tuple[Session, bytes | str]]) -> None:
+        """Take what has arrived together: bytes, or the reason for which a connection has ended."""
+        node, now = self._node, self._surroundings.now
+        for session, data in arrivals:
+            if type(data) is bytes:
+                node.receive(session, data, now)
+            else:
+                assert type(data) is str
+                node.transport_down(session, data, now)
+        self.carry_out()
+
+    def due(self) -> None:
+        """The time told to `Transport.wake` has come."""
+        if self.running:
+            self._deadline = None
+            self._node.handle_timer(self._surroundings.now)
+            self.carry_out()
+
+    def carry_out(self) -> None:
+        """Send what is to be sent, and do what the node asks for."""
+        node, transport = self._node, self._transport
+        for session in node.ready():
+            transport.flush(session)
+        if actions := node.actions():
+            outside = self._surroundings.outside
+            for action in actions:
+                kind = type(action)
+                if kind is Received:
+                    outside(self._deliver, action)
+                elif kind is LinksChanged:
+                    self._links_changed()
+                elif type(action) is Log:
+                    outside(self._log, action)
+                elif type(action) is Dial:
+                    transport.dial(action.peer)
+                elif type(action) is Close:
+                    transport.close(action.session)
+                elif kind is Write:
+                    outside(self._keep_topology)  # before the bus hears of it
+        deadline = node.next_deadline()
+        if deadline != self._deadline:
+            self._deadline = deadline
+            transport.wake(deadline)
+
+    # -- outside -------------------------------------------------------------------------------------------------
+
+    def _deliver(self, message: Received) -> None:
+        if self._heard is not None:
+            self._heard(message.key, message.payload)
+        self._bus.publish(message.key, message.payload, urgent=message.priority < BULK)
+
+    def _log(self, note: Log) -> None:
+        self._surroundings.log.log(logging.WARNING if note.problem else logging.INFO, "%s", note.text)
+
+    def _keep_topology(self) -> None:
+        with self._keeping:
+            self._keep(self._look(lambda node, now: node.overlays.topology_file()))
+
+    def _publish_report(self) -> None:
+        bus = self._bus
+        with self._reporting:
+            if bus.wanted(self._topology_key):
+                bus.publish(self._topology_key, self._look(lambda node, now: node.overlays.topology(now)))
+            if bus.wanted(self._links_key):
+                bus.publish(self._links_key, self._look(lambda node, now: self.links()))
+            if bus.wanted(self._clock_key):
+                bus.publish(self._clock_key, self._look(lambda node, now: Clock(*node.clock(now))))
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _ask_node(self, question: Callable[[MeshNode, float], Any]) -> Any:
+        return question(self._node, self._surroundings.now)
+
+    def _links_changed(self) -> None:
+        """Report once for all changes of a moment."""
+        if not self._changed:
+            self._changed = True
+            self._surroundings.soon(self._report)
+
+    def _report_regularly(self) -> None:
+        if self.running:
+            self._report()
+            self._surroundings.at(self._surroundings.now + REPORT_PERIOD, self._report_regularly)
+
+    def _report(self) -> None:
+        self._changed = False
+        self._surroundings.outside(self._publish_report)
