@@ -322,6 +322,8 @@ class LockstepDriver:
     def _advanced(self, news: Advanced) -> None:
         begun = self.latest is not None
         self.latest = news
+        if not begun:
+            self._on_change()  # only now: after a reboot there is no state before the next epoch
         if self._observer is not None:
             if not begun:
                 self._observer.progressed(self)

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
-from services.mesh.core.actions import Close, Dial, LinksChanged, Log, Write
+from services.mesh.core.actions import Close, Dial, LinksChanged, LogLine, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, can_link, dials
 from services.mesh.core.link.clock import ClockState
@@ -157,7 +157,7 @@ class Mesh:
     # -- what the bus wants ------------------------------------------------------------------------------------
 
     def publish(self, source: int | None, key: str, payload: bytes) -> None:
-        """Relay a sample of the own bus; `source` as of `MeshNode.publish`."""
+        """KeyRelay a sample of the own bus; `source` as of `MeshNode.publish`."""
         if self.running:
             self._node.publish(source, key, payload, self._surroundings.now)
             self.carry_out()
@@ -247,7 +247,7 @@ class Mesh:
                     outside(self._deliver, action)
                 elif kind is LinksChanged:
                     self._links_changed()
-                elif type(action) is Log:
+                elif type(action) is LogLine:
                     outside(self._log, action)
                 elif type(action) is Dial:
                     transport.dial(action.peer)
@@ -267,7 +267,7 @@ class Mesh:
             self._heard(message.key, message.payload)
         self._bus.publish(message.key, message.payload, urgent=message.priority < BULK)
 
-    def _log(self, note: Log) -> None:
+    def _log(self, note: LogLine) -> None:
         self._surroundings.log.log(logging.WARNING if note.problem else logging.INFO, "%s", note.text)
 
     def _keep_topology(self) -> None:

@@ -171,7 +171,7 @@ class VirtualBalancer:
         return True
 
     def notice(self, about: str, text: str) -> None:
-        """Tell people something about a command."""
+        """SendToNeighbours people something about a command."""
         self._side.publish(Notice(self._time.now, about, text))
 
     # -- what it tells -----------------------------------------------------------------------------------------------

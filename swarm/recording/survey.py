@@ -42,6 +42,7 @@ def survey(file: int, limit: int | None = None) -> ExistingContent:
             chunk = None
 
     at = known.position
+    damaged = False
     while at + mcap.HEAD.size <= size:
         opcode, length = mcap.HEAD.unpack(os.pread(file, mcap.HEAD.size, at))
         inside, after = at + mcap.HEAD.size, at + mcap.HEAD.size + length
@@ -61,7 +62,10 @@ def survey(file: int, limit: int | None = None) -> ExistingContent:
             chunk = head, after - at
             indexes, counts = {}, {}
         elif opcode == mcap.CHECKPOINT:
-            known = _last_checkpoint(file, known, at, size) or known
+            # Behind one that is damaged all chunks are stepped over: a later one knows nothing of those before that.
+            recalled = None if damaged else _last_checkpoint(file, known, at, size)
+            damaged = recalled is None
+            known = recalled or known
             known.position = after = max(after, known.position)
         elif opcode in (mcap.DATA_END, mcap.FOOTER):
             break

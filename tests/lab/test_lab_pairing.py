@@ -72,11 +72,19 @@ class Robots:
         self.config = folder / "swarm.toml"
         self.addresses = radio.addresses[: len(machines)]
         self.config.write_text(CONFIG.format(*self.addresses, MESH))
-        (folder / "ssh_config").write_text(
+        self.boot()
+
+    def boot(self) -> None:
+        """Switch both on, and wait until they can be reached: by other addresses after each start."""
+        for machine in self.machines:
+            machine.switch_on()
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(prepare, self.machines))
+        (self.folder / "ssh_config").write_text(
             "".join(
                 f"Host lab-{robot.name}\n HostName {robot.address}\n User root\n"
                 f" IdentityFile {robot.ssh_words()[2]}\n StrictHostKeyChecking no\n UserKnownHostsFile /dev/null\n"
-                for robot in machines
+                for robot in self.machines
             )
         )
 
@@ -130,6 +138,13 @@ class Robots:
         return result.code, result.output, self.second.run("cat /tmp/said")
 
 
+def prepare(machine: Machine) -> None:
+    """What is booted is ready for the tests."""
+    machine.wait_booted()
+    furnish(machine)
+    machine.run(COMPATIBLE, 180)
+
+
 @pytest.fixture(scope="module")
 def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robots]:
     """Booted both, powered, paired with nobody."""
@@ -139,17 +154,7 @@ def robots(lab_image: Image, tmp_path_factory: pytest.TempPathFactory) -> Iterat
             Machine(lab_image, folder / name, name, memory_mb=384, radio=folder / f"radio-{number}")
             for number, name in enumerate(("r0", "r1"))
         ]
-
-        def prepare(machine: Machine) -> None:
-            machine.wait_booted()
-            furnish(machine)
-            machine.run(COMPATIBLE, 180)
-
         try:
-            for machine in machines:
-                machine.switch_on()
-            with ThreadPoolExecutor() as pool:
-                list(pool.map(prepare, machines))
             yield Robots(folder, radio, machines)
         finally:
             for machine in machines:
@@ -179,6 +184,15 @@ def test_an_adapter_that_is_paired_with_nobody_is_deaf(robots: Robots) -> None:
 def test_swarm_pair_pairs_them(robots: Robots) -> None:
     assert robots.pair("--check") == "not paired at r0, not paired at r1"
     assert robots.pair() == "paired"
+    assert robots.pair("--check") == "paired"
+    until("the paired robots listen", lambda: robots.scans() == [True, True], state=robots.scans)
+
+
+def test_a_power_cut_right_after_swarm_pair_takes_no_key(robots: Robots) -> None:
+    assert robots.pair("--again") == "paired"
+    for robot in robots.machines:
+        robot.kill()
+    robots.boot()
     assert robots.pair("--check") == "paired"
     until("the paired robots listen", lambda: robots.scans() == [True, True], state=robots.scans)
 

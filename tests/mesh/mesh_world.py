@@ -10,7 +10,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from services.mesh.core.actions import Close, Dial, Log, Write
+from services.mesh.core.actions import Close, Dial, LogLine, Write
 from services.mesh.core.events import Received
 from services.mesh.core.link.calls import UNKNOWN, Caller, Local, dials
 from services.mesh.core.link.session import Session
@@ -67,7 +67,7 @@ class Bot:
     counters: Counter[str]
     ends: dict[Session, End] = field(default_factory=dict)
     inbox: list[tuple[str, bytes]] = field(default_factory=list)
-    notes: list[Log] = field(default_factory=list)
+    notes: list[LogLine] = field(default_factory=list)
     stopped_until: float = 0.0
 
 
@@ -269,7 +269,7 @@ class World:
                     end.session = action.session
                     self._flush(end)
                     self._close(end)
-            elif isinstance(action, Log):
+            elif isinstance(action, LogLine):
                 bot.notes.append(action)
             elif isinstance(action, Write):
                 linking = bot.node.overlays.linking

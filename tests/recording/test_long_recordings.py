@@ -169,6 +169,30 @@ def test_a_survey_finds_the_same_with_and_without_links_wherever_the_file_ends(k
     assert surveyed(linked, limit) == surveyed(unlinked, limit)
 
 
+def test_a_checkpoint_that_says_it_stands_elsewhere_costs_no_entry_of_the_index(killed, tmp_path):
+    linked, _ = killed
+    for number, (at, _) in enumerate(checkpoints(linked)):
+        damaged = bytearray(linked.read_bytes())
+        damaged[at + mcap.HEAD.size + 8] ^= 1
+        path = tmp_path / f"{number}.mcap"
+        path.write_bytes(damaged)
+        written(path, range(60, 70), append=True)
+        check_with_the_other_reader(path, 70)
+
+
+def test_a_link_that_leads_past_a_checkpoint_leaves_no_index_that_lacks_chunks(killed, tmp_path):
+    linked, _ = killed
+    places = [at for at, _ in checkpoints(linked)]
+    damaged = bytearray(linked.read_bytes())
+    damaged[places[0] + mcap.HEAD.size : places[0] + mcap.HEAD.size + 8] = places[2].to_bytes(8, "little")
+    path = tmp_path / "x.mcap"
+    path.write_bytes(damaged)
+    written(path, range(60, 70), append=True)
+    reader = RecordingReader(path)
+    assert [sample.message["i"] for sample in reader.samples(TOPICS[0].__eq__)] == list(range(70))
+    assert not reader.finished
+
+
 @settings(max_examples=40)
 @given(st.data())
 def test_a_damaged_checkpoint_costs_no_message(killed, tmp_path_factory, data):

@@ -59,7 +59,7 @@ class LinksChanged:
 
 
 @frozen
-class Log:
+class LogLine:
     """Write a line to the log."""
 
     text: str
@@ -73,9 +73,9 @@ class Write:
 
 
 Emit = Callable[[Transmit], None]
-LinkAction = Connect | Disconnect | Write | Log
+LinkAction = Connect | Disconnect | Write | LogLine
 """What a topology asks of its node."""
-Action = Dial | Close | LinksChanged | Log | Write | Received
+Action = Dial | Close | LinksChanged | LogLine | Write | Received
 """What a node asks of its shell."""
 
 MAX_LOGGED = 256
@@ -97,11 +97,11 @@ class Actions:
         """Log a problem the first time only: neighbours may repeat it as often as they like."""
         if problem not in self._logged and len(self._logged) < MAX_LOGGED:
             self._logged.add(problem)
-            self._actions.append(Log(text, problem=True))
+            self._actions.append(LogLine(text, problem=True))
 
     def log_link(self, text: str) -> None:
         """Log what has happened to a link, and publish its state."""
-        self._actions += (LinksChanged(), Log(text, problem=False))
+        self._actions += (LinksChanged(), LogLine(text, problem=False))
 
     def take(self) -> list[Action]:
         """Those since the last call."""

@@ -13,7 +13,7 @@ from services.mesh.core.actions import (
     Actions,
     Connect,
     Disconnect,
-    Log,
+    LogLine,
     Transmit,
     Write,
 )
@@ -200,9 +200,9 @@ class MeshNode:
                     self.connections.connect(peer, once=once)
                 case Disconnect(peer, code):
                     self.connections.disconnect(peer, code)
-                case Log(text, True):
+                case LogLine(text, True):
                     self._actions.log_once(text, text)
-                case Log(text):
+                case LogLine(text):
                     self._actions.log_link(text)
                 case Received() | Write():
                     self._actions.add(action)

@@ -255,15 +255,22 @@ class Writer:
         yield from mcap.ending(self._known.position, [*summary, (mcap.CHUNK_INDEX, self._chunk_indexes(read))])
 
     def _chunk_indexes(self, read: Callable[[int, int], bytes]) -> Iterator[bytes]:
-        """Of all chunks, oldest first: those of long ago stand in the file's checkpoints."""
+        """Of all chunks, oldest first: those of long ago stand in the file's checkpoints. Raises `RecordingError` where
+        some are missing."""
+        count = 0
         for at in self._known.checkpoints:
             head = read(at, mcap.HEAD.size)
             if len(head) < mcap.HEAD.size:
                 raise RecordingError(f"the checkpoint at {at} is not there any more")
             _, length = mcap.HEAD.unpack(head)
             packed, _ = mcap.read_checkpoint(at, read(at + mcap.HEAD.size, length))
+            count += sum(1 for _ in mcap.whole_records(packed))
             yield packed
-        yield bytes(self._known.chunk_indexes)
+        newest = bytes(self._known.chunk_indexes)
+        count += sum(1 for _ in mcap.whole_records(newest))
+        if count != self._known.chunks:
+            raise RecordingError(f"the file's checkpoints index {count} of {self._known.chunks} chunks")
+        yield newest
 
     def take(self) -> bytes:
         """The records that are complete since the last call, to be appended to the file. Messages of the chunk that is

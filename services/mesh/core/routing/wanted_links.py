@@ -22,7 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from services.mesh.core.actions import Connect, Disconnect, LinkAction, Log, Transmit, Write
+from services.mesh.core.actions import Connect, Disconnect, LinkAction, LogLine, Transmit, Write
 from services.mesh.core.link.calls import Search
 from services.mesh.core.routing.automatic_topology import places, plan
 from services.mesh.core.routing.link_state import LinkStateMap
@@ -182,7 +182,7 @@ class Linking:
         value = self._ground.decode(data)
         if value is None:
             self._counters["topology_foreign"] += 1
-            self._act(Log(f"{peer} has another configuration: robots or topology differ", problem=True))
+            self._act(LogLine(f"{peer} has another configuration: robots or topology differ", problem=True))
             if peer not in self.wanted:
                 self._act(Disconnect(peer, frames.NOT_NEIGHBOUR))
         elif value > self.value:
@@ -255,7 +255,7 @@ class Linking:
         self._act(Write())
         kind = "auto" if value.auto else "fixed"
         text = f"topology version={value.version}.{value.step} by={value.issuer} {kind} links={len(value.edges)}"
-        self._act(Log(text, problem=False))
+        self._act(LogLine(text, problem=False))
         for peer in self._links:
             if peer != source:
                 self._send(peer)
@@ -391,6 +391,6 @@ class Linking:
             return
         if self.value.step == MAX_STEP:
             text = f"topology step {MAX_STEP} is the last one of version {self.value.version}: set a topology anew"
-            self._act(Log(text, problem=True))
+            self._act(LogLine(text, problem=True))
         else:
             self._adopt(self.value._replace(step=self.value.step + 1, issuer=self._me, edges=edges), None, now)
