@@ -60,6 +60,7 @@ ELSEWHERE = {
     "sim/control/app_requests.py": "a simulation's own socket: tests/sim/test_orders.py",
     "swarm/recording/journal.py": "its own file: tests/recording/test_file.py",
     "swarm/config/toml_input.py": "any TOML: tests/test_json_input.py",
+    "swarm/bus/zenoh_config.py": "a configuration of its own",
     "laptop/view/chromium.py": "its own browser",
 }
 """Modules that take bytes apart and are not in the table, and why."""

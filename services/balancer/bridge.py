@@ -99,13 +99,13 @@ class _Relay:
         self._side.publish(message)
 
     def halt(self, stop: Stop) -> None:
-        """See `services.balancer.bus_side.Loop`; on Zenoh's thread."""
+        """See `services.balancer.bus_side.LoopLink`; on Zenoh's thread."""
         # Where the socket is full, there are stops in it that the loop has not taken yet; or the loop is gone.
         with contextlib.suppress(OSError):
             self._stops.send(pack(stop), socket.MSG_DONTWAIT)
 
     def take(self, command: Command, heard: float) -> bool:
-        """See `services.balancer.bus_side.Loop`."""
+        """See `services.balancer.bus_side.LoopLink`."""
         try:
             self._loop.send(pack_command(heard, command), socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -115,7 +115,7 @@ class _Relay:
         return True
 
     def show(self, request: SetDisplay) -> None:
-        """See `services.balancer.bus_side.Loop`."""
+        """See `services.balancer.bus_side.LoopLink`."""
         until = math.inf if request.seconds is None else clock.now() + request.seconds
         self._composer.take_text(request.text, until)
 

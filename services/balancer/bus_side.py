@@ -91,7 +91,7 @@ class Process(Protocol):
         """Tell that the service cannot do all of its work, and why."""
 
 
-class Loop(Protocol):
+class LoopLink(Protocol):
     """What obeys."""
 
     def halt(self, stop: Stop) -> None:
@@ -119,7 +119,7 @@ class BusSide:
         "_throttle",
     )
 
-    def __init__(self, process: Process, now: Clock, loop: Loop) -> None:
+    def __init__(self, process: Process, now: Clock, loop: LoopLink) -> None:
         self._process = process
         self._now = now
         self._loop = loop

@@ -77,4 +77,4 @@ class AppRecords:
 
     def trajectories(self) -> dict[str, Trajectory]:
         """By robot."""
-        return {name: tape.trajectory() for name, tape in self._builders.items()}
+        return {name: builder.trajectory() for name, builder in self._builders.items()}

@@ -127,16 +127,16 @@ class VirtualBalancer:
     # -- the loop ----------------------------------------------------------------------------------------------
 
     def halt(self, stop: Stop) -> None:
-        """See `services.balancer.bus_side.Loop`."""
+        """See `services.balancer.bus_side.LoopLink`."""
         halt(self, stop)
 
     def take(self, command: Command, heard: float) -> bool:
-        """See `services.balancer.bus_side.Loop`. What only devices do that this body has not is left undone."""
+        """See `services.balancer.bus_side.LoopLink`. What only devices do that this body has not is left undone."""
         obey(self, command, heard, _log)
         return True
 
     def show(self, request: SetDisplay) -> None:
-        """See `services.balancer.bus_side.Loop`."""
+        """See `services.balancer.bus_side.LoopLink`."""
         self._side.publish(Display(self._time.now, True, tuple(request.text.split("\n"))))
 
     # -- the balancer, see `services.balancer.orders.Obedient` -------------------------------------------------------

@@ -188,7 +188,7 @@ def test_a_link_that_leads_past_a_checkpoint_leaves_no_index_that_lacks_chunks(k
     path = tmp_path / "x.mcap"
     path.write_bytes(damaged)
     written(path, range(60, 70), append=True)
-    reader = Reader(path)
+    reader = RecordingReader(path)
     assert [sample.message["i"] for sample in reader.samples(TOPICS[0].__eq__)] == list(range(70))
     assert not reader.finished
 
