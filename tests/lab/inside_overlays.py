@@ -1,7 +1,7 @@
 """Inside a machine: what apps get from the mesh over RFCOMM, each thing once: members, clock, floods, messages, large
 payloads, relay rules, the stop key, another way around a robot that is not heard.
 
-Over `sim:` the tests of tests/mesh ask more of each.
+Over `sim:` the tests of tests/services/mesh ask more of each.
 """
 
 import os

@@ -1,7 +1,7 @@
 """All overlays of one robot: flood, unicast, link state, membership and the stop register, joined.
 
 The node feeds it links and packets, and carries out `actions()`. It knows no sessions, so the same code runs between
-real links and, by the thousand, in virtual time (tests/mesh/overlay_world.py).
+real links and, by the thousand, in virtual time (tests/services/mesh/overlay_world.py).
 """
 
 from collections import Counter

@@ -193,6 +193,6 @@ def test_keys_differ_where_two_robots_have_none_in_common() -> None:
 
 
 def test_the_checklist_is_the_doctors() -> None:
-    text = (Path(__file__).parents[2] / "docs/build-a-robot.md").read_text()
+    text = (Path(__file__).parents[3] / "docs/build-a-robot.md").read_text()
     rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.M)
     assert rows == [(check.name, check.question) for check in doctor.CHECKS]

@@ -12,7 +12,7 @@ from swarm.messages import AppState, read
 
 __all__ = ["build"]
 
-EXAMPLE = Path(__file__).parents[2] / "examples/roll_call.py"
+EXAMPLE = Path(__file__).parents[3] / "examples/roll_call.py"
 
 CLOCKS = """\
 import time

@@ -23,7 +23,7 @@ from swarm.errors import FrameError
 
 KEY_ID, SECRET = 0x68A1F0C2, bytes(range(32))
 KEYS = {KEY_ID: SECRET}
-DOCUMENT = (Path(__file__).parents[2] / "docs/frames.md").read_text()
+DOCUMENT = (Path(__file__).parents[3] / "docs/frames.md").read_text()
 
 DIALLER = Hello("lab", "r0", 0x1122334455667788, bytes(range(16)), dialler=True, insecure=False, key_ids=(KEY_ID,))
 LISTENER = Hello(

@@ -1,5 +1,5 @@
 """What a restart makes of each file that the process before, or a power cut, has left damaged (docs/deploy.md has the
-table). The votes are in tests/apps/test_ballots.py, recordings in tests/recording, the installed release in
+table). The votes are in tests/services/apps/test_ballots.py, recordings in tests/recording, the installed release in
 tests/deploy/test_install_cut.py."""
 
 import logging

@@ -22,7 +22,7 @@ from services.mesh.core.wire.frames import MAX_PAYLOAD
 from services.mesh.core.wire.packets import Ack, EchoPacket, Spread, UnicastMessage
 from swarm.errors import FrameError
 
-DOCUMENT = Path(__file__).parents[2] / "docs/overlays.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/overlays.md"
 
 LARGE = MessageId("r0", 1, 5, flood=False)
 

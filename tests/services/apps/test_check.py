@@ -13,7 +13,7 @@ from services.apps import loader
 from sim.rehearsal import check, examine, new, rehearse, trends
 from swarm.errors import AppError, LocalError
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 HEAD = "import math, random\nfrom swarm import SyncApp\nCOUNT = 0\nclass Bad(SyncApp):\n    value: float\n"
 STEP = HEAD + "    def step(self, neighbours):\n        mean = math.fsum(n.value for n in neighbours)\n"

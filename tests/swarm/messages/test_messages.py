@@ -204,7 +204,7 @@ def test_an_unknown_key_is_refused_by_name() -> None:
         read("swarm/r0/mesh/nonsense", b"\x80")
 
 
-KEYS_PAGE = Path(__file__).parent.parent / "docs" / "keys.md"
+KEYS_PAGE = Path(__file__).parent.parent.parent.parent / "docs" / "keys.md"
 
 
 def documented() -> tuple[dict[str, str], dict[str, list[str]]]:

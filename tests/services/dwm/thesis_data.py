@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[2].parent / "shared/thesis-data")
+DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[3].parent / "shared/thesis-data")
 
 needs_calibration = pytest.mark.skipif(
     not (DATA / "calibration" / "full.csv").is_file(),

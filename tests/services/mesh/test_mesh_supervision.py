@@ -89,7 +89,7 @@ def test_what_stands_in_its_way_is_said_once_and_breaks_nothing(
 
 def test_the_mesh_of_a_robot_may_do_it_and_no_other_service() -> None:
     """The units as they are shipped: the capability in the one drop-in, which systemd reads after the common file."""
-    folder = Path(__file__).parents[2] / "deploy/systemd"
+    folder = Path(__file__).parents[3] / "deploy/systemd"
     files = {path for path in folder.rglob("*") if path.is_file() and "CAP_NET_RAW" in path.read_text()}
     assert files == {folder / "swarm-mesh.service.d/50-radio.conf"}
     assert sorted(path.name for path in folder.rglob("*.conf"))[0] == "10-common.conf"

@@ -14,7 +14,7 @@ from swarm.recording import thesis_csv
 from swarm.recording.run import Run
 from swarm.recording.thesis_ranges import read_folder
 
-DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[2].parent / "shared/thesis-data")
+DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[3].parent / "shared/thesis-data")
 
 CONSENSUS = "100.5,0.5,0\r\n100.6,0.5,1\r\n101.5,1.75,0\r\n101.6,1.75,1\r\n"
 LOCALIZATION = (

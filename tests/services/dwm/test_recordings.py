@@ -7,7 +7,7 @@ import pytest
 from swarm.errors import RecordingError
 from swarm.recording.thesis_ranges import read_folder, read_recording
 
-DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[2].parent / "shared/thesis-data")
+DATA = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[3].parent / "shared/thesis-data")
 START = "100.5,0.0,0.0,0.0,0.0,0.0,0.0"
 GOOD = f"""\
 {START}

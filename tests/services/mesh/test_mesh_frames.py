@@ -31,7 +31,7 @@ GOLDEN = {
     "clock": encode_claim(ClockClaim("r0", 0x11223344, 7, 2, False, True, 1.5, -0.25, 0.0, 0.0009765625)),
 }
 
-DOCUMENT = Path(__file__).parents[2] / "docs/frames.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/frames.md"
 
 
 def drain(decoder: FrameDecoder) -> list[Frame]:

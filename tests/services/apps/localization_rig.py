@@ -14,7 +14,7 @@ from swarm.messages import Measurement
 
 Point = tuple[float, float]
 
-RECORDINGS = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[3] / "shared" / "thesis-data")
+RECORDINGS = Path(os.environ.get("SWARM_THESIS_DATA") or Path(__file__).parents[4] / "shared" / "thesis-data")
 
 
 def exact(name: str, k: int) -> Measurement:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 _spec = importlib.util.spec_from_file_location("glossary_check", ROOT / "tools" / "glossary.py")
 assert _spec is not None
 assert _spec.loader is not None
