@@ -63,7 +63,7 @@ class AppStatus:
 
     def publish_state(self, *, always: bool = True, news: bool = False) -> None:
         """Publish the state: `always`, or where it is another one than before. `news` is not throttled."""
-        self._refresh()
+        self.late = not self._refresh()
         state = self._state
         if state is None or self.late:
             return
@@ -72,11 +72,12 @@ class AppStatus:
             self._bus.publish(self._state_key, state)
             self._throttle.publish(state, self._runtime.now, news=news)
 
-    def _refresh(self) -> None:
+    def _refresh(self) -> bool:
+        """Bring the state up to date; False where there is none to be looked at."""
         state = self._look_at()
-        self.late = state is None
         if state is not None:
             self._state = state
+        return state is not None
 
     def _answer_state(self, *_: object) -> bytes | None:
         self._refresh()

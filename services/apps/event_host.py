@@ -138,12 +138,15 @@ class EventHost:
 
     def close(self) -> None:
         """Give back what the app has taken. A handler that runs is waited for, but not for ever."""
-        self._closed = True
+        self._runtime.entry(self._stop)()
         if not self._worker.close(CLOSE_WITHIN):
             self._runtime.log.warning("the app does not end: %s", self._hanging())
         self._claims.close()
         if self.channels is not None:
             self.channels.close()
+
+    def _stop(self) -> None:
+        self._closed = True
 
     def look(self) -> None:
         """Publish state and progress where they are new, or were told a while ago."""
@@ -227,6 +230,8 @@ class EventHost:
 
     def _perform(self) -> None:
         """Carry out what the core wants, in its order."""
+        if self._closed:
+            return
         for action in self._core.actions():
             if type(action) is Publish:
                 self._bus.publish(self._latest, action.data, urgent=True)
@@ -309,7 +314,7 @@ class EventHost:
             *(self._runtime, self.app, parts, endless, self._storage, self._observer), links_change=False, whole=False
         )
         for name, view in self._views.items():
-            view.begin(partial(self.channels.change, name, self._changes.tell))
+            view.begin(self._runtime.entry(partial(self.channels.change, name, self._changes.tell)))
         self.channels.start()
 
     def _take_channels(self) -> None:
@@ -335,7 +340,7 @@ class EventHost:
         if self._hung:
             self._runtime.log.error("%s", self._hanging())
             self._runtime.degraded(self._hanging())
-        elif not self._core.failure:
+        elif not self.failed:
             self._runtime.ready()
 
     def _hanging(self) -> str:

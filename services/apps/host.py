@@ -80,6 +80,7 @@ class LockstepHost:
         self._connections: dict[str, int] = {}
         self._orders: deque[str] = deque(maxlen=100)
         self._ready = False
+        self._whole = whole
         self._claims: DeviceClaims | None = None
         run, options = place.run, place.options
         neighbours = place.graph.neighbours(self.robot)
@@ -157,7 +158,8 @@ class LockstepHost:
             driver.watch.forget()
         if self._claims is not None:
             self._claims.look()
-        if not self._ready and not self.failed and all(driver.run.begun for driver in self.drivers.values()):
+        begun = all(driver.run.begun for driver in self.drivers.values())
+        if self._whole and begun and not self._ready and not self.failed:
             self._ready = True
             self._runtime.ready()
 

@@ -145,7 +145,7 @@ class LockstepDriver:
 
     def close(self) -> bool:
         """Let go of the files. A step that runs is waited for, but not for ever; False if it did not end."""
-        self._closed = True
+        self._runtime.entry(self._stop)()
         ended = self._worker.close(CLOSE_WITHIN)
         if not ended:
             self._runtime.log.warning("the step of iteration %d does not end", self.run.k)
@@ -153,6 +153,10 @@ class LockstepDriver:
             self._snapshots.close()
             self._votes.close()
         return ended
+
+    def _stop(self) -> None:
+        """Do nothing from now on: whoever closes the files afterwards closes them under nobody's hands."""
+        self._closed = True
 
     # What happens
 
@@ -222,7 +226,7 @@ class LockstepDriver:
 
     def _begin(self, saved: list[Snapshot], first: tuple[bytes, bytes] | None) -> None:
         run, log = self.run, self._runtime.log
-        if self._closed:
+        if self._closed or self.failed:
             return
         try:
             run.begin(saved, first, self._runtime.now)
@@ -237,31 +241,36 @@ class LockstepDriver:
         self._on_change()
 
     def _compute(self, todo: Compute) -> None:
+        step = partial(self._step, todo, self.run.channel)
         if todo.values:
-            self._measure(todo.k, partial(self._step, todo))
+            self._measure(todo.k, step)
         else:
-            self._runtime.at(self._runtime.now + ALONE, self._measure, todo.k, partial(self._step, todo))
+            self._runtime.at(self._runtime.now + ALONE, self._measure, todo.k, step)
 
-    def _step(self, todo: Compute, measurement: Measurement | None) -> None:
-        if not self._closed and not self.failed:
+    def _step(self, todo: Compute, asked: Channel, measurement: Measurement | None) -> None:
+        """Run a step that was asked for under the channel `asked`: one of an earlier epoch is void."""
+        if not self._closed and not self.failed and asked is self.run.channel:
             self._measured = measurement
             self._worker.run(
-                partial(self.run.compute, todo, measurement), partial(self._computed, todo), self._app_failed
+                partial(self.run.compute, todo, measurement), partial(self._computed, todo, asked), self._app_failed
             )
 
-    def _computed(self, todo: Compute, answer: tuple[bytes, bytes]) -> None:
-        self.run.computed(todo, answer, self._runtime.now)
-        self._perform()
+    def _computed(self, todo: Compute, asked: Channel, answer: tuple[bytes, bytes]) -> None:
+        if not self.failed and asked is self.run.channel:
+            self.run.computed(todo, answer, self._runtime.now)
+            self._perform()
 
     def _renew(self, epoch: Epoch, measurement: Measurement | None) -> None:
         if not self._closed and not self.failed:
+            self._measured = None
             self._worker.run(
                 partial(self.run.renew, epoch, measurement), partial(self._renewed, epoch), self._app_failed
             )
 
     def _renewed(self, epoch: Epoch, answer: tuple[bytes, bytes] | None) -> None:
-        self.run.renewed(epoch, answer, self._runtime.now)
-        self._perform()
+        if not self.failed:
+            self.run.renewed(epoch, answer, self._runtime.now)
+            self._perform()
 
     def _app_failed(self, error: SwarmError) -> None:
         self._fail(str(error))

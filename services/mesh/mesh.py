@@ -157,7 +157,7 @@ class Mesh:
     # -- what the bus wants ------------------------------------------------------------------------------------
 
     def publish(self, source: int | None, key: str, payload: bytes) -> None:
-        """KeyRelay a sample of the own bus; `source` as of `MeshNode.publish`."""
+        """Relay a sample of the own bus; `source` as of `MeshNode.publish`."""
         if self.running:
             self._node.publish(source, key, payload, self._surroundings.now)
             self.carry_out()
@@ -199,6 +199,7 @@ class Mesh:
         self.carry_out()
         self._node.close(self._surroundings.now)
         self.carry_out()
+        self.running = False
 
     # -- what the transport tells --------------------------------------------------------------------------------
 

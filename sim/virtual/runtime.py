@@ -14,7 +14,7 @@ from swarm.errors import SwarmError
 T = TypeVar("T")
 
 _LOG = logging.getLogger("virtual")
-"""What services tell people in their logs is told in a run's report here."""
+"""It is silent: what services log for people on a robot stands in the report of a virtual run."""
 _LOG.addHandler(logging.NullHandler())
 _LOG.propagate = False
 
@@ -75,11 +75,9 @@ class InlineWorker:
     def run(job: Callable[[], T], done: Callable[[T], None], failed: Callable[[SwarmError], None]) -> None:
         """See `Worker`."""
         try:
-            result = job()
+            done(job())
         except SwarmError as error:
             failed(error)
-            return
-        done(result)
 
     @staticmethod
     def close(within: float) -> bool:

@@ -42,9 +42,6 @@ from swarm.messages.codec import Value
 from swarm.messages.keys import key
 from swarm.recording.thesis_ranges import ThesisRecording
 
-ASK_EVERY = 0.2
-"""s between two looks whether an automatic topology links all robots yet, as the real host has it."""
-
 TARGET_PERIOD_S = 0.1
 """s between two messages of where a target that moves is, as the real simulation has it."""
 
@@ -193,7 +190,7 @@ class VirtualWorld:
             assert isinstance(there.mesh, VirtualMesh)  # an automatic topology is found by meshes
             in_force = there.mesh.look(lambda overlays, now: overlays.topology(now))
             if topology.lacking(config, in_force, there.time.now):
-                self.time.at(self.time.now + ASK_EVERY, self._begin, robot, launch)
+                self.time.at(self.time.now + topology.ASK_EVERY, self._begin, robot, launch)
                 return
             links = topology.of_edges(config, in_force.edges)
             config, epoch = links.config, links.epoch

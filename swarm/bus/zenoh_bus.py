@@ -440,7 +440,8 @@ def _guard(callback: Callable[[Any], None]) -> Callable[[Any], None]:
     """Keep what a callback raises out of Zenoh's thread, where it would vanish or poison the session.
 
     An error of ours that has a name (`SwarmError`), such as that of a decoder, costs the sample or query that led to
-    it. Any other one is a defect: what the callback works on may be half changed, so a service ends (`process.defect`).
+    it. Any other one is a defect: what the callback works on may be half changed, so a service ends
+    (`swarm.process.edges.defect`).
     """
 
     def guarded(argument: Any) -> None:

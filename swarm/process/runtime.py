@@ -35,8 +35,8 @@ class Worker(Protocol):
         """The identity of the thread that runs the jobs, where it is one of its own."""
 
     def run(self, job: Callable[[], T], done: Callable[[T], None], failed: Callable[[SwarmError], None]) -> None:
-        """Run `job()` when those before it have ended. Then the shell's `done(result)` is called, or `failed(error)`
-        where the job raised a `SwarmError`."""
+        """Run `job()` when those before it have ended, then call the shell's `done(result)`. Where one of the two
+        raises a `SwarmError`, call `failed(error)`."""
 
     def close(self, within: float) -> bool:
         """Run no further job. Wait at most `within` s for the one that runs; False where it has not ended."""
@@ -72,7 +72,7 @@ class Runtime(Protocol):
         """Call after what runs now."""
 
     def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
-        """Call every `period` s while somebody hears one of `keys`. While nobody does, call once a second, or not at
+        """Call every `period` s while somebody hears one of `keys`. While nobody does, call seldom, or not at
         all."""
 
     def entry(self, call: F) -> F:

@@ -1,8 +1,9 @@
 """The runtime of a process on a robot: one lock, one thread for what is planned, and a thread for each worker.
 
-Zenoh's thread, the thread of the planned calls and those that end a worker's job take the lock in turns. So a shell's
-call runs on whichever thread brought its cause, and no hand-over between threads delays a message. An author's step
-runs on its worker's thread without the lock: a blocked callback would hold up every key of the process.
+Whoever calls a shell holds the lock: Zenoh's thread, the thread of the planned calls, or a worker's thread at the end
+of a job. So a shell's call runs on whichever thread brought its cause, and no hand-over between threads delays a
+message. An author's step runs on its worker's thread without the lock, since a blocked callback would hold up every key
+of the process.
 """
 
 import heapq
@@ -119,13 +120,21 @@ class ThreadedRuntime:
         """Make a call, and what it wants to be made soon; the lock is held."""
         self._depth += 1
         try:
-            return call(*arguments)
+            try:
+                result = call(*arguments)
+            except SwarmError:
+                # It costs the sample that led to it. After anything else, a defect, nothing is done any more.
+                self._do_what_is_soon()
+                raise
+            self._do_what_is_soon()
+            return result
         finally:
-            if self._depth == 1:
-                while self._soon:
-                    following, its = self._soon.popleft()
-                    following(*its)
             self._depth -= 1
+
+    def _do_what_is_soon(self) -> None:
+        while self._soon and self._depth == 1:
+            call, arguments = self._soon.popleft()
+            call(*arguments)
 
     def _run_planned(self) -> None:
         with self._lock:
@@ -187,21 +196,32 @@ class ThreadWorker:
             if self._closing:
                 return
             self.running_since = clock.now()
+            result: Any = None
+            problem: SwarmError | None = None
             try:
                 result = job()
             except SwarmError as error:
-                self._end(failed, error)
-            else:
-                self._end(done, result)
+                problem = error
+            self._runtime.entry(self._ended)(result, problem, done, failed)
 
-    def _end(self, call: Callable[[Any], None], argument: object) -> None:
-        self._runtime.entry(self._ended)(call, argument)
-
-    def _ended(self, call: Callable[[Any], None], argument: object) -> None:
+    def _ended(
+        self,
+        result: Any,
+        problem: SwarmError | None,
+        done: Callable[[Any], None],
+        failed: Callable[[SwarmError], None],
+    ) -> None:
         self.running_since = None
         self._given -= 1
-        if not self._closing:
-            call(argument)
+        if self._closing:
+            return
+        if problem is None:
+            try:
+                done(result)
+            except SwarmError as error:
+                problem = error
+        if problem is not None:
+            failed(problem)
 
 
 class _SerialBus:

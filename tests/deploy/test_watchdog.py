@@ -33,10 +33,10 @@ def test_it_is_fed_by_an_app_that_waits_for_its_neighbours(processes: Processes)
 
 HUNG = """
 import threading
-from services.apps import worker
 from swarm import SyncApp
+from swarm.process import threads
 
-worker.STUCK = 0.0
+threads.STUCK = 0.0
 
 class Hung(SyncApp):
     value: float

@@ -10,6 +10,7 @@ import pytest
 from sim.options import parse
 from sim.scenario import build
 from sim.virtual.run import PLACE, VirtualRun, simulate
+from swarm.core.epoch_actions import EpochRequest
 from swarm.errors import ConfigError
 from swarm.messages import SetAppEpoch
 from swarm.messages.keys import key
@@ -180,3 +181,28 @@ def test_what_cannot_be_switched_off_is_refused():
         simulate("led_sync", "--off", "r1@1s,2s")
     with pytest.raises(ConfigError, match="--off is for --virtual"):
         parse([*LOOP, "--off", "r1@1s,2s"])
+
+
+def test_a_lone_robot_goes_on_at_its_pace_after_a_change_of_members():
+    """A step that was planned in the epoch before is void: it was done beside the new epoch's, at twice the pace."""
+    options = parse(
+        ["consensus", "--robots", "1", "--seconds", "6", "--absent", "drop", "--drop-after", "2", "--virtual"]
+    )
+    run = VirtualRun(options, build(options, PLACE))
+    time, robot = run.world.time, run.world.robots["r0"]
+    time.at(3.0, lambda: robot.apps["consensus"].drivers[""].request(EpochRequest()))
+    outcome = run.go()
+    times = outcome.trajectories["r0"].times
+    assert max(times) == pytest.approx(6 / 0.03, rel=0.05)
+    ks = sorted(times, key=times.get)
+    assert ks == sorted(ks)
+
+
+def test_an_error_in_converged_is_the_apps_fault(tmp_path):
+    app = tmp_path / "unsure.py"
+    app.write_text(
+        "from swarm import SyncApp\n\nclass Unsure(SyncApp):\n    value: float\n\n    def step(self, neighbours):\n"
+        "        self.value += 1\n\n    def converged(self):\n        return 1 / (self.k - 3)\n"
+    )
+    report, _ = simulate(str(app), "--robots", "2", "--until", "converged")
+    assert any("ZeroDivisionError" in problem for problem in report["problems"])

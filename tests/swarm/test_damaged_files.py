@@ -98,7 +98,7 @@ def read_journal(place: Path) -> list[tuple[int, bytes]]:
 
 def read_parameters(place: Path) -> object:
     changes: Any = Changes.__new__(Changes)
-    changes._file = (place, 7)
+    changes._path, changes._run = place, 7
     return changes._read()
 
 

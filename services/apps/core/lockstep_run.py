@@ -296,7 +296,7 @@ class LockstepRun:
         return earliest
 
     def actions(self) -> list[Action]:
-        """What the driver is to do now, in this order; Advanced, Fault, Finished, Waiting and Switch are news."""
+        """What the driver is to do now, in this order; Advanced, Fault, Finished, Waiting and SwitchEpoch are news."""
         found: list[Action] = []
         for action in self._lockstep.actions() if self._lockstep is not None else ():
             # Of each iteration, so by the very type: a match takes three times as long.
@@ -307,7 +307,7 @@ class LockstepRun:
                 self.waiting = action.peers
             elif type(action) is Fault:
                 self.fail(action.reason, self._progress_at)
-            elif type(action) is Finished:
+            elif type(action) is Finished and self.phase != "fault":
                 self.phase = "done"
             found.append(action)
             if type(action) is Save and self._first_save:

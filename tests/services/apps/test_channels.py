@@ -12,7 +12,7 @@ __all__ = ["make_rig"]
 PAIR = """
 import sys
 from services.apps import loader, topology
-from services.apps.claim import Claim
+from services.apps.claim import AppLock
 from services.apps.host import LockstepHost, Part
 from services.apps.lockstep_driver import Place
 from services.apps.runner import Runner
@@ -30,7 +30,7 @@ def main():
             Part(name, Runner(app.make(service.config, service.robot), app.source))
             for name, app in (("a", fast), ("b", slow))
         ]
-        claim = Claim(service.runtime, "pair")
+        claim = AppLock(service.runtime, "pair")
         place = Place.of(7, b"1", RunOptions(50), links.config, links.epoch, claim.incarnation)
         runtime = ThreadedRuntime(service)
         host = LockstepHost(runtime, "pair", parts, place, FileStorage(service.runtime), None)

@@ -13,13 +13,13 @@ from swarm.process.edges import DEFECT
 MESH = """
 import resource
 from services.mesh import __main__ as mesh
-from services.mesh.core.node import Node
+from services.mesh.core.node import MeshNode
 from swarm.process import service
 
 def broken(*arguments):
     {fault}
 
-Node.{method} = broken
+MeshNode.{method} = broken
 service.run(mesh.main)
 """
 

@@ -121,6 +121,47 @@ def test_a_worker_does_its_jobs_in_turn_and_tells_what_came_of_them(bench: Bench
     assert worker.close(PATIENCE)
 
 
+def test_what_follows_a_job_may_fail_like_the_job(bench: Bench) -> None:
+    worker = bench.runtime.worker("jobs")
+    found: list[str] = []
+    done = threading.Event()
+
+    def breaks(_: object) -> None:
+        raise AppError("too late")
+
+    def give() -> None:
+        worker.run(lambda: 1, breaks, lambda error: found.append(str(error)))
+        worker.run(lambda: 2, lambda _: done.set(), fail)
+
+    bench.runtime.entry(give)()
+    bench.until(done)
+    assert found == ["too late"]
+
+
+def test_a_wrong_sample_leaves_what_is_soon_to_come() -> None:
+    """What an entry raises costs that entry; nothing planned before or after is lost."""
+    bench = Bench("threads")
+    found: list[str] = []
+
+    def wrong() -> None:
+        bench.runtime.soon(found.append, "before")
+        raise AppError("no sample")
+
+    def later() -> None:
+        bench.runtime.soon(breaks)
+        bench.runtime.soon(found.append, "behind it")
+
+    def breaks() -> None:
+        raise AppError("no call")
+
+    for entry in (wrong, later):
+        with pytest.raises(AppError):
+            bench.runtime.entry(entry)()
+    bench.runtime.entry(lambda: bench.runtime.soon(found.append, "last"))()
+    assert found == ["before", "behind it", "last"]
+    bench.close()
+
+
 def test_of_entries_on_many_threads_one_runs_at_a_time() -> None:
     bench = Bench("threads")
     inside, most, total = 0, 0, 0
