@@ -53,8 +53,8 @@ class Watched:
         self._readers = [*always, *(fd for fd in self.pipes if fd not in self.restless)]
         self._blocked = [pipe.fileno() for pipe in blocked.values()]
         self._calm: select.epoll | None = None
-        """Where nothing else is waited for than bytes, all are known to the kernel, which is a sixth of what a wake
-        costs. It counts in ms."""
+        """The kernel keeps the list of the descriptors where only bytes are waited for: handing it over each time is a
+        sixth of what a wake costs. Its time-outs are whole ms."""
         if not self.restless and not self._blocked:
             self._calm = select.epoll()
             for fd in self._readers:

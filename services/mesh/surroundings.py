@@ -40,8 +40,8 @@ class Surroundings(Protocol):
         """`call` in a form that any thread may use."""
 
     def outside(self, call: Callable[..., object], *arguments: Any) -> None:
-        """Call where waiting delays nobody: on the same thread, in the order of these calls, when other threads may
-        enter again. Under virtual time nothing waits, so the call is made at once."""
+        """Call after the present entry, when other threads may enter again: a call that waits delays nobody there. The
+        calls of an entry keep their order. Under virtual time nothing waits, so the call is made at once."""
 
 
 class Transport(Protocol):
@@ -57,4 +57,4 @@ class Transport(Protocol):
         """Send what the session still has, as far as that needs no waiting, then close its connection."""
 
     def wake(self, deadline: float) -> None:
-        """Call `Mesh.due` at this time in place of the one told before. It may be called earlier, never later."""
+        """Call `Mesh.due` at this time in place of the one told before. `Mesh.due` may come earlier, never later."""

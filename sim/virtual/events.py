@@ -112,7 +112,8 @@ class LocalTime:
         return self._offset + self._rate * self._true(time)
 
     def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
-        """See `EventQueue`; never before this clock shows `time`, or who asks whether it is due asks for ever."""
+        """See `EventQueue`. Never before this clock shows `time`: a caller that finds itself too early would plan the
+        same time again, for ever."""
         self._world.at(self._true(time), call, *arguments)
 
     def soon(self, call: Callable[..., object], *arguments: Any) -> None:

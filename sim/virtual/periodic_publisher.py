@@ -1,7 +1,7 @@
 """What a robot tells at fixed intervals, under virtual time: as long as somebody hears it.
 
-Mostly nobody does, and that nobody does was most of what a large swarm's events found out, at one robot after the
-other, whose objects had to be fetched from memory for that.
+Mostly nobody does. In a large swarm most events only found that out, at one robot after the other, and each look had
+to fetch a robot's objects from memory.
 """
 
 from collections.abc import Callable

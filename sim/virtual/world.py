@@ -46,7 +46,8 @@ TARGET_PERIOD_S = 0.1
 """s between two messages of where a target that moves is, as the real simulation has it."""
 
 LONGEST_UP = 3600.0
-"""s since when robots may be up whose clocks are not one: so far their zeros lie apart."""
+"""How long ago, s, a robot may have been switched on where each has a clock of its own: the clocks' zeros differ by so
+much at most."""
 
 
 @dataclass
