@@ -17,8 +17,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from services.balancer import atmega, usb_port
-from services.balancer.core import avr109, image
+from services.balancer import usb_port
+from services.balancer.core import avr109, balboa, image
 from services.balancer.core.controller import BALANCING, LYING_DOWN, STANDING_UP
 from services.balancer.core.image import Image
 from services.balancer.i2c import I2CBus, KernelBus
@@ -109,9 +109,9 @@ def here(
     _systemctl("stop")
     try:
         with contextlib.closing(open_bus()) as bus:
-            before = atmega.versions(bus)
+            before = versions(bus)
             say("no firmware answers" if before is None else f"revision {before[1]} before (layout {before[0]})")
-            obeyed = atmega.enter_bootloader(bus)
+            obeyed = enter_bootloader(bus)
             if not obeyed:
                 say("it takes no command: press reset twice within 0.7 s")
             _flash(firmware, wait(BY_COMMAND_S if obeyed else BY_HAND_S), say)
@@ -139,7 +139,7 @@ def _check(bus: I2CBus, firmware: Image) -> None:
     end = time.monotonic() + START_S
     found = None
     while time.monotonic() < end:
-        if (found := atmega.versions(bus)) == (firmware.layout, firmware.revision):
+        if (found := versions(bus)) == (firmware.layout, firmware.revision):
             return
         time.sleep(0.1)
     raise RemoteError(
@@ -165,3 +165,28 @@ def _print(text: str) -> None:
     with contextlib.suppress(OSError):
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
+
+
+def versions(bus: I2CBus) -> tuple[int, int] | None:
+    """Layout and revision of its firmware; None where nobody answers."""
+    try:
+        bus.pause(balboa.PAUSE_S)
+        bus.write(balboa.ADDRESS, bytes((balboa.VERSION,)))
+        bus.pause(balboa.PAUSE_S)
+        data = bus.read(balboa.ADDRESS, balboa.REVISION + 1)
+    except OSError:
+        return None
+    return data[balboa.VERSION], data[balboa.REVISION]
+
+
+def enter_bootloader(bus: I2CBus) -> bool:
+    """Motors off, and into the bootloader; False where it does not take the command: nobody answers, or no firmware
+    of ours."""
+    try:
+        bus.pause(balboa.PAUSE_S)
+        bus.write(balboa.ADDRESS, bytes((balboa.MOTORS,)) + balboa.encode_motors(0.0, 0.0))
+        bus.pause(balboa.PAUSE_S)
+        bus.write(balboa.ADDRESS, bytes((balboa.COMMAND,)) + balboa.BOOTLOADER_COMMAND.to_bytes(2, "little"))
+    except OSError:
+        return False
+    return True

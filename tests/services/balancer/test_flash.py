@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_intel_hex import firmware, to_hex
 
-from services.balancer import atmega, flash, usb_port
+from services.balancer import flash, usb_port
 from services.balancer.core import avr109, balboa, image
 from services.balancer.core.image import Image
 from swarm.errors import LocalError, RemoteError
@@ -309,5 +309,5 @@ def test_it_needs_root(systemctl: list[str], monkeypatch: pytest.MonkeyPatch) ->
 
 def test_the_atmega_of_nobody() -> None:
     nobody = Board(None)
-    assert atmega.versions(nobody) is None
-    assert not atmega.enter_bootloader(nobody)
+    assert flash.versions(nobody) is None
+    assert not flash.enter_bootloader(nobody)
