@@ -3,10 +3,8 @@
 What nobody hears is not made. Buttons are pressed, and robots laid down, by the acts of `sim.core.actions`.
 """
 
-import logging
 import math
 import random
-from collections import Counter
 from collections.abc import Mapping
 
 from services.balancer.bus_side import BusSide
@@ -21,6 +19,7 @@ from sim.virtual.body import BALANCING, VirtualBody
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
 from sim.virtual.periodic_publisher import PeriodicPublisher
+from sim.virtual.runtime import VirtualRuntime
 from swarm.config import Config
 from swarm.errors import LocalError
 from swarm.messages import (
@@ -38,10 +37,6 @@ from swarm.messages import (
 )
 from swarm.messages.keys import key
 
-_log = logging.getLogger("virtual.balancer")
-_log.disabled = True
-"""What a balancer says is for its own log, which nobody would read here."""
-
 TRUTH = 0.1
 BATTERY = 7.4
 """V, for ever."""
@@ -50,9 +45,7 @@ TICK = 0.01
 
 
 class VirtualBalancer:
-    """One robot's body, and what `services.balancer.bus_side` needs of process and loop."""
-
-    log = _log
+    """One robot's body, and what `services.balancer.bus_side` needs of its loop."""
 
     def __init__(
         self,
@@ -77,7 +70,7 @@ class VirtualBalancer:
         self._counter = ButtonCounter()
         self._held = [0.0] * len(BUTTONS)
         """Until when somebody holds each button."""
-        self._side = BusSide(self, lambda: time.now, self)
+        self._side = BusSide(VirtualRuntime(robot, time, bus), lambda: time.now, self)
         self._side.listen(self._put)
         self._truth_key, self._sim_leds_key = key(robot, "sim", "truth"), key(robot, "sim", "leds")
         phase = numbers.random()
@@ -110,17 +103,6 @@ class VirtualBalancer:
 
     # -- the process -------------------------------------------------------------------------------------------
 
-    @property
-    def counters(self) -> Counter[str]:
-        """Those of the bus."""
-        return self.bus.counters
-
-    def ready(self) -> None:
-        """Nobody waits for it."""
-
-    def degraded(self, reason: str) -> None:
-        """Nobody asks for it."""
-
     def _put(self, name: str, payload: bytes) -> None:
         self._side.command(name, payload, self._time.now)
 
@@ -132,7 +114,7 @@ class VirtualBalancer:
 
     def take(self, command: Command, heard: float) -> bool:
         """See `services.balancer.bus_side.LoopLink`. What only devices do that this body has not is left undone."""
-        obey(self, command, heard, _log)
+        obey(self, command, heard, VirtualRuntime.log)
         return True
 
     def show(self, request: SetDisplay) -> None:

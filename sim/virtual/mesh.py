@@ -1,11 +1,7 @@
 """The mesh service of one robot under virtual time: `services.mesh.mesh` over the air of `sim.virtual.air`."""
 
-import logging
 import random
-from collections import Counter
-from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
 
 from services.mesh.bus_interface import BusInterface
 from services.mesh.core.routing.topology import Ground
@@ -15,16 +11,11 @@ from services.mesh.mesh import Chance, Mesh, dials_of, local_of
 from sim.virtual.air import Air, Station
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
+from sim.virtual.runtime import VirtualRuntime
 from swarm.config import Config
 
 FIRST_INCARNATION = 1
 """Of every robot's floods."""
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-_log = logging.getLogger("virtual.mesh")
-_log.disabled = True
-"""What a mesh service says is for its own log, which nobody would read here."""
 
 
 class Common:
@@ -50,44 +41,6 @@ class Common:
         return dials_of(own, peers)
 
 
-class _Surroundings:
-    """See `services.mesh.surroundings.Surroundings`."""
-
-    __slots__ = ("_time", "bus")
-
-    log = _log
-
-    def __init__(self, time: Time, bus: VirtualBus) -> None:
-        self._time = time
-        self.bus = bus
-
-    @property
-    def counters(self) -> Counter[str]:
-        """Those of the bus."""
-        return self.bus.counters
-
-    @property
-    def now(self) -> float:
-        """By the robot's clock, s."""
-        return self._time.now
-
-    def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
-        """Call at `time`."""
-        self._time.at(time, call, *arguments)
-
-    def soon(self, call: Callable[..., object], *arguments: Any) -> None:
-        """Call after what runs now."""
-        self._time.soon(call, *arguments)
-
-    def entry(self, call: F) -> F:
-        """`call` itself: all of a run is one thread."""
-        return call
-
-    def outside(self, call: Callable[..., object], *arguments: Any) -> None:
-        """Call at once."""
-        call(*arguments)
-
-
 class VirtualMesh(Mesh):
     """One robot's mesh."""
 
@@ -107,7 +60,7 @@ class VirtualMesh(Mesh):
         # The text's hash is not Python's own, which differs from process to process.
         numbers = random.Random(f"{seed} {robot} mesh" + (f" {incarnation}" if incarnation > 1 else ""))
         dials = common.dials(robot)
-        surroundings = _Surroundings(time, bus)
+        surroundings = VirtualRuntime(robot, time, bus)
         self._station = Station(robot, time, air)
         super().__init__(
             common.config,

@@ -4,7 +4,7 @@ takes no time."""
 import logging
 from collections import Counter
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from sim.virtual.bus import VirtualBus
 from sim.virtual.events import Time
@@ -20,7 +20,7 @@ _LOG.propagate = False
 
 
 class VirtualRuntime:
-    """See `swarm.process.runtime.Runtime`. An app's host has one of its own, as it has a process on a robot."""
+    """See `swarm.process.runtime.Runtime`. Each service of a robot has one of its own, as it has a process."""
 
     __slots__ = ("_time", "at", "bus", "robot", "soon")
 
@@ -51,6 +51,11 @@ class VirtualRuntime:
     def entry(call: T) -> T:
         """See `Runtime`."""
         return call
+
+    @staticmethod
+    def outside(call: Callable[..., object], *arguments: Any) -> None:
+        """See `services.mesh.surroundings.Surroundings`."""
+        call(*arguments)
 
     @staticmethod
     def worker(name: str) -> "InlineWorker":
