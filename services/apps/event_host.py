@@ -21,8 +21,7 @@ from services.apps.runner import Runner
 from services.apps.storage import Storage
 from services.apps.topology import of_edges
 from swarm.app.devices import Devices
-from swarm.app.event_app import ChannelView as ChannelView
-from swarm.app.event_app import channels_of
+from swarm.app.event_app import ChannelView, channels_of
 from swarm.app.overlays import Message, Overlays
 from swarm.app.robot import Robot
 from swarm.config import Config
@@ -74,6 +73,7 @@ class EventHost:
         self._config = config
         self._storage = storage
         self._observer = observer
+        self._links_change = links_change
         neighbours = place.graph.neighbours(self.robot)
         channel = Channel(place.run, 0, place.incarnation, version(app, place.digest))
         self._core = Asynchronous(
@@ -311,7 +311,9 @@ class EventHost:
             _equip(view.app.robot, self.runner.app.robot)
             parts.append(Part(name, Runner(view.app, self.runner.source, endless.options.tolerance)))
         self.channels = LockstepHost(
-            *(self._runtime, self.app, parts, endless, self._storage, self._observer), links_change=False, whole=False
+            *(self._runtime, self.app, parts, endless, self._storage, self._observer),
+            links_change=self._links_change or endless.options.drop,  # who drops robots asks which links are in force
+            whole=False,
         )
         for name, view in self._views.items():
             view.begin(self._runtime.entry(partial(self.channels.change, name, self._changes.tell)))

@@ -198,6 +198,14 @@ def test_a_lone_robot_goes_on_at_its_pace_after_a_change_of_members():
     assert ks == sorted(ks)
 
 
+@pytest.mark.parametrize("absent", [(), DROP])
+def test_the_locksteps_of_an_event_driven_app_hear_the_links_in_force_where_they_may_drop_a_robot(absent):
+    options = parse(["led_sync", "--robots", "3", "--seconds", "3", *absent, "--virtual"])
+    run = VirtualRun(options, build(options, PLACE))
+    run.go()
+    assert run.world.robots["r0"].meshes_bus.wanted(key("r0", "mesh", "topology")) == bool(absent)
+
+
 def test_an_error_in_converged_is_the_apps_fault(tmp_path):
     app = tmp_path / "unsure.py"
     app.write_text(
