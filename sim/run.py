@@ -231,8 +231,8 @@ class ProcessRun:
         self._stop = True
 
     def _trajectories(self, app: str) -> dict[str, Trajectory]:
-        """By robot; all of it only for a picture, or to compare it with another run: that of a day takes gigabytes."""
-        whole = self._options.plot is not None or bool(self._scenario.recorded)
+        """By robot; all of it only to compare it with another run: that of a day takes gigabytes."""
+        whole = bool(self._scenario.recorded)
         names = self._scenario.config.names
         return {name: trajectory.read(self._records / f"{name}.{app}{SUFFIX}", whole=whole) for name in names}
 

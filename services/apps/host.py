@@ -65,9 +65,8 @@ class LockstepHost:
         links_change: bool = True,
         whole: bool = True,
     ) -> None:
-        """`links_change`: whether the mesh may put other
-        links in force meanwhile. `whole`: whether these locksteps are the whole app; those of an event-driven app are
-        not. Raises `LocalError` where their files cannot be had."""
+        """`links_change`: whether the mesh may put other links in force meanwhile. `whole`: whether these locksteps are
+        the whole app; those of an event-driven app are not. Raises `LocalError` where their files cannot be had."""
         self.app = app
         self.robot = runtime.robot
         self.drivers: dict[str, LockstepDriver] = {}

@@ -4,15 +4,13 @@ The same code runs in the bridge, over the socket pairs to the control loop, and
 body without physics (`sim.virtual.balancer`).
 """
 
-import logging
-from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
 from services.balancer.core.controller import CALIBRATING, COMMANDS, FAULT, STARTING
 from services.balancer.core.requests import check
 from services.balancer.link import Command, Message
-from swarm.bus.protocol import BusLike, Clock
+from swarm.bus.protocol import Clock
 from swarm.bus.throttle import THROTTLED, Throttle
 from swarm.errors import LocalError, PayloadError
 from swarm.messages import (
@@ -36,6 +34,7 @@ from swarm.messages import (
     read,
 )
 from swarm.messages.keys import STOP, key
+from swarm.process.runtime import Process
 
 THROTTLED_STATE_S = 0.2
 """Seconds between two messages of the state's throttled copy; a change of mode is told at once."""
@@ -63,32 +62,6 @@ _TOPICS: dict[type, str] = {
     I2CRates: "i2c",
 }
 _COMMANDS = ("mode", "velocity", "parameters", "leds", "module", "imu", "notes", "display", "i2c")
-
-
-class Process(Protocol):
-    """What the bus side uses of its process: see `swarm.process.service.Service`."""
-
-    @property
-    def robot(self) -> str:
-        """The robot's name."""
-
-    @property
-    def bus(self) -> BusLike:
-        """The robot's bus."""
-
-    @property
-    def counters(self) -> Counter[str]:
-        """What was dropped or refused, by name."""
-
-    @property
-    def log(self) -> logging.Logger:
-        """Where the service's messages for people go."""
-
-    def ready(self) -> None:
-        """Tell that the service does its work."""
-
-    def degraded(self, reason: str) -> None:
-        """Tell that the service cannot do all of its work, and why."""
 
 
 class LoopLink(Protocol):

@@ -1,43 +1,14 @@
 """What a mesh stands between: the bus, clock and log of its robot, and what carries bytes to other robots."""
 
-import logging
-from collections import Counter
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 from services.mesh.core.link.session import Session
-from swarm.bus.protocol import BusLike
-
-F = TypeVar("F", bound=Callable[..., Any])
+from swarm.process.runtime import Schedule
 
 
-class Surroundings(Protocol):
-    """What a mesh uses of its `swarm.process.runtime.Runtime`, whose docstrings hold here, and `outside`."""
-
-    @property
-    def bus(self) -> BusLike:
-        """The robot's bus."""
-
-    @property
-    def counters(self) -> Counter[str]:
-        """What was dropped or refused, by name."""
-
-    @property
-    def log(self) -> logging.Logger:
-        """Where the service's messages for people go."""
-
-    @property
-    def now(self) -> float:
-        """The robot's clock, s."""
-
-    def at(self, time: float, call: Callable[..., object], *arguments: Any) -> None:
-        """Call at `time`."""
-
-    def soon(self, call: Callable[..., object], *arguments: Any) -> None:
-        """Call after what runs now."""
-
-    def entry(self, call: F) -> F:
-        """`call` in a form that any thread may use."""
+class Surroundings(Schedule, Protocol):
+    """What a mesh runs on."""
 
     def outside(self, call: Callable[..., object], *arguments: Any) -> None:
         """Call after the present entry, when other threads may enter again: a call that waits delays nobody there. The

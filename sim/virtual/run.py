@@ -66,7 +66,7 @@ class VirtualRun:
         """`rows`: keep the states of all iterations for the outcome, not only the last."""
         self._options = options
         self._scenario = scenario
-        self._rows = rows or bool(scenario.recordings) or options.plot is not None
+        self._rows = rows or bool(scenario.recordings)
         names = scenario.config.names
         mesh = options.mesh or (FROM_START if len(names) <= MAX_FROM_START or scenario.config.auto else SETTLED)
         if mesh == DELAY and scenario.config.auto:

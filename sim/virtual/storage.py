@@ -1,29 +1,7 @@
-"""What the apps of a virtual robot keep: snapshots through the end of an app's process, votes through a reboot, too."""
-
-from collections import deque
+"""What the apps of a virtual robot keep through a reboot: votes."""
 
 from swarm.core.epoch_notes import SavedEpochs
 from swarm.core.lockstep_frames import Snapshot
-
-
-class MemorySnapshots:
-    """See `services.apps.storage.Snapshots`."""
-
-    __slots__ = ("_kept",)
-
-    def __init__(self, count: int) -> None:
-        self._kept: deque[bytes] = deque(maxlen=count)
-
-    def read(self) -> list[bytes]:
-        """See `Snapshots`."""
-        return list(self._kept)
-
-    def keep(self, snapshot: Snapshot) -> None:
-        """See `Snapshots`."""
-        self._kept.append(snapshot.encode())
-
-    def close(self) -> None:
-        """See `Snapshots`."""
 
 
 class NoSnapshots:
@@ -68,19 +46,15 @@ class MemoryVotes:
 class MemoryStorage:
     """See `services.apps.storage.Storage`. Of one robot."""
 
-    __slots__ = ("_restarts", "_snapshots", "_votes")
+    __slots__ = ("_votes",)
 
-    def __init__(self, *, restarts: bool = False) -> None:
-        """`restarts`: whether an app may be started again without the robot, and finds its snapshots."""
-        self._restarts = restarts
-        self._snapshots: dict[str, MemorySnapshots] = {}
+    def __init__(self) -> None:
         self._votes: dict[str, MemoryVotes] = {}
 
-    def snapshots(self, name: str, count: int) -> MemorySnapshots | NoSnapshots:
+    @staticmethod
+    def snapshots(name: str, count: int) -> NoSnapshots:
         """See `Storage`."""
-        if not self._restarts:
-            return NoSnapshots()
-        return self._snapshots.setdefault(name, MemorySnapshots(count))
+        return NoSnapshots()
 
     def votes(self, name: str) -> MemoryVotes:
         """See `Storage`."""

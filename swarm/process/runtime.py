@@ -42,16 +42,12 @@ class Worker(Protocol):
         """Run no further job. Wait at most `within` s for the one that runs; False where it has not ended."""
 
 
-class Runtime(Protocol):
-    """The surroundings of the shells of one process, or of one robot's services under virtual time."""
-
-    @property
-    def robot(self) -> str:
-        """The name of the robot."""
+class Outlets(Protocol):
+    """What every shell says goes here."""
 
     @property
     def bus(self) -> BusLike:
-        """The robot's bus. What it calls is an `entry`."""
+        """The robot's bus."""
 
     @property
     def counters(self) -> Counter[str]:
@@ -60,6 +56,24 @@ class Runtime(Protocol):
     @property
     def log(self) -> logging.Logger:
         """Where the service's messages for people go."""
+
+
+class Process(Outlets, Protocol):
+    """A service of a robot: `swarm.process.service.Service`, and every runtime."""
+
+    @property
+    def robot(self) -> str:
+        """The name of the robot."""
+
+    def ready(self) -> None:
+        """Tell that the service does its work."""
+
+    def degraded(self, reason: str) -> None:
+        """Tell that the service cannot do all of its work, and why."""
+
+
+class Schedule(Outlets, Protocol):
+    """A clock, and calls that never run at the same time."""
 
     @property
     def now(self) -> float:
@@ -71,22 +85,21 @@ class Runtime(Protocol):
     def soon(self, call: Callable[..., object], *arguments: Any) -> None:
         """Call after what runs now."""
 
-    def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
-        """Call every `period` s while somebody hears one of `keys`. While nobody does, call seldom, or not at
-        all."""
-
     def entry(self, call: F) -> F:
         """`call` in a form that any thread may use: the bus, a timer, the app's own code. It waits until no other call
         of the shells runs."""
 
+
+class Runtime(Process, Schedule, Protocol):
+    """The surroundings of the shells of one process, or of one robot's services under virtual time. What its bus calls
+    is an `entry`."""
+
+    def every(self, period: float, call: Callable[[], None], keys: tuple[str, ...]) -> None:
+        """Call every `period` s while somebody hears one of `keys`. While nobody does, call seldom, or not at
+        all."""
+
     def worker(self, name: str) -> Worker:
         """A worker with a thread of that name."""
-
-    def ready(self) -> None:
-        """Tell that the service does its work."""
-
-    def degraded(self, reason: str) -> None:
-        """Tell that the service cannot do all of its work, and why."""
 
 
 def listen(runtime: Runtime, key: str, kind: type[M], take: Callable[[M], None]) -> None:
